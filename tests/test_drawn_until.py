@@ -64,9 +64,9 @@ def test_an_interrupted_run_ends_with_the_same_samples(lap_model, tmp_path):
         ({"accuracy": "2 %"}, "accuracy"),
         ({"accuracy": float("nan")}, "accuracy"),
         ({"accuracy": [0.02]}, "accuracy"),
-        ({"accuracy": 0.02, "design": "sobol", "samples": 64}, "a design makes them together"),
-        ({"accuracy": 0.02, "values": [[0.0, 0.0, 0.0]]}, "values gives them"),
-        ({"accuracy": 0.02, "table": "samples.csv"}, "table gives them"),
+        ({"accuracy": 0.02, "design": "sobol", "samples": 64}, "accuracy adds samples one by one"),
+        ({"accuracy": 0.02, "values": [[0.0, 0.0, 0.0]]}, "accuracy and values exclude each other"),
+        ({"accuracy": 0.02, "table": "samples.csv"}, "accuracy and table exclude each other"),
     ],
 )
 def test_what_makes_no_sense_is_refused(lap_scene, keys, words):
@@ -79,5 +79,5 @@ def test_what_makes_no_sense_is_refused(lap_scene, keys, words):
 def test_an_accuracy_of_nothing_is_refused(lap_scene):
     table = lap_scene.model_dump(exclude={"setting"}, exclude_none=True) | {"folder": lap_scene.folder}
     table["monte_carlo"], table["measurements"] = {"accuracy": 0.02}, []
-    with pytest.raises((SceneError, ValueError), match="give measurements and deviations"):
+    with pytest.raises((SceneError, ValueError), match="it needs measurements and deviations"):
         mic.Scene(**table)

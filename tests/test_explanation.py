@@ -177,7 +177,7 @@ def test_slopes_of_distributions_are_those_of_their_quantiles(model):
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ("", "this is no table"),
+        ("", "not a table"),
         ("measurement,value,gauge\n", "no row below the header"),
         ("measurement,value,sigma\nM,1,1\n", "there is no column 'sigma'"),
         ("measurement,gauge\nM,1\n", "there is no column 'value'; add it"),
@@ -188,7 +188,7 @@ def test_slopes_of_distributions_are_those_of_their_quantiles(model):
         ("measurement,value,gauge\nM,nan,1\n", "row 2, column value: 'nan' is no finite number"),
         ("measurement,value,gauge\nM,1,1\nM,2,1\n", "row 3, column measurement: 'M' stands there twice"),
         ("measurement,value,gauge\n,1,1\n", "row 2, column measurement: is empty"),
-        ("measurement,value,value\nM,1,1\n", "column 'value' stands there twice"),
+        ("measurement,value,value\nM,1,1\n", "column 'value' is given twice"),
     ],
 )
 def test_a_file_that_is_none_is_refused_in_a_sentence(text, said, tmp_path):

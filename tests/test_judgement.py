@@ -19,7 +19,7 @@ import mic
 from mic.geometry.structured import extrude
 from mic.model.assembly import assemble
 from mic.options import app
-from mic.plausibility import FILE, MESHES, PARTS, judge, readable, refuse, suspect
+from mic.plausibility import FILE, MESHES, PARTS, find_warnings, find_warnings_unplaced, loadable_parts, raise_warnings
 from mic.scene import Scene, SceneError
 from mic.scene.load import read_table
 from verification.scenes import FEW
@@ -283,13 +283,13 @@ NONSENSE |= {
             add("locators", **STACKED),
             add("deviations", name="D9", kind="locator", target="lower-A9", mean=0.5, sigma=0.1),
         ),
-        "contradict",
+        "mm away",
         "held-twice",
     ),
     "a stroke against a locator": (
         "lap_joint",
         add("clamps", name="C9", part="lower", point=[5, 5, 0], direction=UP, stroke=0.4),
-        "contradict",
+        "mm away",
         "held-twice",
     ),
     "a locator beside its sheet": (
@@ -330,7 +330,7 @@ NONSENSE |= {
     "a zone turned round": (
         "lap_joint",
         like("zones.lap", name="again", parts=["upper", "lower"]),
-        "turned round",
+        "in the opposite direction",
         "zones-alike",
     ),
     "a zone within a zone": (
@@ -508,12 +508,12 @@ PAIRED = ("zones-alike", "zone-small")
 
 def judged(name, scene, rules, assemblies, cache):
     """The warnings of an edited scene, on the meshes and pairs of the shipped one where they do."""
-    found = judge(scene)
+    found = find_warnings(scene)
     if any(warned.rule in rules for warned in found):
         return found
     if set(rules) & set(PAIRED):
-        return judge(scene, assemble(scene, cache))
-    return judge(scene, replace(assemblies[name], scene=scene))
+        return find_warnings(scene, assemble(scene, cache))
+    return find_warnings(scene, replace(assemblies[name], scene=scene))
 
 
 @pytest.mark.parametrize("case", NONSENSE)
@@ -669,7 +669,7 @@ SENSIBLE = {
 def test_nothing_sensible_is_warned_of(case, assemblies):
     name, edit = SENSIBLE[case]
     scene = edited(name, edit)
-    found = judge(scene, replace(assemblies[name], scene=scene))
+    found = find_warnings(scene, replace(assemblies[name], scene=scene))
     assert not found, [str(warned) for warned in found]
 
 
@@ -685,9 +685,9 @@ def test_tongs_that_press_a_stack_pair_by_pair_are_not_askew():
     ]
     scene = edited("lap_joint", all_of(like("parts.upper", name="top"), *located, *upon))
     about = lambda found: [str(warned) for warned in found if warned.rule == "tongs-askew"]
-    assert not about(judge(scene))
+    assert not about(find_warnings(scene))
     alone = edited("lap_joint", all_of(like("parts.upper", name="top"), *located, upon[1]))
-    assert about(judge(alone))
+    assert about(find_warnings(alone))
 
 
 def test_there_are_thirty_of_them():
@@ -700,9 +700,9 @@ def test_there_are_thirty_of_them():
 )
 def test_nothing_is_warned_of_in_the_shipped_scenes(name, cache):
     scene = mic.load_scene(MESHES_FOLDER / name)
-    assert judge(scene, assemble(scene, cache)) == ()
+    assert find_warnings(scene, assemble(scene, cache)) == ()
     watched = mic.load_scene(MESHES_FOLDER / "wheelhouse" / "watched.toml")
-    assert judge(watched) == ()  # else it is the wheelhouse
+    assert find_warnings(watched) == ()  # else it is the wheelhouse
 
 
 SHEET = {"thickness": 1.0, "young": 210e3, "poisson": 0.3}
@@ -848,9 +848,9 @@ def test_what_the_meshes_show(case, tmp_path):
     plates, rule, item = SHAPED[case]
     scene = plates.scene(tmp_path)
     try:
-        found = judge(scene, assemble(scene, tmp_path / "cache"))
+        found = find_warnings(scene, assemble(scene, tmp_path / "cache"))
     except SceneError:
-        found = suspect(scene, readable(scene, tmp_path / "cache"))  # beside the error, what may be why
+        found = find_warnings_unplaced(scene, loadable_parts(scene, tmp_path / "cache"))
     assert [one for one in found if one.rule == rule and one.item == item] or (rule is None and not found), found
 
 
@@ -862,15 +862,15 @@ def test_sheets_that_are_drawn_far_into_each_other_are_refused(tmp_path):
 
 def test_a_warning_says_number_range_reason_and_remedy():
     scene = edited("lap_joint", put("parts.upper", young=210))
-    (warned,) = judge(scene)
+    (warned,) = find_warnings(scene)
     assert str(warned) == (
         "part upper: young = 210 MPa; usual is 40000 to 250000 MPa (magnesium has 45e3, aluminium 70e3, steel 210e3): "
         "give it in MPa, not in GPa or Pa"
     )
-    assert all(rule.usual and rule.because and rule.remedy for rule in RULES)
+    assert all(rule.usual and rule.reason and rule.remedy for rule in RULES)
     with pytest.raises(SceneError, match=r"part upper: young = 210 MPa"):
-        refuse([warned])
-    refuse([])
+        raise_warnings([warned])
+    raise_warnings([])
 
 
 @pytest.fixture(autouse=True)
@@ -904,7 +904,7 @@ def test_a_check_that_ends_in_an_error_tells_what_is_unusual_first(cache, tmp_pa
     path = tmp_path / "scene.toml"
     path.write_text(path.read_text().replace("thickness = 1\n", "thickness = 40\n", 1))
     done = CliRunner().invoke(app, ["check", scene], env={"MIC_CACHE": str(cache), "COLUMNS": "200"})
-    assert isinstance(done.exception, SceneError) and "drawn onto each other" in str(done.exception)
+    assert isinstance(done.exception, SceneError) and " coincide (" in str(done.exception)
     assert "warning: part lower: thickness = 40 mm; usual is 0.3 to 6 mm" in done.output
 
 

@@ -25,9 +25,9 @@ from mic.studies.comparison import scene_differences
 from mic.studies.optimisation import moved_items as sites_module
 from mic.studies.optimisation import optimise
 from mic.studies.optimisation.design import Change, Design, Space
-from mic.studies.optimisation.evaluations import Spent
+from mic.studies.optimisation.evaluations import BudgetExceeded
 from mic.studies.optimisation.matching import Kind, assigned
-from mic.studies.optimisation.moved_items import Sites
+from mic.studies.optimisation.moved_items import RelocatedModels
 from mic.studies.optimisation.objective import Objective
 from mic.studies.optimisation.scene_changes import rewritten
 from mic.studies.optimisation.search import all_designs, local_search, random_design
@@ -278,13 +278,13 @@ class Jobs:
     def merit(self, design, count=None):
         if design not in self._known:
             if self.spent >= self.budget:
-                raise Spent
+                raise BudgetExceeded
             self.spent += 1
             order = design.orders[0] or self.groups[0]
             self._known[design] = self.total([int(name) for (name,) in order])
         return self._known[design]
 
-    def beats(self, design, other):
+    def is_better(self, design, other):
         return self.merit(design) < self.merit(other)
 
 
@@ -330,7 +330,7 @@ def test_items_at_other_places_are_those_of_a_scene_that_states_them(fused, time
     welds = [one.model_copy(update={"fused": fused}) for one in mic.load_scene(mic.examples.folder("lap_joint")).welds]
     model = mic.reduce(placed([W1, A3], welds=welds), cache)
     space = Space(model)
-    sites, x = Sites(space, cache), draw(model.scene, 1, 0, 3)
+    sites, x = RelocatedModels(space, cache), draw(model.scene, 1, 0, 3)
     read = []
     for places in ((2, 0), (1, 1)):
         scene = space.stood(Design((), (), places))
@@ -350,7 +350,7 @@ def test_the_best_of_all_places_is_found(cache):
     model = mic.reduce(scene.model_copy(update={"optimise": asked}), cache)
     found = optimise(model, "coulomb", samples=20, fresh=20, seed=1, cache=cache)
     space, carlo = Space(model), model.scene.monte_carlo.model_copy(update={"design": "independent"})
-    sites, x = Sites(space, cache), draw(model.scene.model_copy(update={"monte_carlo": carlo}), 1, 0, 20)
+    sites, x = RelocatedModels(space, cache), draw(model.scene.model_copy(update={"monte_carlo": carlo}), 1, 0, 20)
     spread = {}
     for places in product(range(3)):
         moved = sites.model(space.stood(Design((), (), places))) if any(places) else model
@@ -370,14 +370,14 @@ def test_a_candidate_off_its_part_is_refused_by_name_before_anything_is_solved(c
     with pytest.raises(
         SceneError, match=r"^optimise.places\[0\].points\[1\] \(welds.W1\): \[92, 64, 0.5\] lies 39 mm"
     ) as told:
-        Sites(space, cache)
+        RelocatedModels(space, cache)
     assert "\n" not in str(told.value) and "[92, 25, 0]" in str(told.value)
 
 
 def test_places_take_the_meshes_of_the_scene(cache):
     scene = placed([W1]).model_copy(update={"folder": Path("nowhere")})
     with pytest.raises(SceneError, match="other places take the parts' meshes, and they cannot be had"):
-        Sites(Space(SimpleNamespace(scene=scene)), cache)
+        RelocatedModels(Space(SimpleNamespace(scene=scene)), cache)
 
 
 # ------------------------------------------------------------------------------------------------------- matching
@@ -542,17 +542,17 @@ JAW = {"clamps": ["C1-upper", "C1-lower"], "between": [30, 120]}
         ({"objective": "best", "forces": [JAW]}, "got 'best'"),
         ({"forces": [JAW | {"clamps": ["nobody"]}]}, "there is no clamp called 'nobody'"),
         ({"forces": [JAW | {"between": [300, 200]}]}, "300 is not below 200"),
-        ({"forces": [JAW | {"between": [1, 2]}]}, "states 60 N, which is not between 1 and 2"),
-        ({"forces": [JAW, JAW]}, "'C1-upper' stands there twice"),
-        ({"shims": [{"of": ["lower-A1"], "between": [0.1, 0.2]}]}, "no change, 0, must lie between them"),
+        ({"forces": [JAW | {"between": [1, 2]}]}, "states 60 N, which is outside 1 to 2"),
+        ({"forces": [JAW, JAW]}, "'C1-upper' is given twice"),
+        ({"shims": [{"of": ["lower-A1"], "between": [0.1, 0.2]}]}, "must include 0, no change"),
         ({"shims": [{"of": ["C1-upper"], "between": [-1, 1]}]}, "pushes with a force and has no position"),
         ({"orders": [{"stage": "locate"}]}, "no stage that closes or opens anything called 'locate'"),
         ({"orders": [{"stage": "clamp", "groups": [["C1-upper"], ["W1"]]}]}, "no item of stage 'clamp' called 'W1'"),
-        ({"orders": [{"stage": "weld", "groups": [["W1"], ["W1"]]}]}, "'W1' stands there twice"),
+        ({"orders": [{"stage": "weld", "groups": [["W1"], ["W1"]]}]}, "'W1' is given twice"),
         ({"places": [{"item": "welds.W9", "points": [[0, 0, 0]]}]}, "did you mean 'welds.W2'?"),
-        ({"matching": [{"name": "a", "file": "a.csv"}]}, "two kinds of parts at least"),
-        ({"objective": "cost", "forces": [JAW]}, "cost is least where nothing is changed"),
-        ({"objective": "yield", "weights": {"M1": 2}, "forces": [JAW]}, "weights are those of 6σ"),
+        ({"matching": [{"name": "a", "file": "a.csv"}]}, "at least two kinds of parts"),
+        ({"objective": "cost", "forces": [JAW]}, "cost is lowest without any change"),
+        ({"objective": "yield", "weights": {"M1": 2}, "forces": [JAW]}, "weights apply to 6σ"),
         ({"of": ["M77"], "forces": [JAW]}, "there is no measurement called 'M77'"),
         ({"forces": [JAW], "constraints": [{"quantity": "force", "at_least": 500}]}, "260 N are missing"),
         ({"forces": [JAW], "constraints": [{"quantity": "force", "at_most": 20}]}, "they are 40 N above"),
@@ -569,7 +569,7 @@ def test_what_cannot_be_asked_is_refused_by_key(tmp_path, asked, said):
 
 def test_an_objective_takes_measurements_with_a_tolerance(tmp_path):
     less = {key: value for key, value in LAP.items() if key != "measurements"}
-    with pytest.raises(SceneError, match=r"cpk is that of measurements with a tolerance, and nothing is measured"):
+    with pytest.raises(SceneError, match=r"cpk needs measurements with a tolerance, and there are none"):
         read_table(less | {"optimise": {"forces": [JAW]}}, tmp_path / "scene.toml")
 
 
@@ -625,7 +625,7 @@ def test_keys_of_a_file_are_changed_and_all_else_stays():
     table["stages"][1]["order"] = [["b"], ["a"]]
     table["stages"][2] = {"kind": "weld", "order": [["w"]]}
     assert tomllib.loads(last) == table
-    with pytest.raises(SceneError, match="change it there by hand"):
+    with pytest.raises(SceneError, match="change it by hand"):
         revised(TEXT, "clamps", 0, {"force": 3})
 
 

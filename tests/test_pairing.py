@@ -268,7 +268,7 @@ def test_given_points_stand_on_the_side_of_the_sheet_that_they_lie_on():
 
 
 def test_fewer_pairs_than_sides_are_refused():
-    with pytest.raises(ValueError, match="face each other on 2 sides of a sheet, and 1 pairs do not"):
+    with pytest.raises(ValueError, match="face each other on 2 sides of a sheet, and 1 pairs are too few"):
         find_pairs(zone(pairs=1), *hem())
 
 
@@ -357,7 +357,7 @@ def test_a_factor_is_for_candidates_and_ends_where_elements_do():
     bodies = Side(plane(0, n=16), 1.0), Side(plane(1, n=15), 1.0)
     with pytest.raises(ValueError, match=r"spacing = \S+ mm times spacing_factor = 0\.05 .*finer than the elements"):
         candidate_spacing(zone(pairs=None, spacing_factor=0.05), *bodies)
-    with pytest.raises(ValueError, match="spacing_factor is for candidates"):
+    with pytest.raises(ValueError, match="spacing_factor applies to candidates"):
         zone(pairs=9, spacing_factor=0.5)
 
 

@@ -216,7 +216,7 @@ def test_locators_placed_by_words_must_hold_their_part(folder):
 
 REFUSED = {
     "no place": ({"measurements": [{}]}, "give point = [x, y, z], or node or set or hole"),
-    "two places": ({"measurements": [{"point": PAD, "node": 3}]}, "point and node each say where it stands"),
+    "two places": ({"measurements": [{"point": PAD, "node": 3}]}, "point and node both give its place"),
     "a word that is none": ({"measurements": [{"point": PAD, "direction": "up"}]}, "'up' is no direction"),
     "a tong with a part": (
         {"clamps": [{"part": "ring", "parts": ["plate", "ring"], "point": PAD, "force": 1}]},
@@ -263,8 +263,8 @@ def test_rows_without_a_name_are_numbered(tmp_path):
 @pytest.mark.parametrize(
     "given, words",
     [
-        ({"points": []}, r"welds\[0\].points: there is no point in it"),
-        ({"points": [[12, 30, 0.5]], "point": [48, 30, 0.5]}, r"welds\[0\]: give either point, of one weld, or points"),
+        ({"points": []}, r"welds\[0\].points: the list is empty"),
+        ({"points": [[12, 30, 0.5]], "point": [48, 30, 0.5]}, r"welds\[0\]: give either point, for one weld, or points"),
     ],
 )
 def test_a_weld_of_points_has_some_and_no_other(given, words):
@@ -298,8 +298,8 @@ BAD_FILES = {
     "missing": (None, "there is no file"),
     "column": ("name,x,y,z,raduis\nW,1,2,3,4\n", "row 1: there is no column 'raduis'"),
     "two coordinates": ("name,x,y\nW,1,2\n", "there is only x and y"),
-    "ragged": ("name,x,y,z\nW,1,2,3,4,5\n", "this is no table"),
-    "empty": ("", "this is no table"),
+    "ragged": ("name,x,y,z\nW,1,2,3,4,5\n", "not a table"),
+    "empty": ("", "not a table"),
     "header only": ("name,x,y,z\n", "no row below the header"),
     "binary": (b"\xff\xfe\x00\x01", "cannot be read as text"),
 }
@@ -399,13 +399,13 @@ def test_a_pad_may_lie_over_a_hole_or_a_set_of_nodes(folder):
 @pytest.mark.parametrize(
     "keys, words",
     [
-        ({"part": None, "node": 3, "normal": [0, 0, 1]}, "node is one of a part's: add part"),
-        ({"part": None, "point": [0, 0, 0], "normal": "normal"}, "'normal' is a part's: add part"),
+        ({"part": None, "node": 3, "normal": [0, 0, 1]}, "node needs a part: add part"),
+        ({"part": None, "point": [0, 0, 0], "normal": "normal"}, "'normal' needs a part: add part"),
         ({"part": None, "point": [0, 0, 0]}, "point, normal and radius of a flat pad"),
-        ({"node": 3, "set": "LOC"}, "node and set each say where the pad lies"),
-        ({}, "where the pad lies on its part"),
+        ({"node": 3, "set": "LOC"}, "node and set both give the place of the pad"),
+        ({}, "the place of the pad on its part is missing"),
         ({"node": 3, "radius": None}, "a pad needs radius"),
-        ({"node": 3, "normal": "in-plane x"}, "a pad lies flat against its part"),
+        ({"node": 3, "normal": "in-plane x"}, "the normal of a pad on a part"),
         ({"node": 3, "part": "plaet"}, r"fixtures\[0\].part \(pad\): there is no part called 'plaet'; did you mean"),
         ({"node": 99999}, r"fixtures\[0\] \(pad\).node: part 'plate' has no node 99999 .* nearest number is"),
         ({"set": "LOCC"}, r"fixtures\[0\] \(pad\).set: part 'plate' has no set"),

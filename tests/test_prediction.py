@@ -21,7 +21,7 @@ from mic.results.schema import PREDICTIONS
 from mic.studies.adjustment import Adjustment, adjustments, extended
 from mic.studies.emulator_training import FINE, learn
 from mic.studies.prediction import Predictor
-from mic.studies.smallest_adjustment import Advisor
+from mic.studies.smallest_adjustment import AdjustmentSearch
 
 SIGMA = 0.1
 
@@ -111,7 +111,7 @@ def test_of_several_that_suffice_the_one_that_takes_least_of_what_is_allowed_is_
         Adjustment("locators.l", "locator", ("bl2",), 0.0, -0.5, 0.5),
         Adjustment("clamps.F.force", "clamp", ("T",), 50.0, -25.0, 50.0),
     ]
-    found = Advisor(model, "coulomb", some, Planted(told)).propose(
+    found = AdjustmentSearch(model, "coulomb", some, Planted(told)).propose(
         np.array([0.8, PULL]), np.array([0.06, PULL]), np.zeros(2), np.zeros(2), covered=True
     )
     assert str(found).startswith(said) and not found.evaluated and found.beyond <= 0
@@ -219,12 +219,12 @@ def test_a_table_of_parts_gives_a_table_of_predictions(model):
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ("", "this is no table"),
+        ("", "not a table"),
         ("Q\n1\n", "row 1: there is no deviation 'Q'; known: P, D"),
-        ("P,P\n1,1\n", "column 'P' stands there twice"),
+        ("P,P\n1,1\n", "column 'P' is given twice"),
         ("P\na\n", "row 2, column P: 'a' is no finite number"),
         ("P,D\n1,2\n1,inf\n", "row 3, column D: 'inf' is no finite number"),
-        ("P\n1,2\n", "this is no table"),
+        ("P\n1,2\n", "not a table"),
     ],
 )
 def test_a_file_that_is_none_is_refused_in_a_sentence(text, said, tmp_path):

@@ -10,7 +10,7 @@ import pytest
 
 import mic
 from mic.model.assembly import assemble
-from mic.plausibility import judge
+from mic.plausibility import find_warnings
 from mic.report.page import write_report
 from mic.results.run_identity import identity
 from mic.runs import run
@@ -95,8 +95,8 @@ def test_a_queue_names_the_measured_pieces(kind, measured, table, tmp_path):
     "change, said",
     [
         ({"up": "u9"}, "row 2, column up: there is no measured piece 'u9'; known: u1, u2, u3"),
-        ({"up": ""}, "row 2, column up.mean: '' is no finite number"),
-        ({"up": "u1", "up.1": 0.0}, "row 1: there are columns 'up' and 'up.1'; give the piece, or what it has of each"),
+        ({"up": ""}, "row 2, column up.mean: '' is not a finite number"),
+        ({"up": "u1", "up.1": 0.0}, "row 1: there are columns 'up' and 'up.1'; give the piece, or its scores"),
         ({"Up": "u1"}, "there is no deviation called 'Up'"),
         ({}, "row 1: there are no columns 'up.mean', 'up.1', 'up.2'; add them, with a value in each row"),
     ],
@@ -110,7 +110,7 @@ def test_a_queue_of_pieces_that_nobody_measured_is_refused(change, said, measure
 @pytest.mark.parametrize("pieces", [["u1", "u2"], ["u1", "u1", "u2"], ["u1", "u2", "u3", "u4"]])
 def test_pieces_have_a_name_each(pieces, measured):
     keys = measured.deviations[-1].model_dump() | {"pieces": pieces}
-    with pytest.raises(ValueError, match="there are 3 scores and . names of pieces: give each of them one"):
+    with pytest.raises(ValueError, match="there are 3 scores and . names: give one per score"):
         ShapeDeviation(**keys)
 
 
@@ -152,19 +152,19 @@ BAD = {
     ),
     "a column twice": (
         edited(lambda lines: [line + "," + line.partition(",")[0] for line in lines]),
-        "column .* stands there twice",
+        "column .* is given twice",
     ),
     "a text": (edited(lambda lines: [*lines[:3], "much" + lines[3][4:], *lines[4:]]), "row 4, column .*: 'much"),
     "not a number": (
         edited(lambda lines: [*lines[:3], "nan," + lines[3].partition(",")[2]]),
-        "row 4, column .*: 'nan' is no finite number",
+        "row 4, column .*: 'nan' is not a finite number",
     ),
-    "infinite": (edited(lambda lines: [*lines, "inf," + lines[1].partition(",")[2]]), "row 14, .* is no finite number"),
-    "an empty cell": (edited(lambda lines: [*lines, "," + lines[1].partition(",")[2]]), "row 14, .* is no finite"),
-    "too many cells": (edited(lambda lines: [*lines, lines[1] + ",5"]), "this is no table"),
+    "infinite": (edited(lambda lines: [*lines, "inf," + lines[1].partition(",")[2]]), "row 14, .* is not a finite"),
+    "an empty cell": (edited(lambda lines: [*lines, "," + lines[1].partition(",")[2]]), "row 14, .* is not a finite"),
+    "too many cells": (edited(lambda lines: [*lines, lines[1] + ",5"]), "not a table"),
     "another unit": (
         edited(lambda lines: [lines[0], *(f"{1e3 * float(a)},{rest}" for a, rest in map(split, lines[1:]))]),
-        r"off its mean by .* give deviations\[0\] .* in the same unit",
+        r"its values are .* give deviations\[0\] .* in the same unit",
     ),
     "no text": (lambda lines: b"\xff\xfe\x00\x01", "cannot be read as text"),
 }
@@ -184,12 +184,12 @@ def test_a_malformed_table_is_refused_with_the_remedy(case, lap_scene, table, tm
 
 def test_more_samples_than_rows_and_broken_parquet_are_refused(lap_scene, table, tmp_path):
     table.to_csv(tmp_path / "samples.csv", index=False)
-    with pytest.raises(mic.SceneError, match="13 are asked for, and .* has 12 rows"):
+    with pytest.raises(mic.SceneError, match="13 are requested, and .* has 12 rows"):
         take_samples(of(lap_scene, tmp_path, samples=13))
     (tmp_path / "samples.parquet").write_text("none")
     with pytest.raises(mic.SceneError, match="cannot be read as Parquet"):
         take_samples(of(lap_scene, tmp_path, "samples.parquet"))
-    with pytest.raises(ValueError, match="design says how samples are drawn, and table gives them"):
+    with pytest.raises(ValueError, match="design and table exclude each other"):
         of(lap_scene, tmp_path, design="sobol")
 
 
@@ -198,7 +198,7 @@ def test_more_samples_than_rows_and_broken_parquet_are_refused(lap_scene, table,
 )
 def test_a_design_takes_whole_groups_of_samples(lap_scene, design, samples, instead):
     asked = mic.scene.schema.MonteCarlo(design=design, samples=samples)
-    with pytest.raises(mic.SceneError, match=f"{samples} is no multiple of .* give {instead}"):
+    with pytest.raises(mic.SceneError, match=f"{samples} is not a multiple of .* give {instead}"):
         take_samples(lap_scene.model_copy(update={"monte_carlo": asked}))
 
 
@@ -212,8 +212,8 @@ def test_rows_that_stand_there_twice_and_columns_that_hardly_vary_are_warned_of(
         table.iloc[:, 1] = lap_scene.deviations[1].mean + 1e-3 * (table.iloc[:, 1] - lap_scene.deviations[1].mean)
     table.to_csv(tmp_path / "samples.csv", index=False)
     scene = of(lap_scene, tmp_path)
-    found = judge(scene, assemble(scene, cache))
-    words = {"twice": "sample 7 is sample 2 again", "narrow": "varies by"}
+    found = find_warnings(scene, assemble(scene, cache))
+    words = {"twice": "sample 7 repeats sample 2", "narrow": "has a standard deviation of"}
     assert [one for one in found if words.get(what, "") in str(one)] if what != "nothing" else found == ()
 
 
@@ -236,7 +236,7 @@ BAD_KEYS = {
     "a parameter that is text": ({"distribution": "t", "parameters": {"df": "5"}}, "parameters.df"),
     "limits turned round": ({"truncated": [1, -1]}, "the smallest value 1 must lie below the largest -1"),
     "limits far away": ({"mean": 0, "sigma": 1, "truncated": [50, 60]}, "less than 1e-06 of the distribution"),
-    "limits of nothing": ({"sigma": 0, "truncated": [-1, 1]}, "sigma is 0, so there is nothing to cut off"),
+    "limits of nothing": ({"sigma": 0, "truncated": [-1, 1]}, "sigma is 0, so it has no effect"),
     "one limit": ({"truncated": [1]}, "truncated"),
 }
 
@@ -267,11 +267,11 @@ BAD_CORRELATIONS = {
     "too small": ([{"deviations": [A, B, C], "matrix": [[1, 0.5], [0.5, 1]]}], "3 deviations need 3 rows of 3 numbers"),
     "ragged": ([{"deviations": [A, B], "matrix": [[1, 0.5], [0.5]]}], "2 deviations need 2 rows of 2 numbers"),
     "of nobody": ([{"deviations": [A, "X"], "matrix": [[1, 0.5], [0.5, 1]]}], "no deviation called 'X'"),
-    "with itself": ([{"deviations": [A, A], "matrix": [[1, 0.5], [0.5, 1]]}], "stands there twice"),
+    "with itself": ([{"deviations": [A, A], "matrix": [[1, 0.5], [0.5, 1]]}], "is given twice"),
     "alone": ([{"deviations": [A], "matrix": [[1]]}], "at least 2 items"),
     "in two tables": (
         [{"deviations": [A, B], "matrix": [[1, 0.5], [0.5, 1]]}, {"deviations": [B, C], "matrix": [[1, 0], [0, 1]]}],
-        r"correlations\[1\].deviations: .* stands there twice",
+        r"correlations\[1\].deviations: .* is given twice",
     ),
     "not a number": ([{"deviations": [A, B], "matrix": [[1, float("nan")], [0.5, 1]]}], "finite number"),
 }

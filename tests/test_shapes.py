@@ -184,7 +184,7 @@ def test_points_beside_a_fold_are_sure_where_they_are_of_the_face_that_they_are_
 
 def test_a_cloud_of_another_part_is_refused(angle):
     far = np.random.default_rng(0).uniform(200, 300, (500, 3))
-    with pytest.raises(FormatError, match=r"door.csv: 500 of 500 points lie more than 5 mm off the part.*correct the"):
+    with pytest.raises(FormatError, match=r"door.csv: 500 of 500 points lie more than 5 mm from the part.*correct the"):
         deviations("door.csv", Cloud(far, None), angle, 0.0, False, 5.0)
 
 
@@ -192,7 +192,7 @@ def test_a_cloud_of_another_part_is_refused(angle):
 def test_a_cloud_in_another_unit_is_told_which_it_may_be(angle, read, unit):
     """The points are in `unit` and were read as if in `read`."""
     cloud = scanned(angle, np.random.default_rng(4))[0] * UNITS[read][0] / UNITS[unit][0]
-    with pytest.raises(FormatError, match=rf'they span \S+ mm and the part \S+ mm: give unit = "{unit}"'):
+    with pytest.raises(FormatError, match=rf'they span \S+ mm and the part \S+ mm; give unit = "{unit}"'):
         deviations("a.csv", Cloud(cloud, None), angle, 0.0, True, 5.0, read)
 
 
@@ -392,14 +392,14 @@ def test_a_field_of_control_points_has_their_sigma_and_correlation(angle):
 
 
 BAD_FILES = {
-    "no column": ("x,y,deviation\n1,2,3\n", r"row 1: there is no column z; give x, y, z"),
+    "no column": ("x,y,deviation\n1,2,3\n", r"row 1: column z is missing; give x, y, z"),
     "text": ("x,y,z\n1,2,three\n", r"row 2: z is 'three'; give a number"),
     "a hole": ("x,y,z\n1,2,3\n1,,3\n", r"row 3: y is ''; give a number"),
-    "empty": ("", r"row 1: there is no header"),
-    "header only": ("x,y,z\n", r"no row below the header"),
+    "empty": ("", r"row 1: the header is missing"),
+    "header only": ("x,y,z\n", r"no rows below the header"),
     "infinite": ("x,y,z\n1,2,inf\n", r"point 1: z is inf; give finite"),
     "nan": ("x,y,z,deviation\n1,2,3,nan\n", r"row 2: deviation is 'nan'"),
-    "twice": ("x,y,z,z\n1,2,3,4\n", r"row 1: the column 'z' stands twice"),
+    "twice": ("x,y,z,z\n1,2,3,4\n", r"row 1: the column 'z' appears twice"),
     "ragged": ("x,y,z\n1,2,3\n1,2\n", r"row 3: there are 2 cells and 3 columns"),
     "nodes of none": ("node,deviation\n7,0.1\n", r"the mesh of the part has no node numbers; give x, y, z"),
     "another unit": (
@@ -433,7 +433,7 @@ def test_nodes_are_found_by_their_numbers(angle, tmp_path):
 
 BAD_ITEMS = {
     "nothing there": ({"kind": "measured", "files": "none-*.csv"}, r"files: there is no file 'none-\*.csv'"),
-    "no reader": ({"kind": "measured", "files": "p00.pdf"}, r"no reader of .pdf for measured points"),
+    "no reader": ({"kind": "measured", "files": "p00.pdf"}, r"measured points cannot be read from .pdf"),
     "too fine": (
         {"kind": "measured", "files": "p00.csv", "spacing": 1.0},
         r"spacing: 1 mm needs more than 400",
@@ -486,19 +486,19 @@ BAD_KEYS = [
     ({"kind": "measured", "files": "a.csv", "unit": "miles"}, "unit"),
     ({"kind": "measured", "files": "a.csv", "within": 0}, "within"),
     ({"kind": "measured", "files": "a.csv", "distribution": "gama"}, "did you mean 'gamma'"),
-    ({"kind": "measured", "files": "a.csv", "truncated": [-1, 1]}, "truncated: it stands for several modes"),
+    ({"kind": "measured", "files": "a.csv", "truncated": [-1, 1]}, "truncated: not possible for several modes"),
     ({"kind": "measured"}, "files"),
     ({"kind": "field", "sigma": 0, "length": 9}, "sigma"),
     ({"kind": "field", "sigma": 1}, "length"),
     ({"kind": "field", "sigma": 1, "length": 9, "mean": 1}, "mean"),
     ({"kind": "field", "sigma": 1, "length": 9, "share": 1}, "share"),
-    ({"kind": "field", "sigma": 1, "length": 9, "direction": [1, 0, 0]}, "direction and stretch say together"),
-    ({"kind": "field", "sigma": 1, "length": 9, "stretch": 2}, "direction and stretch say together"),
+    ({"kind": "field", "sigma": 1, "length": 9, "direction": [1, 0, 0]}, "direction and stretch belong together"),
+    ({"kind": "field", "sigma": 1, "length": 9, "stretch": 2}, "direction and stretch belong together"),
     ({"kind": "field", "sigma": 1, "length": 9, "direction": [0, 0, 0], "stretch": 2}, "must not be zero"),
     ({"kind": "field", "sigma": 1, "length": 9, "direction": [1, 0, 0], "stretch": 50}, "stretch"),
     ({"kind": "field", "sigma": 1, "length": 9, "direction": "x", "stretch": 2}, "direction"),
     ({"kind": "field", "sigma": 1, "length": 9, "points": []}, "points"),
-    ({"kind": "field", "sigma": 1, "length": 9, "values": [1]}, "values are those at points"),
+    ({"kind": "field", "sigma": 1, "length": 9, "values": [1]}, "values need points"),
     ({"kind": "field", "sigma": 1, "length": 9, "points": [[0, 0, 0]], "values": [1, 2]}, "1 points and 2 values"),
     ({"kind": "field", "sigma": 1, "length": 9, "points": [[0, 0, 0]], "values": [0]}, "values"),
     ({"kind": "field", "sigma": 1, "length": 9, "points": [[0, 0]], "values": [1]}, "points"),

@@ -265,7 +265,7 @@ def test_what_cannot_be_meant_is_refused_with_the_remedy(case, cache):
 
 
 def test_two_of_one_sheet_and_maps_are_refused(cache):
-    with pytest.raises(mic.SceneError, match=r"\(U\): the thickness of 'upper' is varied by 'T' already; give both as"):
+    with pytest.raises(mic.SceneError, match=r"\(U\): the thickness of 'upper' is varied by 'T' already; merge"):
         read(lap([T, T | {"name": "U"}]))
     table = lap([T], pairs=2)
     table["report"]["fields"] = True

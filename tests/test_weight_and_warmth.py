@@ -182,7 +182,7 @@ def test_a_pin_out_of_place_moves_each_locator_by_what_lies_along_it_and_a_hole_
 
 
 BAD = {
-    "a pin without a direction": (PIN | {"name": "p"}, "several locators move as one pin: give its direction"),
+    "a pin without a direction": (PIN | {"name": "p"}, "several locators of one pin need its direction"),
     "a pin that nobody has": (
         PIN | {"name": "p", "target": ["upper-C1", "A9"], "direction": [1, 0, 0]},
         "no locator called 'A9'",
@@ -194,7 +194,7 @@ BAD = {
     "down to nowhere": (GRAVITY | {"direction": [0, 0, 0]}, "must not be zero"),
     "words": (GRAVITY | {"direction": "down"}, "direction"),
     "of no stage": (GRAVITY | {"stage": "night"}, "in 'night' nothing is set down anew; name one of locate"),
-    "of a stage that sets nothing down": (GRAVITY | {"stage": "weld"}, "in 'weld' nothing is set down anew"),
+    "of a stage that sets nothing down": (GRAVITY | {"stage": "weld"}, "in 'weld' no part is placed"),
     "negative spread": (GRAVITY | {"sigma": -1}, "sigma"),
     "warm without spread": ({"name": "T", "kind": "temperature"}, r"sigma \(T\): required key is missing"),
     "warm nobody": ({"name": "T", "kind": "temperature", "sigma": 1, "part": "roof"}, "no part called 'roof'"),

@@ -36,7 +36,8 @@ def init(meshes, example, out, thickness, welds, points):
         console.print(f"[yellow]note:[/] {plain(sentence)}", highlight=False, soft_wrap=True)
     quoted = plain(shlex.quote(str(folder)))
     console.print(
-        f"{plain(folder / 'scene.toml')}: {plain(proposal.words())}\nNext:  mic check {quoted}  and  mic run {quoted}",
+        f"{plain(folder / 'scene.toml')}: {plain(proposal.summary())}\n"
+        f"Next:  mic check {quoted}  and  mic run {quoted}",
         highlight=False,
         soft_wrap=True,
     )

@@ -1,9 +1,8 @@
-"""What no rule of the scene forbids and no workshop would build: warnings, each with the usual range and a remedy.
+"""Warnings about scenes that are valid but unusual, each with the usual range, its reason and a remedy.
 
-Two tables say all of it (:mod:`mic.plausibility.rules`): what the scene file alone shows, and what needs the parts' meshes
-and the contact pairs. A rule says where it looks, what is usual and why, and what to do. Usual is what production of
-sheet-metal assemblies knows, with room on both sides: a scene of cars, cabins or white goods passes without a word. A
-warning changes nothing that is computed; who is strict takes it for an error.
+The rules are data (``rules.toml``); the functions that apply them are in :mod:`mic.plausibility.scene_file` and
+:mod:`mic.plausibility.meshes`. The ranges cover the production of cars, cabins and household appliances. A warning
+changes no result; ``mic check --strict`` treats it as an error.
 """
 
 from __future__ import annotations
@@ -15,68 +14,82 @@ from typing import TYPE_CHECKING
 
 from mic.errors import SceneError
 from mic.geometry.load import LoadedPart, load_part
-from mic.plausibility.rule import Rule, Warned
-from mic.plausibility.rules import FILE, MESHES, PARTS
+from mic.plausibility.rules import FILE, MESHES, PARTS, Rule, SceneWarning
 from mic.system.disk_cache import ABSENT, Cache
 from mic.system.files import Format
-from mic.system.memoise import kept
+from mic.system.memoise import memoise
 
 if TYPE_CHECKING:
     from mic.model.assembly import Assembly
     from mic.scene import Scene
 
-__all__ = ["FILE", "MESHES", "PARTS", "Rule", "Warned", "judge", "readable", "refuse", "suspect", "verdict"]
+__all__ = [
+    "FILE",
+    "MESHES",
+    "PARTS",
+    "Rule",
+    "SceneWarning",
+    "find_warnings",
+    "find_warnings_unplaced",
+    "loadable_parts",
+    "raise_warnings",
+    "validity",
+]
+
+CACHED_WARNINGS = Format("set of warnings", 1, ABSENT)
+MAX_CACHED = 64
 
 
-JUDGED = Format("set of warnings", 1, ABSENT)
-MOST = 64  # of them that are kept
-
-
-def judge(scene: Scene, assembly: Assembly | None = None, cache: Path | None = None) -> tuple[Warned, ...]:
+def find_warnings(
+    scene: Scene, assembly: Assembly | None = None, cache: Path | None = None
+) -> tuple[SceneWarning, ...]:
     """The warnings of a scene, in the order of the rules.
 
     Parameters
     ----------
     scene : Scene
     assembly : Assembly, optional
-        The scene on its meshes; without it, what the file alone shows, of items that are not placed yet only numbers.
+        The scene on its meshes; without it only the rules that need the scene file alone apply.
     cache : Path, optional
-        Folder in which those of an assembly are kept.
+        Folder in which the warnings of an assembly are cached.
     """
     if cache is None or assembly is None:
-        return _judged(scene, assembly)
-    room, told = Cache(cache, "warnings", JUDGED, MOST), assembly.scene.model_dump_json()
-    return kept(room, [assembly.identity, told], {}, (Warned,), lambda: _judged(scene, assembly))[0]
+        return _find_warnings(scene, assembly)
+    disk_cache, scene_text = Cache(cache, "warnings", CACHED_WARNINGS, MAX_CACHED), assembly.scene.model_dump_json()
+    return memoise(
+        disk_cache, [assembly.identity, scene_text], {}, (SceneWarning,), lambda: _find_warnings(scene, assembly)
+    )[0]
 
 
-def _judged(scene: Scene, assembly: Assembly | None) -> tuple[Warned, ...]:
-    found = [warned for rule in FILE for warned in rule.judge(assembly.scene if assembly is not None else scene)]
+def _find_warnings(scene: Scene, assembly: Assembly | None) -> tuple[SceneWarning, ...]:
+    found = [warning for rule in FILE for warning in rule.warnings(scene if assembly is None else assembly.scene)]
     if assembly is not None:
-        drawn = [_sheet(part, assembly.surfaces[part.name]) for part in assembly.parts]  # not as they are solved
-        found += [warned for rule in PARTS for warned in rule.judge(drawn)]
-        found += [warned for rule in MESHES for warned in rule.judge(assembly)]
+        # The surfaces as drawn, not as they are meshed for the solution.
+        found += _part_warnings((part, assembly.surfaces[part.name]) for part in assembly.parts)
+        found += [warning for rule in MESHES for warning in rule.warnings(assembly)]
     return tuple(found)
 
 
-def suspect(scene: Scene, readable: Sequence[LoadedPart]) -> tuple[Warned, ...]:
-    """The warnings of a scene that could not be put on its meshes: what is unusual may be why.
+def _part_warnings(sheets) -> list[SceneWarning]:
+    """The warnings of parts, given with their surfaces."""
+    parts = [SimpleNamespace(name=part.name, thickness=part.thickness, surface=surface) for part, surface in sheets]
+    return [warning for rule in PARTS for warning in rule.warnings(parts)]
+
+
+def find_warnings_unplaced(scene: Scene, parts: Sequence[LoadedPart]) -> tuple[SceneWarning, ...]:
+    """The warnings of a scene that could not be placed on its meshes: they may explain why.
 
     Parameters
     ----------
     scene : Scene
-    readable : sequence of LoadedPart
-        Those of its parts that can be had, see :func:`readable`.
+    parts : sequence of LoadedPart
+        Those of its parts that could be loaded, see :func:`loadable_parts`.
     """
-    parts = [_sheet(one.part, one.surface) for one in readable]
-    return judge(scene) + tuple(warned for rule in PARTS for warned in rule.judge(parts))
+    return find_warnings(scene) + tuple(_part_warnings((loaded.part, loaded.surface) for loaded in parts))
 
 
-def _sheet(part, surface) -> SimpleNamespace:
-    return SimpleNamespace(name=part.name, thickness=part.thickness, surface=surface)
-
-
-def readable(scene: Scene, cache: Path) -> list[LoadedPart]:
-    """Those parts of a scene that can be had; one whose size is to be found is none of them.
+def loadable_parts(scene: Scene, cache: Path) -> list[LoadedPart]:
+    """The parts of a scene that can be loaded, without those that give ``accuracy`` in place of a size.
 
     Parameters
     ----------
@@ -84,25 +97,25 @@ def readable(scene: Scene, cache: Path) -> list[LoadedPart]:
     cache : Path
         Folder of generated meshes.
     """
-    found = []
+    loaded = []
     for part in scene.parts:
         try:
             if part.accuracy is None:
-                found.append(load_part(part, scene.folder, cache))
+                loaded.append(load_part(part, scene.folder, cache))
         except SceneError:
-            continue  # it is told already
-    return found
+            continue  # reported by the caller already
+    return loaded
 
 
-def verdict(warnings: Sequence[Warned], errors: Sequence[str] = ()) -> str:
-    """One line on whether a scene can be run."""
+def validity(warnings: Sequence[SceneWarning], errors: Sequence[str] = ()) -> str:
+    """One line that says whether a scene is valid, with the numbers of errors and warnings."""
     count = lambda items, word: f"{len(items)} {word}{'s' * (len(items) != 1)}"
     if errors:
         return f"Not valid: {count(errors, 'error')}, {count(warnings, 'warning')}."
     return f"The scene is valid{', ' + count(warnings, 'warning') if warnings else ''}."
 
 
-def refuse(warnings: Sequence[Warned]) -> None:
+def raise_warnings(warnings: Sequence[SceneWarning]) -> None:
     """Raise :class:`~mic.errors.SceneError` if there are any warnings, with one line for each."""
     if warnings:
-        raise SceneError("\n".join(str(warned) for warned in warnings))
+        raise SceneError("\n".join(str(warning) for warning in warnings))

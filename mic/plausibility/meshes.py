@@ -1,4 +1,7 @@
-"""What the parts' meshes and the contact pairs show to be unusual; :mod:`mic.plausibility.rules` says what is usual."""
+"""Findings of the rules that need the parts' meshes, and of those that need the contact pairs, too.
+
+Each function has the name of its rule in ``rules.toml``, and finds what is outside the range that is usual.
+"""
 
 from __future__ import annotations
 
@@ -12,26 +15,28 @@ from scipy.spatial import cKDTree
 
 from mic.geometry.surface import Surface
 from mic.model.overlap import mean_gaps
-from mic.plausibility.rule import Place, Seen, of
+from mic.plausibility.finding import Finding, Point, label
 from mic.scene.stages import moves_assembly, set_down_in
 
 EXTENT = (25.0, 5000.0)  # mm, diagonal of a part
 SLENDER = 20.0  # extents of a part in thicknesses, at least
 COARSE = 6.0  # elements along the extent, at least
-OFF = 1.0  # mm: farther off its sheet's surface no point is meant
+OFF = 1.0  # mm between a point and the surface of its sheet
 PAD = 0.15  # of the part's area, at most
 INCLINED = 0.7  # cosine of 45°
-AMPLIFIED = 12.0  # mm at the part for a millimetre at one locator
+AMPLIFIED = 12.0  # mm of motion of the part for 1 mm at one locator
 GAP = 1.0  # mm under a weld
 FAR = 100.0  # mm from a weld to the next contact pair
 SHARED = 0.5  # of the smaller zone
-BESIDE = 15.0  # mm: a clamp stands no farther beside what it is pressed against
-SUNK = 0.1  # mm under a clamp
-ROOM = 0.05  # mm between two stops beside the sheets that lie there
-BODY = 3.0  # mm: no pad is thinner
-CROSSED = 0.05  # mm on either side
+BESIDE = 15.0  # mm between a clamp and the support that takes its force
+SUNK = 0.1  # mm of deflection under a clamp
+ROOM = 0.05  # mm of clearance of the sheets between two stops
+BODY = 3.0  # mm, thickness of the thinnest pad
+ENOUGH = 8  # samples from which a spread is estimated
+NARROW = 0.02  # of sigma
+CROSSED = 0.05  # mm of an edge on either side of a surface that it passes through
 SMALL = 20.0  # mm²
-CHORD = 0.1  # mm that a facet stands off the curved sheet
+CHORD = 0.1  # mm between a facet and the curved sheet
 
 PADS = ("locators", "clamps", "welds", "deviations", "measurements")
 
@@ -41,7 +46,7 @@ def _surfaces(assembly) -> dict[str, Surface]:
 
 
 def _on_parts(assembly) -> Iterator[tuple[str, Any, Any]]:
-    """Everything that stands at a point of a part, not in a hole of it: its table, the item, the part."""
+    """Table, item and part for every item at a point of a part, without those in holes."""
     parts = {part.name: part for part in assembly.parts}
     for table in PADS:
         for item in getattr(assembly.scene, table):
@@ -52,32 +57,32 @@ def _on_parts(assembly) -> Iterator[tuple[str, Any, Any]]:
                 yield table, item, parts[name]
 
 
-def extent_odd(parts) -> Iterator[Seen]:
-    """Parts of the size of a grain or of a house."""
+def extent(parts) -> Iterator[Finding]:
+    """Parts that are very small or very large."""
     for part in parts:
         size = part.surface.diameter
         if not EXTENT[0] <= size <= EXTENT[1]:
-            yield of("parts", part), f"measures {size:.3g} mm across", None
+            yield label("parts", part), f"measures {size:.3g} mm across", None
 
 
-def no_sheet(parts) -> Iterator[Seen]:
-    """Parts that are no sheets."""
+def no_sheet(parts) -> Iterator[Finding]:
+    """Parts that are too thick for their size."""
     for part in parts:
         size = part.surface.diameter / part.thickness
         if size < SLENDER:
-            yield of("parts", part), f"measures {size:.3g} thicknesses across", None
+            yield label("parts", part), f"measures {size:.3g} thicknesses across", None
 
 
-def coarse(parts) -> Iterator[Seen]:
-    """Meshes that cannot bend."""
+def coarse(parts) -> Iterator[Finding]:
+    """Parts of few elements."""
     for part in parts:
         count = part.surface.diameter / float(np.median(part.surface.edge_lengths))
         if count < COARSE:
-            yield of("parts", part), f"has {count:.2g} elements along its diagonal", None
+            yield label("parts", part), f"has {count:.2g} elements along its diagonal", None
 
 
-def off_the_sheet(assembly) -> Iterator[Seen]:
-    """Points that are not where their part is; a weld's may be anywhere in the two sheets, or in a third beside."""
+def off_the_sheet(assembly) -> Iterator[Finding]:
+    """Points off their part; a weld may be anywhere in its two sheets, or in a third one beside them."""
     thickness = {part.name: part.thickness for part in assembly.parts}
     for table, item, part in _on_parts(assembly):
         foot = part.surface.project(item.point)
@@ -86,29 +91,29 @@ def off_the_sheet(assembly) -> Iterator[Seen]:
         at = tuple(float(x) for x in foot.point[0])
         if gap > OFF:
             near = ", ".join(f"{x:.4g}" for x in at)
-            yield of(table, item), f"stands {gap:.2g} mm off part {part.name}, nearest point [{near}]", item.point
+            yield label(table, item), f"is {gap:.2g} mm off part {part.name}, nearest point [{near}]", item.point
 
 
-def pad_large(assembly) -> Iterator[Seen]:
+def pad_large(assembly) -> Iterator[Finding]:
     """Discs that cover much of their part."""
     for table, item, part in _on_parts(assembly):
         share = np.pi * item.radius**2 / part.surface.areas.sum()
         if share > PAD:
-            said = f"radius = {item.radius:g} mm covers {100 * min(share, 9.99):.0f} % of part {part.name}"
-            yield of(table, item), said, item.point
+            finding = f"radius = {item.radius:g} mm covers {100 * min(share, 9.99):.0f} % of part {part.name}"
+            yield label(table, item), finding, item.point
 
 
-def nugget_over_edge(assembly) -> Iterator[Seen]:
+def nugget_over_edge(assembly) -> Iterator[Finding]:
     """Nuggets that run over the edge of a sheet."""
     for table, item, part in _on_parts(assembly):
         if table == "welds" and item.radius > 0:
             apart = _to_border(part.surface, part.surface.project(item.point).point[0])
             if apart < item.radius:
-                said = f"lies {apart:.2g} mm from the edge of part {part.name}, less than its radius {item.radius:g} mm"
-                yield of(table, item), said, item.point
+                finding = f"has radius {item.radius:g} mm and is {apart:.2g} mm from the edge of part {part.name}"
+                yield label(table, item), finding, item.point
 
 
-def clamp_inclined(assembly) -> Iterator[Seen]:
+def clamp_inclined(assembly) -> Iterator[Finding]:
     """Clamps that push along their sheet."""
     for table, item, part in _on_parts(assembly):
         if table == "clamps":
@@ -116,11 +121,11 @@ def clamp_inclined(assembly) -> Iterator[Seen]:
             cosine = abs(float(part.surface.normals[foot.triangle[0]] @ item.direction))
             if cosine < INCLINED:
                 angle = np.degrees(np.arccos(min(1.0, cosine)))
-                yield of(table, item), f"pushes at {angle:.0f}° to the normal of part {part.name}", item.point
+                yield label(table, item), f"pushes at {angle:.0f}° to the normal of part {part.name}", item.point
 
 
 def _pressed(assembly, clamp) -> tuple[str, np.ndarray] | None:
-    """The body that a clamp's part has opposite there, and the way to it; None where it has none."""
+    """The body opposite a clamp's part at the clamp, and the direction to it; None if there is none."""
     contacts, scene = assembly.contacts, assembly.scene
     own = [i for i, zone in enumerate(scene.zones) if clamp.part in zone.parts]
     pairs = np.flatnonzero(np.isin(contacts.zone, own))
@@ -135,23 +140,23 @@ def _pressed(assembly, clamp) -> tuple[str, np.ndarray] | None:
     return other, sign * contacts.frame[near, :, 0]
 
 
-def clamp_pulls(assembly) -> Iterator[Seen]:
-    """Clamps that pull their part away from the one that it shall touch."""
+def clamp_pulls(assembly) -> Iterator[Finding]:
+    """Clamps that pull their part away from the body opposite."""
     for clamp in assembly.scene.clamps:
         pressed = _pressed(assembly, clamp)
         if pressed is not None:
-            other, way = pressed
-            along = float(np.dot(clamp.direction, way))
+            other, towards = pressed
+            along = float(np.dot(clamp.direction, towards))
             if along * np.sign(1.0 if clamp.force is None else clamp.force) < -0.5:
                 yield (
-                    of("clamps", clamp),
-                    f"pulls part {clamp.part} away from {other}, drawn on its other side",
+                    label("clamps", clamp),
+                    f"pulls part {clamp.part} away from {other}, which is on its other side",
                     clamp.point,
                 )
 
 
-def presses_one_side(assembly) -> Iterator[Seen]:
-    """Clamps with a force beside everything that holds the other part against it."""
+def presses_one_side(assembly) -> Iterator[Finding]:
+    """Clamps with a force, far from all that supports the part opposite."""
     scene = assembly.scene
     fixtures = {fixture.name for fixture in scene.fixtures}
     for clamp in scene.clamps:
@@ -173,59 +178,56 @@ def presses_one_side(assembly) -> Iterator[Seen]:
                 against += assembly.contacts.point[assembly.contacts.zone == scene.zones.index(zone)].tolist()
         beside = _beside(np.array(against).reshape(-1, 3), np.array(clamp.point), direction)
         if beside > clamp.radius + BESIDE:
-            where = f"{beside:.0f} mm beside" if np.isfinite(beside) else "without"
-            said = f"presses on part {pressed[0]} {where} what holds that part: it presses one side only"
-            yield of("clamps", clamp), said, clamp.point
+            where = f"{beside:.0f} mm from" if np.isfinite(beside) else "without"
+            finding = f"presses on part {pressed[0]} {where} any support of that part: it presses one side only"
+            yield label("clamps", clamp), finding, clamp.point
 
 
-def unbacked(assembly) -> Iterator[Seen]:
-    """Clamps with a force under which nothing holds the sheets that they press together: they sink.
+def unbacked(assembly) -> Iterator[Finding]:
+    """Clamps with a force on sheets that nothing supports beneath them.
 
-    How far is estimated as of a round plate on a ring through the nearest support, d away, with the force in its
-    middle: w = F d² (3 + ν) / (16 π D (1 + ν)), D the bending stiffnesses of the sheets added up.
+    The deflection is that of a circular plate, simply supported at the distance d of the nearest support, with the
+    force at its centre: w = F d² (3 + ν) / (16 π D (1 + ν)), D the sum of the sheets' bending stiffnesses.
     """
     sheet, fixtures = {part.name: part for part in assembly.parts}, {item.name for item in assembly.scene.fixtures}
     for clamp in assembly.scene.clamps:
         stack = _stack(assembly, clamp) if clamp.force else []
         away = _support(assembly.scene, clamp, stack)
         if len(stack) < 2 or fixtures & set(stack) or not np.isfinite(away):
-            continue  # it presses nothing, or what a pad backs, or what floats, of which another rule tells
+            continue  # presses nothing, or over a pad, or without any support (presses-one-side warns of it)
         stiffness = sum(sheet[n].young * sheet[n].thickness ** 3 / 12 / (1 - sheet[n].poisson ** 2) for n in stack)
         ν = float(np.mean([sheet[name].poisson for name in stack]))
         sunk = abs(clamp.force) * away**2 * (3 + ν) / (16 * np.pi * stiffness * (1 + ν))
         if sunk > SUNK:
-            said = f"presses with {abs(clamp.force):.3g} N on part {stack[-1]} {away:.0f} mm from the next support"
-            said += f": nothing backs it there, the sheets sink by about {sunk:.2g} mm"
-            yield of("clamps", clamp), said, clamp.point
+            finding = f"presses with {abs(clamp.force):.3g} N on part {stack[-1]} {away:.0f} mm from the next support"
+            finding += f": the sheets deflect by about {sunk:.2g} mm"
+            yield label("clamps", clamp), finding, clamp.point
 
 
-def squeezed(assembly) -> Iterator[Seen]:
-    """Clamps that hold a position over a stop, with sheets between that fill what the two leave.
-
-    Both are rigid: whatever their positions differ by, the sheets are squeezed by, as hard as it takes.
-    """
-    scene, told = assembly.scene, set()
+def squeezed(assembly) -> Iterator[Finding]:
+    """Clamps that hold a position over a rigid stop, with too little clearance for the sheets between them."""
+    scene, reported = assembly.scene, set()
     fixtures = {item.name: item for item in scene.fixtures}
     for clamp in scene.clamps:
         if clamp.stroke is None or clamp.limit is not None:
             continue
-        room = -_held_at(scene, "clamps", clamp)
+        clearance = -_held_at(scene, "clamps", clamp)
         for gap, body in zip(*_pressed_through(assembly, clamp)):
-            room += gap
+            clearance += gap
             stops = [("fixtures", fixtures[body], 0.0)] if body in fixtures else _stops(scene, clamp, body)
             for table, stop, moved in stops:
-                left = room + moved
-                if left < ROOM and frozenset({clamp.name, stop.name}) not in told:
-                    told.add(frozenset({clamp.name, stop.name}))
-                    said = (
-                        f"holds its position over {of(table, stop)}, and leaves the sheets {left + 0.0:.2g} mm between"
-                    )
-                    yield of("clamps", clamp), said, clamp.point
+                remaining = clearance + moved
+                if remaining < ROOM and frozenset({clamp.name, stop.name}) not in reported:
+                    reported.add(frozenset({clamp.name, stop.name}))
+                    finding = f"holds its position over {label(table, stop)} with {remaining + 0.0:.2g} mm of clearance"
+                    yield label("clamps", clamp), finding, clamp.point
 
 
 def _stops(scene, clamp, body) -> list[tuple[str, Any, float]]:
-    """The rigid locators and clamps that hold a part along a clamp under its pad, while it is closed: the table, the
-    item, and how far along the clamp's direction, mm."""
+    """The rigid locators and clamps that hold a part under a closed clamp, along its direction.
+
+    Each with its table and its position along the clamp's direction, mm.
+    """
     rows = [("locators", item) for item in scene.locators if item.stiffness is None]
     rows += [("clamps", item) for item in scene.clamps if item.stroke is not None and item.limit is None]
     found, push = [], np.array(clamp.direction)
@@ -239,13 +241,13 @@ def _stops(scene, clamp, body) -> list[tuple[str, Any, float]]:
 
 
 def _held_at(scene, table, item) -> float:
-    """Where a locator or clamp holds its part in the mean, along its direction, mm from nominal."""
-    own = [one for one in scene.deviations if one.moves == table and item.name in np.atleast_1d(one.target)]
-    return (item.stroke if table == "clamps" else 0.0) + sum(one.mean for one in own)
+    """Mean position along its direction that a locator or clamp prescribes, mm from nominal."""
+    moving = [row for row in scene.deviations if row.moves == table and item.name in np.atleast_1d(row.target)]
+    return (item.stroke if table == "clamps" else 0.0) + sum(row.mean for row in moving)
 
 
 def _hold_together(scene, a, b) -> bool:
-    """Whether there is a stage in which both hold."""
+    """Whether both are closed in some stage."""
     held: set[str] = set()
     for stage in scene.stages:
         if stage.kind == "release":
@@ -260,18 +262,18 @@ def _hold_together(scene, a, b) -> bool:
 
 
 def _stack(assembly, clamp) -> list[str]:
-    """The bodies that a clamp presses upon each other, in the order in which its force goes through them."""
+    """The bodies that a clamp presses together, in the order in which its force passes through them."""
     return [clamp.part, *_pressed_through(assembly, clamp)[1]]
 
 
 def _pressed_through(assembly, clamp) -> tuple[list[float], list[str]]:
-    """The gaps, mm, and the bodies below them that a clamp's force goes through, in its order."""
+    """The gaps, mm, and the bodies below them, in the order in which a clamp's force passes through them."""
     contacts, zones = assembly.contacts, assembly.scene.zones
     push = np.sign(clamp.force or 1.0) * np.array(clamp.direction)
     distance = np.linalg.norm(contacts.point - clamp.point, axis=1)
     near = np.flatnonzero(distance < clamp.radius + np.sqrt(contacts.area))
     near, stack, gaps = near[np.argsort(distance[near], kind="stable")], [clamp.part], []
-    for pair in itertools.chain.from_iterable(itertools.repeat(near, len(zones))):  # as deep as zones lie
+    for pair in itertools.chain.from_iterable(itertools.repeat(near, len(zones))):  # a sheet per pass
         first, second = zones[contacts.zone[pair]].parts
         along = float(contacts.frame[pair, :, 0] @ push)  # from the first to the second
         upper, lower = (first, second) if along > 0 else (second, first)
@@ -282,9 +284,9 @@ def _pressed_through(assembly, clamp) -> tuple[list[float], list[str]]:
 
 
 def _support(scene, clamp, stack) -> float:
-    """How far beside a clamp the next locator, stroke, pad or opposite jaw holds its stack, mm; 0 within the pad."""
-    push, done = np.sign(clamp.force or 1.0) * np.array(clamp.direction), [str(stage.name) for stage in scene.stages]
-    closed = [item for item in scene.locators if done.index(item.stage) <= done.index(clamp.stage)]
+    """Distance from a clamp to the nearest support of its stack, mm; 0 within the pad."""
+    push, order = np.sign(clamp.force or 1.0) * np.array(clamp.direction), [str(stage.name) for stage in scene.stages]
+    closed = [item for item in scene.locators if order.index(item.stage) <= order.index(clamp.stage)]
     closed += [item for item in scene.clamps if item.force is None and item.stage == clamp.stage]
     jaws = [item for item in scene.clamps if item.force and item.stage == clamp.stage and item is not clamp]
     opposite = [item for item in jaws if np.sign(item.force) * (item.direction @ push) < -INCLINED]
@@ -296,13 +298,13 @@ def _support(scene, clamp, stack) -> float:
             continue
         if apart <= clamp.radius + item.radius:
             return 0.0
-        if item not in opposite:  # a jaw bears what its own partner presses, and nothing else
+        if item not in opposite:  # a jaw balances the jaw opposite and nothing else
             found = min(found, apart)
     return found
 
 
 def _beside(points: np.ndarray, at: np.ndarray, direction: np.ndarray) -> float:
-    """How far a point lies outside the hull of others, seen along a direction, mm."""
+    """Distance of a point from the convex hull of others, projected along a direction, mm."""
     if not len(points):
         return np.inf
     flat = points - at
@@ -312,13 +314,13 @@ def _beside(points: np.ndarray, at: np.ndarray, direction: np.ndarray) -> float:
     return float(np.linalg.norm(share @ flat / share.sum()))
 
 
-def locators_in_line(assembly) -> Iterator[Seen]:
-    """Parts that a small error of a locator throws far: its locators stand nearly in line, or close together."""
+def locators_in_line(assembly) -> Iterator[Finding]:
+    """Parts whose locators are nearly in line, or close together, so that a small error of one moves the part far."""
     scene, stations = assembly.scene, set_down_in(assembly.scene)
     for part in assembly.parts:
         own = [item for item in scene.locators if item.part == part.name and item.stage == stations[part.name]]
         if not own:
-            continue  # it rests on another
+            continue  # rests on another part
         centre = np.mean([item.point for item in own], axis=0)
         rows = [[*item.direction, *np.cross(np.subtract(item.point, centre), item.direction)] for item in own]
         scale = np.array([1.0] * 3 + [part.surface.diameter] * 3)
@@ -328,21 +330,19 @@ def locators_in_line(assembly) -> Iterator[Seen]:
         far = np.linalg.norm(moved, axis=1)
         vertex, worst = np.unravel_index(int(np.argmax(far)), far.shape)
         if far[vertex, worst] > AMPLIFIED:
-            said = (
-                f"of which {own[worst].name} moves part {part.name} by {far[vertex, worst]:.3g} mm for 1 mm of its own"
-            )
-            where = ", ".join(item.name for item in own)
-            yield of("parts", part), f"is set down on locators {where}, {said}", own[worst].point
+            names, moved_by = ", ".join(item.name for item in own), far[vertex, worst]
+            finding = f"is placed on locators {names}; 1 mm at {own[worst].name} moves it by {moved_by:.3g} mm"
+            yield label("parts", part), finding, own[worst].point
 
 
-def weld_over_gap(assembly) -> Iterator[Seen]:
-    """Welds over gaps that no gun closes."""
+def weld_over_gap(assembly) -> Iterator[Finding]:
+    """Welds over wide gaps."""
     for weld, gap in zip(assembly.scene.welds, mean_gaps(assembly)):
         if abs(gap) > GAP:
-            yield of("welds", weld), f"lies over a gap of {gap:.2g} mm", weld.point
+            yield label("welds", weld), f"is over a gap of {gap:.2g} mm", weld.point
 
 
-def weld_off_zone(assembly) -> Iterator[Seen]:
+def weld_off_zone(assembly) -> Iterator[Finding]:
     """Welds far from every contact pair of the parts that they join."""
     scene, contacts = assembly.scene, assembly.contacts
     for weld in scene.welds:
@@ -351,10 +351,10 @@ def weld_off_zone(assembly) -> Iterator[Seen]:
         if len(own):
             apart = float(np.linalg.norm(own - weld.point, axis=1).min())
             if apart > FAR:
-                yield of("welds", weld), f"lies {apart:.0f} mm from the next contact pair", weld.point
+                yield label("welds", weld), f"is {apart:.0f} mm from the nearest contact pair", weld.point
 
 
-def zones_alike(assembly) -> Iterator[Seen]:
+def zones_alike(assembly) -> Iterator[Finding]:
     """Zones that count the same contact twice."""
     scene, contacts = assembly.scene, assembly.contacts
     for i, j in itertools.combinations(range(len(scene.zones)), 2):
@@ -367,22 +367,22 @@ def zones_alike(assembly) -> Iterator[Seen]:
         inside = distance < 0.75 * np.sqrt(contacts.area[a[near]])
         share = float(contacts.area[b[inside]].sum() / contacts.area[b].sum())
         if share > SHARED:
-            turned = ", turned round," if scene.zones[i].parts != scene.zones[j].parts else ""
-            said = f"lies{turned} over zone {scene.zones[i].name} with {100 * share:.0f} % of the smaller one's area"
-            yield of("zones", scene.zones[j]), said, tuple(contacts.point[b[0]].tolist())
+            reversed_ = ", in the opposite direction," if scene.zones[i].parts != scene.zones[j].parts else ""
+            finding = f"covers{reversed_} {100 * share:.0f} % of the same area as zone {scene.zones[i].name}"
+            yield label("zones", scene.zones[j]), finding, tuple(contacts.point[b[0]].tolist())
 
 
-def zone_small(assembly) -> Iterator[Seen]:
-    """Zones of next to no area."""
+def zone_small(assembly) -> Iterator[Finding]:
+    """Zones of very small area."""
     for i, zone in enumerate(assembly.scene.zones):
         own = assembly.contacts.zone == i
         area = float(assembly.contacts.area[own].sum())
         if own.any() and area < SMALL:
-            yield of("zones", zone), f"touches over {area:.2g} mm²", tuple(assembly.contacts.point[own][0].tolist())
+            yield label("zones", zone), f"touches over {area:.2g} mm²", tuple(assembly.contacts.point[own][0].tolist())
 
 
-def bend_coarse(assembly) -> Iterator[Seen]:
-    """Zones on bends of few facets: a chord of length ℓ along which the sheet turns by θ stands ℓ θ / 8 off it."""
+def bend_coarse(assembly) -> Iterator[Finding]:
+    """Zones on bends of few facets: a chord of length ℓ over a turn of θ is ℓ θ / 8 off the curved sheet."""
     scene, contacts = assembly.scene, assembly.contacts
     for i, zone in enumerate(scene.zones):
         own = contacts.point[contacts.zone == i]
@@ -398,49 +398,47 @@ def bend_coarse(assembly) -> Iterator[Seen]:
             worst, edge = np.unravel_index(int(np.argmax(off)), off.shape)
             if off[worst, edge] > CHORD:
                 length, share = np.linalg.norm(chord[worst, edge]), float((off.max(axis=1) > CHORD).mean())
-                said = (
-                    f"lies with {100 * share:.0f} % of its pairs on bends that part {part.name} draws by chords "
-                    f"{off[worst, edge]:.2g} mm off the curved sheet, {length:.2g} mm long"
+                finding = (
+                    f"has {100 * share:.0f} % of its pairs on bends of part {part.name} with facets "
+                    f"{length:.2g} mm long, up to {off[worst, edge]:.2g} mm off the curved sheet"
                 )
-                yield of("zones", zone), said, tuple(own[worst].tolist())
+                yield label("zones", zone), finding, tuple(own[worst].tolist())
 
 
-def samples_twice(assembly) -> Iterator[Seen]:
-    """Rows of a table of samples that stand there more than once."""
+def samples_twice(assembly) -> Iterator[Finding]:
+    """Repeated rows of a table of samples."""
     values = assembly.scene.monte_carlo.values or []
     seen: dict[tuple[float, ...], int] = {}
     twice = [(i, seen[row]) for i, row in enumerate(map(tuple, values)) if seen.setdefault(row, i) != i]
     if twice:
         i, first = twice[0]
-        yield "monte_carlo", f"sample {i} is sample {first} again ({len(twice)} of {len(values)} are another's)", None
+        yield "monte_carlo", f"sample {i} repeats sample {first} ({len(twice)} of {len(values)} are repetitions)", None
 
 
-def samples_narrow(assembly) -> Iterator[Seen]:
-    """Columns of a table of samples that vary far less than their sigma says."""
+def samples_narrow(assembly) -> Iterator[Finding]:
+    """Columns of a table of samples whose spread is far below their sigma."""
     values = np.array(assembly.scene.monte_carlo.values or [])
     if len(values) < ENOUGH:
         return
     for item, column in zip(assembly.scene.deviations, values.T):
         spread = float(column.std())
         if 0.0 < spread < NARROW * item.sigma:
-            yield of("deviations", item), f"varies by {spread:.3g} in the samples, and sigma = {item.sigma:g}", None
+            finding = f"has a standard deviation of {spread:.3g} in the samples, and sigma = {item.sigma:g}"
+            yield label("deviations", item), finding, None
 
 
-ENOUGH, NARROW = 8, 0.02  # samples that tell a spread, and the least share of sigma that it is
-
-
-def overlap_closed(assembly) -> Iterator[Seen]:
-    """Overlap that is closed by default, and deeper than drawing explains."""
+def overlap_closed(assembly) -> Iterator[Finding]:
+    """Overlaps that are closed by default and deeper than drawing explains."""
     return _overlaps(assembly, "close", 0.25, "closes")
 
 
-def overlap_kept(assembly) -> Iterator[Seen]:
-    """Overlap that is kept, and too deep to be meant."""
+def overlap_kept(assembly) -> Iterator[Finding]:
+    """Overlaps that are kept and deeper than a preload."""
     return _overlaps(assembly, "keep", 0.5, "keeps")
 
 
-def _overlaps(assembly, rule, share, does) -> Iterator[Seen]:
-    """Zones of a rule that overlap by more than this share of the thinner sheet."""
+def _overlaps(assembly, rule, share, does) -> Iterator[Finding]:
+    """Zones with this `nominal_overlap` whose overlap exceeds this share of the thinner sheet."""
     scene, contacts = assembly.scene, assembly.contacts
     thickness = {part.name: part.thickness for part in assembly.parts}
     for i, zone in enumerate(scene.zones):
@@ -449,12 +447,12 @@ def _overlaps(assembly, rule, share, does) -> Iterator[Seen]:
             thinner = min(thickness[name] for name in zone.parts if name in thickness)
             worst = own[np.argmax(contacts.overlap[own])]
             if contacts.overlap[worst] > share * thinner:
-                said = f"{does} an overlap of {contacts.overlap[worst]:.2g} mm"
-                yield of("zones", zone), said, tuple(contacts.point[worst].tolist())
+                finding = f"{does} an overlap of {contacts.overlap[worst]:.2g} mm"
+                yield label("zones", zone), finding, tuple(contacts.point[worst].tolist())
 
 
-def fixture_turned(assembly) -> Iterator[Seen]:
-    """Pads whose normal points away from the part that they shall meet."""
+def fixture_turned(assembly) -> Iterator[Finding]:
+    """Pads whose normal points away from the part in their zone."""
     scene, surfaces = assembly.scene, _surfaces(assembly)
     for fixture in scene.fixtures:
         if fixture.point is None:
@@ -464,12 +462,12 @@ def fixture_turned(assembly) -> Iterator[Seen]:
                 foot = surfaces[name].project(fixture.point)
                 height = float((foot.point[0] - fixture.point) @ fixture.normal)
                 if height < 0:
-                    said = f"looks away from part {name}, whose mid-surface lies {-height:.2g} mm behind it"
-                    yield of("fixtures", fixture), said, fixture.point
+                    finding = f"faces away from part {name}, whose mid-surface is {-height:.2g} mm behind it"
+                    yield label("fixtures", fixture), finding, fixture.point
 
 
-def fixture_inside(assembly) -> Iterator[Seen]:
-    """Pads within which another part lies, behind their faces."""
+def fixture_inside(assembly) -> Iterator[Finding]:
+    """Pads that contain another part behind their faces."""
     scene = assembly.scene
     for fixture in scene.fixtures:
         touched = {name for zone in scene.zones if fixture.name in zone.parts for name in zone.parts}
@@ -481,20 +479,20 @@ def fixture_inside(assembly) -> Iterator[Seen]:
             behind = -float(step @ fixture.normal)
             aside = float(np.linalg.norm(step + behind * np.array(fixture.normal)))
             if 0 < behind < BODY and aside < fixture.radius:
-                said = f"has part {part.name} within it, whose mid-surface lies {behind:.2g} mm behind its face"
-                yield of("fixtures", fixture), said, fixture.point
+                finding = f"contains part {part.name}, whose mid-surface is {behind:.2g} mm behind its face"
+                yield label("fixtures", fixture), finding, fixture.point
 
 
-def parts_cross(parts) -> Iterator[Seen]:
+def parts_cross(parts) -> Iterator[Finding]:
     """Parts whose mid-surfaces pass through each other."""
     for a, b in itertools.permutations(parts, 2):
         at = _crossing(a.surface, b.surface)
         if at is not None:
-            yield of("parts", a), f"passes through part {b.name}", at
+            yield label("parts", a), f"passes through part {b.name}", at
 
 
-def _crossing(surface: Surface, other: Surface) -> Place | None:
-    """Where edges of one surface pass through another, deepest first; None if nowhere."""
+def _crossing(surface: Surface, other: Surface) -> Point | None:
+    """The point where edges of one surface pass deepest through another; None if they do not."""
     reach = float(np.median(surface.edge_lengths))
     low, high = other.points.min(axis=0) - reach, other.points.max(axis=0) + reach
     near = np.flatnonzero(((surface.points >= low) & (surface.points <= high)).all(axis=1))

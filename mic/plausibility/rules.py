@@ -1,499 +1,116 @@
-"""All rules: :data:`FILE` needs the scene file alone, :data:`PARTS` the parts' meshes, :data:`MESHES` the pairs too."""
+"""The rules of plausibility, read from ``rules.toml``, and the warnings that they give."""
 
 from __future__ import annotations
 
+import tomllib
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
 from mic.plausibility import meshes, scene_file
-from mic.plausibility.rule import Rule, number
+from mic.plausibility.finding import Finding, Point, label
 
-__all__ = ["FILE", "MESHES", "PARTS"]
+__all__ = ["FILE", "MESHES", "PARTS", "Rule", "SceneWarning"]
 
-#: What the scene file alone shows.
-FILE: tuple[Rule, ...] = (
-    number(
-        "parts.thickness",
-        0.3,
-        6.0,
-        "mm",
-        "from the skins of white goods to the rails of trucks; thicker plates are no Kirchhoff shells",
-        "give it in mm",
-    ),
-    number(
-        "parts.young",
-        40e3,
-        250e3,
-        "MPa",
-        "magnesium has 45e3, aluminium 70e3, steel 210e3",
-        "give it in MPa, not in GPa or Pa",
-    ),
-    number("parts.poisson", 0.2, 0.42, "", "metals have 0.25 to 0.35, laminates and plastics up to 0.42", "correct it"),
-    number(
-        "parts.offset",
-        -0.5,
-        0.5,
-        "of the thickness",
-        "sheets are drawn in their middle or on a skin",
-        "give the share of the thickness",
-    ),
-    number(
-        "parts.size",
-        0.3,
-        60.0,
-        "mm",
-        "finer elements than the sheet is thick resolve nothing of a shell, larger ones no flange",
-        "give it in mm",
-    ),
-    number(
-        "parts.accuracy",
-        1e-3,
-        0.1,
-        "",
-        "thickness and modulus of a sheet are known to some per cent",
-        "ask for less, or give a size",
-    ),
-    number("fixtures.radius", 1.0, 60.0, "mm", "rests and stops are studs and bars", "give the radius in mm"),
-    number(
-        "locators.radius",
-        1.0,
-        25.0,
-        "mm",
-        "pins and net pads are 4 to 40 mm across; 0 is nodal",
-        "give the radius in mm",
-        0.0,
-    ),
-    number(
-        "locators.stiffness",
-        1e-3,
-        1e7,
-        "N/mm",
-        "from a soft spring that carries a part to the steel of a fixture's frame",
-        "give it in N/mm, or leave it out where the locator is rigid",
-    ),
-    number(
-        "clamps.radius",
-        1.0,
-        30.0,
-        "mm",
-        "clamp jaws and gun tips are 6 to 50 mm across; 0 is nodal",
-        "give the radius in mm",
-        0.0,
-    ),
-    number(
-        "clamps.force",
-        5.0,
-        10e3,
-        "N",
-        "toggle clamps and gun tips press with 50 N to 5 kN, and they press",
-        "give it in N, positive along direction",
-    ),
-    number(
-        "clamps.limit",
-        5.0,
-        20e3,
-        "N",
-        "clamps and cylinders press with 50 N to some kN",
-        "give the most that the clamp can push with, in N",
-    ),
-    number("clamps.stroke", -5.0, 5.0, "mm", "clamps close gaps of a few mm", "give mm from the nominal position"),
-    number(
-        "welds.radius",
-        1.0,
-        6.0,
-        "mm",
-        "a nugget is 4 to 6 √t across, 3 to 12 mm; 0 is nodal",
-        "give half the nugget's diameter",
-        0.0,
-    ),
-    number(
-        "welds.gun",
-        100.0,
-        10e3,
-        "N",
-        "welding guns press with 1 to 6 kN",
-        "give the force of the gun in N",
-    ),
-    number("zones.friction", 0.0, 1.0, "", "sheet on sheet slides at 0.05 to 0.6, dry or oiled", "correct it"),
-    number(
-        "zones.tangential_stiffness",
-        1.0,
-        1e6,
-        "N/mm³",
-        "rough steel yields by 0.1 to 10 µm per MPa",
-        "give it per area, in N/mm³",
-    ),
-    number(
-        "zones.max_gap",
-        0.05,
-        10.0,
-        "mm",
-        "what does not come within a few mm does not touch",
-        "give mm between the facing surfaces",
-    ),
-    number("zones.gap", 0.0, 3.0, "mm", "sheets that touch are drawn within a few mm", "give mm between the sheets"),
-    number("zones.max_angle_deg", 5.0, 60.0, "°", "sheets that touch run alike", "give degrees"),
-    number(
-        "zones.pairs",
-        3,
-        5000,
-        "",
-        "fewer carry no moment, more are denser than elements",
-        "leave pairs out, so that candidates stand where the sheets need them",
-    ),
-    number("zones.spacing", 0.5, 100.0, "mm", "pairs stand as dense as elements, some to a flange", "give it in mm"),
-    number("zones.spacing_factor", 0.3, 2.0, "", "pairs stand as dense as elements", "give a share of the distance"),
-    number("zones.within", 1.0, 100.0, "mm", "flanges are 8 to 60 mm wide", "give the radius of the tube in mm"),
-    number("zones.patch", 0.5, 30.0, "mm", "a pair reads what lies about it; 0 is nodal", "leave patch out", 0.0),
-    number("stages.increments", 1, 200, "", "the followed path is exact for less", "leave increments out"),
-    number(
-        "deviations.radius",
-        1.0,
-        40.0,
-        "mm",
-        "a force is spread over a pad; 0 is nodal",
-        "give the radius in mm",
-        0.0,
-    ),
-    number("measurements.radius", 0.5, 10.0, "mm", "probes and scanners average so much; 0 is nodal", "give mm", 0.0),
-    number(
-        "monte_carlo.samples",
-        10,
-        1e5,
-        "",
-        "of 10 samples 6σ is known to a half, of 100 000 to half a per cent",
-        "ask for some hundreds",
-        1,
-    ),
-    Rule(
-        "held-twice",
-        "one support for a point and a direction",
-        "two cannot share what they hold",
-        "remove one, or move it to its own place",
-        scene_file.held_twice,
-    ),
-    Rule(
-        "clamped-twice",
-        "one clamp for a point",
-        "two jaws do not fit",
-        "remove one, or add their forces",
-        scene_file.clamped_twice,
-    ),
-    Rule(
-        "tongs-askew",
-        "two jaws that push towards each other with one force",
-        "as tongs and guns do",
-        "let each direction point from the jaw into its sheet, and the forces be equal",
-        scene_file.tongs_askew,
-    ),
-    Rule(
-        "clamp-may-pull",
-        "a force that stays a push",
-        "a jaw cannot pull",
-        "make sigma smaller than a third of the force",
-        scene_file.clamps_that_may_pull,
-    ),
-    Rule(
-        "moves-much",
-        f"at most {scene_file.MOVED:g} mm, or {scene_file.SHAPED:g} N",
-        "fixtures are set to tenths of a mm, and sheets are shaped by some tens of N",
-        "give mm for positions and N for forces",
-        scene_file.moves_much,
-    ),
-    Rule(
-        "nothing-varies",
-        "some sigma above 0",
-        "a Monte Carlo samples what varies",
-        "add [[deviations]] with sigma, or ask for samples = 1",
-        scene_file.nothing_varies,
-    ),
-    Rule(
-        "deviates-by-nothing",
-        "a mean or a sigma",
-        "a deviation moves something",
-        "give it one, or remove it",
-        scene_file.deviates_by_nothing,
-    ),
-    Rule(
-        "force-on-a-locator",
-        "a corrective force between the locators",
-        "a locator takes what pushes onto it, and the sheet keeps its shape",
-        "move its point",
-        scene_file.force_on_a_locator,
-    ),
-    Rule(
-        "deviates-twice",
-        "one deviation for what moves",
-        "two of one cause count it twice",
-        "remove one",
-        scene_file.deviates_twice,
-    ),
-    Rule(
-        "limits-aside",
-        "lower below 0 and upper above",
-        "limits are deviations from nominal, not coordinates",
-        "give mm from nominal",
-        scene_file.limits_aside,
-    ),
-    Rule(
-        "tolerance-odd",
-        f"{scene_file.TOLERANCE[0]:g} to {scene_file.TOLERANCE[1]:g} mm",
-        "assemblies are held to tenths of a mm and to some mm",
-        "give mm from nominal",
-        scene_file.tolerance_odd,
-    ),
-    Rule(
-        "measured-at-a-locator",
-        "a point that is free to move",
-        "this one reads what the locator prescribes",
-        "measure elsewhere, or release the locator",
-        scene_file.measured_at_a_locator,
-    ),
-    Rule(
-        "measured-twice", "one measurement of a point", "two read one number", "remove one", scene_file.measured_twice
-    ),
-    Rule(
-        "nothing-read",
-        "a few key characteristics",
-        "they are what tolerances are for",
-        "add [[measurements]]",
-        scene_file.nothing_read,
-    ),
-    Rule(
-        "welds-upon-each-other",
-        "a pitch of three nuggets and more",
-        "current runs through the neighbour",
-        "move one, or remove it",
-        scene_file.welds_upon_each_other,
-    ),
-    Rule(
-        "welded-without-zone",
-        "a contact zone wherever parts are welded",
-        "about the nuggets the sheets would pass through each other",
-        "add a zone between the two",
-        scene_file.welded_without_zone,
-    ),
-    Rule(
-        "path-doubles-back",
-        "a path that goes on",
-        "as a flange does",
-        "sort its points along the flange",
-        scene_file.path_doubles_back,
-    ),
-    Rule(
-        "friction-forgotten",
-        "friction of 0.1 to 0.3",
-        "sheets are oiled or dry",
-        "give friction, 0 if none is meant",
-        scene_file.friction_forgotten,
-    ),
-    Rule(
-        "pressure-odd",
-        "0 to 1 at 0 to 1000 MPa",
-        "sheet yields at less",
-        "give pairs of pressure in MPa and coefficient",
-        scene_file.pressure_odd,
-    ),
-    Rule(
-        "overlap-let-through",
-        "less than the thinner sheet",
-        "mid-surfaces that have passed each other have changed sides",
-        "correct the meshes",
-        scene_file.overlap_let_through,
-    ),
-    Rule(
-        "stands-alone",
-        "a zone or a weld for every body",
-        "an assembly hangs together",
-        "add one, or remove the body",
-        scene_file.stands_alone,
-    ),
-    Rule(
-        "welded-open",
-        "welding while clamps hold",
-        "they press the sheets together",
-        "put the weld stage between clamping and release",
-        scene_file.welded_open,
-    ),
-    Rule(
-        "welds-nothing",
-        "a weld stage with welds",
-        "else it does nothing",
-        "name the stage in welds, or remove it",
-        scene_file.welds_nothing,
-    ),
-)
 
-#: What the parts' meshes show, each a part with name, thickness and surface.
-PARTS: tuple[Rule, ...] = (
-    Rule(
-        "extent",
-        f"{meshes.EXTENT[0]:g} to {meshes.EXTENT[1]:g} mm",
-        "from a bracket to a side panel",
-        "give the mesh in mm",
-        meshes.extent_odd,
-    ),
-    Rule(
-        "no-sheet",
-        f"{meshes.SLENDER:g} thicknesses and more",
-        "a shell is thin",
-        "correct the thickness, or the unit of the mesh",
-        meshes.no_sheet,
-    ),
-    Rule(
-        "coarse",
-        f"{meshes.COARSE:g} elements and more",
-        "fewer do not bend as the sheet does",
-        "mesh it finer",
-        meshes.coarse,
-    ),
-    Rule(
-        "parts-cross",
-        "sheets beside each other",
-        "metal does not pass through metal",
-        "correct the position of one",
-        meshes.parts_cross,
-    ),
-)
+@dataclass(frozen=True)
+class SceneWarning:
+    """One warning.
 
-#: What takes the assembly, with its contact pairs.
-MESHES: tuple[Rule, ...] = (
-    Rule(
-        "off-the-sheet",
-        f"at most {meshes.OFF:g} mm off the surface",
-        "that is what drawing and meshing leave",
-        "correct the point or the part; it is moved to the nearest point",
-        meshes.off_the_sheet,
-    ),
-    Rule(
-        "pad-large",
-        f"at most {100 * meshes.PAD:g} %",
-        "a pad holds a spot, and averages the rest away",
-        "give the radius in mm",
-        meshes.pad_large,
-    ),
-    Rule(
-        "nugget-over-edge",
-        "a nugget within the sheet",
-        "it would spill; the distance to the edge is a diameter or more",
-        "move the weld inwards, or correct its radius",
-        meshes.nugget_over_edge,
-    ),
-    Rule(
-        "clamp-inclined",
-        "less than 45°",
-        "a jaw presses on its sheet and would slide along it",
-        "let direction be the normal of the sheet",
-        meshes.clamp_inclined,
-    ),
-    Rule(
-        "clamp-pulls",
-        "a push towards the other",
-        "a clamp closes the gap",
-        "turn direction round, or draw the part on the right side",
-        meshes.clamp_pulls,
-    ),
-    Rule(
-        "presses-one-side",
-        f"a support no more than {meshes.BESIDE:g} mm beside the jaw",
-        "the force must go somewhere",
-        "add the jaw opposite, or a locator of that part",
-        meshes.presses_one_side,
-    ),
-    Rule(
-        "unbacked",
-        f"at most {meshes.SUNK:g} mm",
-        "a jaw stands over a rest, or opposite another jaw: else the sheets bend as far as the clamp likes, and spring "
-        "back when it opens",
-        "add a locator or a fixture under it, or the jaw opposite",
-        meshes.unbacked,
-    ),
-    Rule(
-        "squeezed",
-        f"one stop for the sheets under a clamp, or room of {meshes.ROOM:g} mm and more beside them",
-        "two rigid stops squeeze what lies between with whatever force a thousandth of a millimetre asks for",
-        "give the clamp a force, or a limit beside its stroke; or set it or the stop down elsewhere",
-        meshes.squeezed,
-    ),
-    Rule(
-        "locators-in-line",
-        f"up to {meshes.AMPLIFIED:g} mm",
-        "locators spread over the part hold it firmly",
-        "spread them: three as a wide triangle, two far apart",
-        meshes.locators_in_line,
-    ),
-    Rule(
-        "weld-over-gap",
-        f"up to {meshes.GAP:g} mm",
-        "guns close no more",
-        "clamp the sheets there, or correct the meshes",
-        meshes.weld_over_gap,
-    ),
-    Rule(
-        "weld-off-zone",
-        f"up to {meshes.FAR:g} mm",
-        "welds stand where the sheets meet, 20 to 80 mm apart",
-        "let the zone reach it",
-        meshes.weld_off_zone,
-    ),
-    Rule(
-        "zones-alike",
-        "zones side by side",
-        "the same contact counts twice, at twice the stiffness",
-        "remove one, or bound them by box or path",
-        meshes.zones_alike,
-    ),
-    Rule(
-        "zone-small",
-        f"{meshes.SMALL:g} mm² and more",
-        "smaller ones are corners that meet by chance",
-        "move the region, or remove the zone",
-        meshes.zone_small,
-    ),
-    Rule(
-        "bend-coarse",
-        f"at most {meshes.CHORD:g} mm",
-        "on coarser bends sheets touch where their facets' corners meet, and results hang on where pairs stand",
-        "mesh the bends finer, half the length is a quarter off; or leave them out of the zone by box or path",
-        meshes.bend_coarse,
-    ),
-    Rule(
-        "samples-twice",
-        "one row for each assembly",
-        "what stands there twice counts twice",
-        "take the row out",
-        meshes.samples_twice,
-    ),
-    Rule(
-        "samples-narrow",
-        f"{meshes.NARROW:g} sigma and more",
-        "a column in m where mm are meant varies by a thousandth",
-        "give the column in the deviation's unit, or correct sigma",
-        meshes.samples_narrow,
-    ),
-    Rule(
-        "overlap-closed",
-        "at most a quarter of the thinner sheet",
-        "chords across bends and rounded thicknesses explain no more",
-        "correct the thickness, or give a part that is drawn on its skin its offset",
-        meshes.overlap_closed,
-    ),
-    Rule(
-        "overlap-kept",
-        "at most half the thinner sheet",
-        "a stop preloads by tenths of a mm",
-        "correct the meshes",
-        meshes.overlap_kept,
-    ),
-    Rule(
-        "fixture-turned",
-        "a normal towards the part",
-        "the part rests on the pad's outer face",
-        "turn normal round, or correct the pad's point",
-        meshes.fixture_turned,
-    ),
-    Rule(
-        "fixture-inside",
-        f"nothing within {meshes.BODY:g} mm behind a pad's face but what it touches",
-        "there is the pad itself",
-        "set it against the other side, or against the part that lies there",
-        meshes.fixture_inside,
-    ),
-)
+    Attributes
+    ----------
+    rule : str
+        Name of the rule.
+    item : str
+        Item of the scene, such as ``clamp C1``.
+    text : str
+        The finding, the usual range, its reason and the remedy.
+    point : tuple of float or None
+        Location, mm.
+    """
+
+    rule: str
+    item: str
+    text: str
+    point: Point | None = None
+
+    def __str__(self) -> str:
+        return f"{self.item}: {self.text}"
+
+
+@dataclass(frozen=True)
+class Rule:
+    """One rule.
+
+    Attributes
+    ----------
+    name : str
+    usual : str
+        The usual range, in words.
+    reason : str
+        Why this range is usual.
+    remedy : str
+        What to do about an item outside it.
+    find : callable
+        Findings outside the range in a scene, in parts or in an assembly.
+    """
+
+    name: str
+    usual: str
+    reason: str
+    remedy: str
+    find: Callable[[Any], Iterable[Finding]]
+
+    def warnings(self, subject: Any) -> Iterator[SceneWarning]:
+        """The warnings of this rule for a scene, for parts or for an assembly."""
+        for item, finding, point in self.find(subject):
+            text = f"{finding}; usual is {self.usual} ({self.reason}): {self.remedy}"
+            yield SceneWarning(self.name, item, text, point)
+
+
+def _number_rule(
+    key: str, low: float, high: float, reason: str, remedy: str, unit: str = "", also: Iterable[float] = ()
+) -> Rule:
+    """A rule for one number of every item of a table: from `low` to `high`, or one of `also`.
+
+    `key` is ``table.key`` or ``section.key``. The values of a dict are checked one by one.
+    """
+    table, name = key.split(".")
+    suffix = unit and " " + unit
+
+    def find(scene) -> Iterator[Finding]:
+        rows = getattr(scene, table)
+        for item in rows if isinstance(rows, list) else [rows]:
+            given = getattr(item, name, None)
+            for part, value in given.items() if isinstance(given, dict) else [("", given)]:
+                if isinstance(value, (int, float)) and not low <= value <= high and value not in also:
+                    finding = f"{name}{part and '.' + part} = {value:g}{suffix}"
+                    yield label(table, item) if isinstance(rows, list) else table, finding, getattr(item, "point", None)
+
+    usual = f"{low:g} to {high:g}{suffix}" + "".join(f", or {value:g}" for value in also)
+    return Rule(key, usual, reason, remedy, find)
+
+
+def _rules(rows: Iterable[dict[str, str]], module: Any) -> tuple[Rule, ...]:
+    """Rules whose findings come from the functions of a module with the rules' names."""
+    return tuple(
+        Rule(
+            row["name"],
+            row["usual"].format_map(vars(module)),
+            row["reason"],
+            row["remedy"],
+            getattr(module, row["name"].replace("-", "_")),
+        )
+        for row in rows
+    )
+
+
+_TABLES = tomllib.loads(Path(__file__).with_name("rules.toml").read_text(encoding="utf-8"))
+
+#: Rules that need the scene file alone.
+FILE = tuple(_number_rule(**row) for row in _TABLES["number"]) + _rules(_TABLES["scene"], scene_file)
+#: Rules that need parts with name, thickness and surface.
+PARTS = _rules(_TABLES["parts"], meshes)
+#: Rules that need the assembly with its contact pairs.
+MESHES = _rules(_TABLES["assembly"], meshes)

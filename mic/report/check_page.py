@@ -16,7 +16,7 @@ from mic.geometry.load import fixture_surface
 from mic.geometry.surface import Surface
 from mic.model.assembly import Contacts
 from mic.model.one_sigma import SourceShape
-from mic.plausibility import Warned, verdict
+from mic.plausibility import SceneWarning, validity
 from mic.process.description import opening, sentences
 from mic.process.plan import StagePlan
 from mic.report.source_pictures import draw_shapes
@@ -39,7 +39,7 @@ def write_check(
     path: str | PathLike[str],
     scene: Scene,
     surfaces: Mapping[str, Surface],
-    warnings: Sequence[Warned] = (),
+    warnings: Sequence[SceneWarning] = (),
     contacts: Contacts | None = None,
     plans: Sequence[StagePlan] = (),
     errors: Sequence[str] = (),
@@ -54,7 +54,7 @@ def write_check(
     scene : Scene
     surfaces : dict of str to Surface
         Of the parts that could be had, by name.
-    warnings : sequence of Warned
+    warnings : sequence of SceneWarning
     contacts : Contacts, optional
         Without them, the pairs are not drawn.
     plans : sequence of StagePlan
@@ -82,7 +82,7 @@ def write_check(
         plans=[
             (plan, opening(plan, contacts is not None and len(contacts) > 0), sentences(scene, plan)) for plan in plans
         ],
-        verdict=verdict(warnings, errors),
+        verdict=validity(warnings, errors),
         shapes=draw_shapes(surfaces, shapes) if shapes else None,
         largest={shape.name: f"{number(shape.largest[2])} mm" for shape in shapes},
         viewer=packed(json.dumps(_view(bodies, scene, warnings, contacts))) if bodies else None,
@@ -143,7 +143,7 @@ def _view(bodies, scene: Scene, warnings, contacts: Contacts | None) -> dict[str
     return data
 
 
-def _numbered(warnings: Sequence[Warned], near: float) -> dict[str, Any]:
+def _numbered(warnings: Sequence[SceneWarning], near: float) -> dict[str, Any]:
     """Rings with the numbers of the warnings that have a place; those that are nearer to each other share one."""
     rings: list[tuple[Any, list[int]]] = []
     for i, warned in enumerate(warnings, 1):

@@ -1,4 +1,4 @@
-"""What a user states about an assembly: the scene file, its settings and its checks."""
+"""The scene: schema, loading, checks and named settings."""
 
 from mic.errors import SceneError
 from mic.scene.deviation import Deviation

@@ -1,4 +1,4 @@
-"""Distributions of deviations: those of SciPy by name, moved and scaled to the deviation's mean and sigma.
+"""Distributions of deviations: those of SciPy by name, shifted and scaled to the deviation's mean and sigma.
 
 With the quantile function ``F⁻¹`` of the distribution, its mean m and its standard deviation s, a deviation of mean μ
 and standard deviation σ is
@@ -19,14 +19,13 @@ from scipy.special import ndtr, ndtri
 
 __all__ = ["check_distribution", "quantile"]
 
-NORMAL = "normal"  # what SciPy calls "norm"
-LEAST = 1e-6  # share of a distribution that a truncated one must keep
-EDGE = 1e-16  # probabilities are kept this far within (0, 1), where every quantile is finite
+NORMAL = "normal"  # SciPy: "norm"
+LEAST = 1e-6  # probability of the interval of a truncated distribution, at least
+EDGE = 1e-16  # distance of probabilities from 0 and 1, so that every quantile is finite
 
 
 class _Normal:
-    """The standard normal distribution as SciPy's own computes it, without the others, which take longer to load than a
-    scene to read."""
+    """The standard normal distribution with SciPy's functions, without the slow import of `scipy.stats`."""
 
     cdf, ppf = staticmethod(ndtr), staticmethod(ndtri)
 
@@ -38,11 +37,11 @@ def _standard(name: str, parameters: tuple[tuple[str, float], ...]) -> tuple[Any
     Raises
     ------
     ValueError
-        If there is none of the name, for other parameters, without mean or standard deviation.
+        If there is no such distribution, for wrong parameters, or without mean and standard deviation.
     """
     if name == NORMAL and not parameters:
         return _Normal, 0.0, 1.0
-    from scipy import stats  # where one of them is named: see _Normal
+    from scipy import stats  # slow to import: see _Normal
 
     family = stats.norm if name == NORMAL else getattr(stats, name, None)
     if not isinstance(family, stats.rv_continuous):
@@ -56,43 +55,43 @@ def _standard(name: str, parameters: tuple[tuple[str, float], ...]) -> tuple[Any
     if {"loc", "scale"} & given.keys():
         raise ValueError("parameters: loc and scale follow from mean and sigma: remove them")
     if set(shapes) != set(given):
-        asked = f"the parameters {', '.join(shapes)}" if shapes else "no parameters"
-        raise ValueError(f"parameters: {name!r} has {asked}, given are {', '.join(given) or 'none'}; correct them")
+        expected = f"the parameters {', '.join(shapes)}" if shapes else "no parameters"
+        raise ValueError(f"parameters: {name!r} has {expected}, given are {', '.join(given) or 'none'}; correct them")
     frozen = family(**given)
     mean, deviation = (float(value) for value in (frozen.mean(), frozen.std()))
     if not np.isfinite(frozen.ppf(0.5)):
-        told = ", ".join(f"{key} = {value:g}" for key, value in given.items())
-        raise ValueError(f"parameters: there is no {name!r} with {told}; correct them")
+        values = ", ".join(f"{key} = {value:g}" for key, value in given.items())
+        raise ValueError(f"parameters: there is no {name!r} with {values}; correct them")
     if not (np.isfinite(mean) and np.isfinite(deviation) and deviation > 0):
-        raise ValueError(f"distribution: {name!r} has no standard deviation, which sigma would be; take another")
+        raise ValueError(f"distribution: {name!r} has no standard deviation; choose another")
     return frozen, mean, deviation
 
 
-def _of(item) -> tuple[Any, float, float]:
+def _distribution(item) -> tuple[Any, float, float]:
     return _standard(item.distribution, tuple(item.parameters.items()))
 
 
-def _kept(item) -> tuple[float, float]:
-    """Between which probabilities a deviation lies."""
+def _probabilities(item) -> tuple[float, float]:
+    """Probabilities of the limits of a deviation: 0 and 1 unless truncated."""
     if item.truncated is None:
         return 0.0, 1.0
-    frozen, mean, deviation = _of(item)
+    frozen, mean, deviation = _distribution(item)
     ends = mean + deviation * (np.array(item.truncated) - item.mean) / item.sigma
     low, high = frozen.cdf(ends)
     return float(low), float(high)
 
 
 def check_distribution(item) -> None:
-    """Raise ValueError with the remedy where a deviation's distribution does not exist."""
-    _of(item)
+    """Raise ValueError, with the remedy, if a deviation's distribution does not exist."""
+    _distribution(item)
     if item.truncated is None:
         return
     low, high = item.truncated
     if item.sigma == 0.0:
-        raise ValueError("truncated: sigma is 0, so there is nothing to cut off; remove it")
+        raise ValueError("truncated: sigma is 0, so it has no effect; remove it")
     if low >= high:
         raise ValueError(f"truncated: the smallest value {low:g} must lie below the largest {high:g}; correct them")
-    first, last = _kept(item)
+    first, last = _probabilities(item)
     if last - first < LEAST:
         raise ValueError(
             f"truncated: less than {LEAST:g} of the distribution lies between {low:g} and {high:g}; correct them, or "
@@ -109,6 +108,6 @@ def quantile(item, u: np.ndarray) -> np.ndarray:
         The scene's deviation.
     u : (n,) array
     """
-    frozen, mean, deviation = _of(item)
-    low, high = _kept(item)
+    frozen, mean, deviation = _distribution(item)
+    low, high = _probabilities(item)
     return item.mean + item.sigma * (frozen.ppf(np.clip(low + u * (high - low), EDGE, 1 - EDGE)) - mean) / deviation

@@ -8,7 +8,6 @@ from pydantic import Field, model_validator
 
 from mic.scene.keys import (
     NORMAL,
-    TOWARDS,
     UNPLACED,
     Count,
     Direction,
@@ -32,27 +31,24 @@ __all__ = [
 class Fixture(Table):
     """A rigid surface that parts may touch: a mesh, or a flat round pad.
 
-    A pad with `part` is set against that part as it is drawn: its face touches the skin, at a place told as elsewhere.
+    A pad with `part` is placed on the skin of that part as drawn.
     """
 
-    name: Name = Field(description="names the fixture in `[[zones]]`")
+    name: Name = Field(description="name of the fixture in `[[zones]]`")
     mesh: str | None = Field(None, description="mesh file, relative to the scene file")
     point: Vector | None = Field(
-        None, description="or the centre of a flat round pad, mm; with `part` a place at most 5 mm off the part"
+        None, description="or the centre of a flat round pad, mm; with `part` at most 5 mm off the part"
     )
-    part: Name | None = Field(None, description="the part that the pad is set against, touching its skin")
-    node: Count | None = Field(None, description="with `part`, in place of `point`: a node by its number")
-    set: Annotated[str, Field(min_length=1)] | None = Field(
-        None, description="or a set of nodes by its name in the part's mesh file: their middle"
-    )
-    hole: Vector | None = Field(None, description="or a point near the centre of a hole, over which the pad then lies")
+    part: Name | None = Field(None, description="the part that the pad touches")
+    node: Count | None = Field(None, description="with `part`: or the number of a node")
+    set: Annotated[str, Field(min_length=1)] | None = Field(None, description="or the name of a node set: its centre")
+    hole: Vector | None = Field(None, description="or a point near the centre of a hole that the pad covers")
     normal: Direction | None = Field(
         None,
-        description="the pad's outward normal; with `part` also `normal`, the default, which is that of the sheet, or "
-        "`-normal`: the pad lies on the side that it comes from",
+        description="the pad's outward normal; with `part` also `normal` (default) or `-normal`, the side of the sheet",
     )
-    radius: Positive | None = Field(None, description="the pad's radius, mm")
-    stage: Name | None = Field(None, description="the locate stage in whose station it stands; if left out, the first")
+    radius: Positive | None = Field(None, description="radius of the pad, mm")
+    stage: Name | None = Field(None, description="the locate stage whose station has the fixture; default: the first")
 
     @model_validator(mode="after")
     def _one_shape(self):
@@ -65,81 +61,80 @@ class Fixture(Table):
         if self.part is None:
             alone = [key for key in places if key != "point"]
             if alone:
-                raise ValueError(f"{alone[0]} is one of a part's: add part, which the pad is set against")
+                raise ValueError(f"{alone[0]} needs a part: add part, on which the pad is placed")
             if not {"point", "normal", "radius"} <= set(given):
                 raise ValueError('give either mesh = "file", or point, normal and radius of a flat pad')
             if isinstance(self.normal, str):
-                raise ValueError(f"normal = {self.normal!r} is a part's: add part, or give normal = [x, y, z]")
+                raise ValueError(f"normal = {self.normal!r} needs a part: add part, or give normal = [x, y, z]")
             return self
         if len(places) != 1:
             raise ValueError(
-                f"{' and '.join(places)} each say where the pad lies: give one of them"
+                f"{' and '.join(places)} both give the place of the pad: remove all but one"
                 if places
-                else "give point = [x, y, z], or node or set or hole, where the pad lies on its part"
+                else "the place of the pad on its part is missing: give point = [x, y, z], or node or set or hole"
             )
         if self.radius is None:
             raise ValueError("a pad needs radius, mm: add it")
         if self.normal is None:
             object.__setattr__(self, "normal", NORMAL)
         if isinstance(self.normal, str) and "in-plane" in self.normal:
-            raise ValueError('a pad lies flat against its part: normal is "normal", "-normal" or [x, y, z]')
+            raise ValueError('the normal of a pad on a part is "normal", "-normal" or [x, y, z]')
         return self
 
 
 class Locator(OnPart):
-    """A bilateral support of a part in one direction, over a pad of the given radius.
+    """A bilateral support of a part in one direction, over a pad.
 
-    It engages in the named stage: those of the locate stage place the part (a 3-2-1 scheme), further ones of an N-2-1
-    scheme close when the clamps do and force the part. Those of a later locate stage, or of the measure stage, hold an
-    assembly that is set down there: all that held it before opens.
+    Locators of the locate stage place the part (a 3-2-1 scheme). Those of a clamp stage (N-2-1) force the part to its
+    nominal shape there. Those of a later locate stage, or of the measure stage, hold the assembly in another station,
+    where all earlier locators and clamps are open.
     """
 
-    name: Name = Field(description="names the locator in `keep` and in deviations")
+    name: Name = Field(description="name of the locator in `keep` and in deviations")
     part: Name = Field(description="the part that it supports")
-    direction: Direction = Field(NORMAL, description=f"of the support: {TOWARDS}")
-    radius: NonNegative = Field(4.0, description="of the pad, mm; 0 is nodal")
+    direction: Direction = Field(NORMAL, description="of the support")
+    radius: NonNegative = Field(4.0, description="of the pad, mm; 0: a single node")
     stage: Name = Field(
         "locate",
-        description="the stage in which it engages; those of the locate stage must hold all six motions of their part",
+        description="the stage in which it closes; those of the locate stage must hold all six rigid-body motions",
     )
     stiffness: Positive | None = Field(
         None,
-        description="N/mm: it yields under its load; left out, it is rigid. Soft ones carry a part that is to rest on "
-        "another, until clamps press it there",
+        description="N/mm; default: rigid. A soft locator carries a part until clamps press it onto another",
     )
 
 
 class Clamp(OnPart):
     """A clamp pushes a part along `direction`, by a force or to a position.
 
-    With `parts` it is a tong: one jaw pushes the first part towards the second, the other the second towards the first.
-    Its jaws are called `NAME-PART`; `order`, `keep` and deviations may name it as a whole.
+    With `parts` it is a tong with two jaws, ``NAME-PART``, that push the parts towards each other; `order`, `keep` and
+    deviations may name the tong or a jaw.
     """
 
-    name: Name = Field(description="names the clamp in deviations")
+    name: Name = Field(description="name of the clamp in deviations")
     part: Owner = Field(UNPLACED, description="the part that it pushes")
-    parts: tuple[Name, Name] | None = Field(None, description="or the two parts that it presses together, as a tong")
+    parts: tuple[Name, Name] | None = Field(None, description="or the two parts that it presses together as a tong")
     direction: Direction = Field(
-        NORMAL, description=f"into which it pushes, a tong its first part: {TOWARDS}; of a tong: together"
+        NORMAL, description="of the push, for a tong on its first part; default for a tong: together"
     )
     force: FiniteFloat | None = Field(None, description="N along `direction`")
     stroke: FiniteFloat | None = Field(
-        None, description="or the position that it enforces along `direction`, mm from nominal"
+        None, description="or the prescribed position along `direction`, mm from nominal"
     )
     limit: Positive | None = Field(
         None,
-        description="with `stroke`: the most that it pushes with, N; where its position takes more, it stops short of "
-        "it and pushes with its limit, the assembly counts as not built, and the force that it would need is told",
+        description="with `stroke`: the largest force, N. If more is needed, the clamp stops short, the assembly "
+        "counts as not built, and the required force is reported",
     )
-    radius: NonNegative = Field(5.0, description="of the pad, mm; 0 is nodal")
+    radius: NonNegative = Field(5.0, description="of the pad, mm; 0: a single node")
     stage: Name = Field("clamp", description="the clamp stage that closes it; a release opens it")
 
     @model_validator(mode="after")
     def _force_or_stroke(self):
         if (self.force is None) == (self.stroke is None):
-            raise ValueError("give either force (N) or stroke (mm from the nominal position), not both and not neither")
+            raise ValueError("give either force (N) or stroke (mm from the nominal position), not both")
         if self.limit is not None and self.stroke is None:
-            raise ValueError("limit goes with stroke; a clamp with a force pushes with just that: remove limit")
+            raise ValueError("limit needs a stroke; a clamp with a force always pushes with this force: remove limit")
         return self
 
     @model_validator(mode="after")
@@ -147,9 +142,9 @@ class Clamp(OnPart):
         if (self.part is None) == (self.parts is None):
             raise ValueError("give either part, which it pushes, or parts = [a, b], which it presses together")
         if self.parts is not None and (isinstance(self.direction, str) and self.direction != "normal"):
-            raise ValueError("a tong presses its parts together: leave direction out, or give [x, y, z] for parts[0]")
+            raise ValueError("a tong presses its parts together: remove direction, or give [x, y, z] for parts[0]")
         if self.parts is not None and self.hole is not None:
-            raise ValueError("a tong presses on sheets, and there is none in a hole: give point, node or set")
+            raise ValueError("a tong cannot press in a hole: give point, node or set")
         return self
 
     @property

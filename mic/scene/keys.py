@@ -1,7 +1,7 @@
-"""What keys of a scene take: numbers, names, directions, places; and the tables of what stands on a part.
+"""Types of the keys of a scene: numbers, names, directions, points; and base tables of items on a part.
 
 Lengths are mm, forces N, stiffness MPa; keys that hold degrees end in ``_deg``. Unknown keys are errors. The
-descriptions here and in the tables beside are the scene reference: the documentation is generated from them.
+descriptions of keys are the source of the scene reference.
 """
 
 from __future__ import annotations
@@ -25,12 +25,11 @@ __all__ = [
     "Owner",
     "Place",
     "Positive",
-    "TOWARDS",
     "Table",
     "UNPLACED",
     "Vector",
-    "WORDS",
-    "stands_once",
+    "RELATIVE_DIRECTION",
+    "check_single_place",
     "unit_vector",
 ]
 
@@ -39,7 +38,7 @@ class Table(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, str_strip_whitespace=True)
 
 
-# A number is a number: neither true, which Python takes for 1, nor the text of one.
+# Strict: neither `true` nor a text counts as a number.
 FiniteFloat = Annotated[float, Field(strict=True, allow_inf_nan=False)]
 Count = Annotated[int, Field(strict=True)]
 Flag = Annotated[bool, Field(strict=True)]
@@ -55,72 +54,70 @@ def unit_vector(value: Vector | None) -> Vector | None:
     length = float(np.linalg.norm(value))
     if length < 1e-9:
         raise ValueError("a direction must not be zero: give a vector of any length, such as [0, 0, 1]")
-    if abs(length - 1) < 1e-14:  # so that a scene read back from a model is the scene that was written
+    if abs(length - 1) < 1e-14:  # keeps a normalised vector unchanged when a scene is read again
         return value
     x, y, z = value
     return x / length, y / length, z / length
 
 
-#: The directions that a surface gives, in words; `mic.model.placement` says which vector each is.
-WORDS = re.compile(r"-?(normal|in-plane [xyz])")
+#: Directions relative to the sheet; `mic.model.placement` computes their vectors.
+RELATIVE_DIRECTION = re.compile(r"-?(normal|in-plane [xyz])")
 
 
 def _if_given(value: Any, handler: Any) -> Any:
     return None if value is None else handler(value)
 
 
-def _vector_or_words(value: Any, handler: Any) -> Any:
+def _direction(value: Any, handler: Any) -> Any:
     if not isinstance(value, str):
         return unit_vector(handler(value))
-    words = " ".join(value.split())
-    if not WORDS.fullmatch(words):
+    text = " ".join(value.split())
+    if not RELATIVE_DIRECTION.fullmatch(text):
         raise ValueError(
             f'{value!r} is no direction; give [x, y, z], or "normal", "-normal", "in-plane x", "-in-plane x", … y, … z'
         )
-    return words
+    return text
 
 
-#: A point, a part, a direction: typed as what they are once `mic.model.placement` has placed the scene on its meshes,
-#: which everything comes after that reads them. In a scene as it is written a point or a part may be None, and a
-#: direction words.
+#: A point, a part, a direction, with their types after `mic.model.placement` has placed the scene on its meshes. Before
+#: that a point or a part may be None, and a direction a text.
 Place = Annotated[Vector, WrapValidator(_if_given)]
 Owner = Annotated[Name, WrapValidator(_if_given)]
-Direction = Annotated[Vector, WrapValidator(_vector_or_words)]
+Direction = Annotated[Vector, WrapValidator(_direction)]
 UNPLACED: Any = None
 NORMAL: Any = "normal"
-TOWARDS = "`[x, y, z]`; or `normal` or `in-plane x`, y, z (the axis laid into the sheet), with a minus the other way"
 
 
-def stands_once(item: Any) -> Any:
-    """The item, if one key says where it stands; raises ValueError for none and for two."""
+def check_single_place(item: Any) -> Any:
+    """The item, if exactly one of its keys gives its place; else raises ValueError."""
     keys = [key for key in ("point", "node", "set", "hole") if key in type(item).model_fields]
     given = [key for key in keys if getattr(item, key) is not None]
     if not given:
-        raise ValueError(f"give point = [x, y, z], or {' or '.join(keys[1:])}, where it stands")
-    placed = given == ["point", "hole"] and item.point == item.hole  # which rows find the rim by
+        raise ValueError(f"its place is missing: give point = [x, y, z], or {' or '.join(keys[1:])}")
+    placed = given == ["point", "hole"] and item.point == item.hole  # a hole that is placed already
     if len(given) > 1 and not placed:
-        raise ValueError(f"{' and '.join(given)} each say where it stands: give one of them")
+        raise ValueError(f"{' and '.join(given)} both give its place: remove all but one")
     return item
 
 
 class OnSheet(Table):
-    """What stands on a part, at a point that its coordinates, a node or a set of nodes tell."""
+    """An item on a part, at a point, at a node or at the centre of a node set."""
 
-    name: Name = Field(description="names it")
-    point: Place = Field(UNPLACED, description="where, mm, at most 5 mm off the part")
-    node: Count | None = Field(None, description="or a node by its number in the part's mesh file")
+    name: Name = Field(description="name of the item")
+    point: Place = Field(UNPLACED, description="a point, mm, at most 5 mm off the part")
+    node: Count | None = Field(None, description="or the number of a node in the part's mesh file")
     set: Annotated[str, Field(min_length=1)] | None = Field(
-        None, description="or a set of nodes by its name in the part's mesh file: their middle"
+        None, description="or the name of a node set in the part's mesh file: its centre"
     )
 
     @model_validator(mode="after")
     def _one_place(self):
-        return stands_once(self)
+        return check_single_place(self)
 
 
 class OnPart(OnSheet):
-    """What stands on a part, or in a hole of it."""
+    """An item on a part, or in a hole of it."""
 
     hole: Vector | None = Field(
-        None, description="or a point near the centre of a hole: its rim is read, as a pin does, at its own centre"
+        None, description="or a point near the centre of a hole: its rim is read, as a pin does, at the hole's centre"
     )

@@ -1,4 +1,4 @@
-"""Reading a scene file, and saying what is wrong with it: one line a problem, with file, key and remedy."""
+"""Read a scene file, with one line per error: file, key, what is wrong, remedy."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ from typing import Any, get_args
 from pydantic import TypeAdapter, ValidationError
 
 from mic.errors import SceneError
-from mic.scene.checks import problems
+from mic.scene.checks import find_errors
 from mic.scene.schema import TABLES, Scene
-from mic.scene.tables import written_out
+from mic.scene.tables import expand_tables
 
 __all__ = ["load_scene", "read_table"]
 
@@ -37,9 +37,9 @@ def load_scene(path) -> Scene:
         with open(path, "rb") as file:
             table = tomllib.load(file)
     except FileNotFoundError:
-        raise SceneError(f"{path}: there is no such scene file; check the path") from None
+        raise SceneError(f"{path}: no such file; check the path") from None
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise SceneError(f"{path}: not valid TOML: {error}; mend the syntax there") from None
+        raise SceneError(f"{path}: not valid TOML: {error}; correct the syntax there") from None
     except RecursionError:
         raise SceneError(
             f"{path}: tables or lists are nested too deeply; a scene needs no more than three levels"
@@ -50,7 +50,7 @@ def load_scene(path) -> Scene:
 
 
 def read_table(table: dict[str, Any], path: Path) -> Scene:
-    """The scene that a table states, as it would stand in the file `path`.
+    """The scene of a table, as if read from the file `path`.
 
     Raises
     ------
@@ -63,33 +63,30 @@ def read_table(table: dict[str, Any], path: Path) -> Scene:
         return Scene(**table, folder=path.parent.resolve())
     except ValidationError as error:
         try:
-            table = written_out(table | {"folder": path.parent.resolve()}, TABLES)
-        except SceneError:  # which is what is told
-            lines = [line for item in _together(error.errors()) for line in _explain({}, item)]
+            table = expand_tables(table | {"folder": path.parent.resolve()}, TABLES)
+        except SceneError:  # it is among the errors already
+            lines = [line for item in _merge_alternatives(error.errors()) for line in _explain({}, item)]
         else:
-            lines = [line for item in _together(error.errors()) for line in _explain(table, item)]
+            lines = [line for item in _merge_alternatives(error.errors()) for line in _explain(table, item)]
             lines += [line for line in _between_tables(table) if line not in lines]
     raise SceneError("\n".join(f"{path}: {line}" for line in lines))
 
 
 def _between_tables(table: dict[str, Any]) -> list[str]:
-    """What is wrong between the tables of a scene of which not every table can be read, as far as can be told.
-
-    An item that is wrong in itself still has its name, and what it names.
-    """
+    """Errors between the tables of a scene that has errors within tables, too, as far as they can be checked."""
     items: dict[str, Any] = {}
     for key, field in Scene.model_fields.items():
         kinds = [kind for kind in get_args(field.annotation) if "mic.scene." in str(kind)]
         given = table.get(key)
         if not kinds or not isinstance(given, list):
             continue
-        items[key] = [_as_it_stands(kinds[0], item) for item in given if isinstance(item, dict)]
+        items[key] = [_unchecked_item(kinds[0], item) for item in given if isinstance(item, dict)]
     scene = Scene.model_construct(**items)
-    return problems(scene, whole=False) if "parts" in items and "stages" in items else []
+    return find_errors(scene, complete=False) if "parts" in items and "stages" in items else []
 
 
-def _as_it_stands(kind: Any, item: dict[str, Any]) -> Any:
-    """An item; one that is wrong in itself with its keys as they are given, and the defaults of the others."""
+def _unchecked_item(kind: Any, item: dict[str, Any]) -> Any:
+    """An item; an invalid one with its keys as given, and defaults for the others."""
     try:
         return TypeAdapter(kind).validate_python(item)
     except ValidationError:
@@ -98,27 +95,27 @@ def _as_it_stands(kind: Any, item: dict[str, Any]) -> Any:
         return SimpleNamespace(**{**defaults, "name": item.get("kind"), **item})
 
 
-def _together(items) -> list[dict[str, Any]]:
-    """The problems found by the validation; what the alternatives of one key each ask for is one problem."""
-    asked = "Input should be "
+def _merge_alternatives(items) -> list[dict[str, Any]]:
+    """The errors of a validation, with those of the alternatives of one key merged."""
+    prefix = "Input should be "
     found: dict[tuple, dict[str, Any]] = {}
     for item in items:
-        key = (*_keys(item["loc"]), None if item["msg"].startswith(asked) else item["msg"])
+        key = (*_keys(item["loc"]), None if item["msg"].startswith(prefix) else item["msg"])
         if key in found:
-            item = found[key] | {"msg": f"{found[key]['msg']}, or {item['msg'].removeprefix(asked)}", "type": "one of"}
+            item = found[key] | {"msg": f"{found[key]['msg']}, or {item['msg'].removeprefix(prefix)}", "type": "one of"}
         found[key] = item
     return list(found.values())
 
 
 def _explain(table: dict[str, Any], item) -> list[str]:
-    """The lines for one problem found by the validation."""
+    """The lines for one error of the validation."""
     keys = _keys(item["loc"])
     key = "".join(f"[{step}]" if isinstance(step, int) else f".{step}" for step in keys).lstrip(".")
     key += _name(table, keys)
     message = item["msg"].removeprefix("Value error, ")
     given = item.get("input")
     remedy = {
-        "extra_forbidden": "unknown key; remove it or mend its spelling",
+        "extra_forbidden": "unknown key; remove it or correct its spelling",
         "missing": "required key is missing; add it",
         "greater_than": f"{message}; got {given!r}, correct the value",
         "greater_than_equal": f"{message}; got {given!r}, correct the value",
@@ -134,7 +131,7 @@ def _explain(table: dict[str, Any], item) -> list[str]:
 
 
 def _name(table: dict[str, Any], keys: list[str | int]) -> str:
-    """The name of the item that a problem lies in, in brackets; nothing where it has none."""
+    """The name of the item with an error, in brackets; empty if it has none."""
     if len(keys) < 2 or not isinstance(keys[1], int) or keys[2:] == ["name"]:
         return ""
     try:
@@ -145,13 +142,13 @@ def _name(table: dict[str, Any], keys: list[str | int]) -> str:
     return f" ({name})" if isinstance(name, str) else ""
 
 
-#: How pydantic, and this schema, tell the alternatives of one key apart.
+#: Prefixes of the tags by which pydantic, and this schema, distinguish the alternatives of one key.
 ALTERNATIVES = ("literal[", "constrained", "float", "str", "function", "friction-")
 
 
 def _keys(location) -> list[str | int]:
-    """The keys of a validation error's location, without the words with which pydantic tells alternatives apart."""
+    """The keys of a validation error's location, without the tags of alternatives."""
     keys = [step for step in location if not (isinstance(step, str) and step.startswith(ALTERNATIVES))]
     if keys[:1] == ["deviations"] and len(keys) > 2:
-        del keys[2]  # the kind that chose the table
+        del keys[2]  # the kind, by which the table is chosen
     return keys

@@ -9,7 +9,6 @@ from pydantic import Field, model_validator
 
 from mic.scene.keys import (
     NORMAL,
-    TOWARDS,
     UNPLACED,
     Count,
     Direction,
@@ -21,7 +20,7 @@ from mic.scene.keys import (
     Positive,
     Table,
     Vector,
-    stands_once,
+    check_single_place,
 )
 
 __all__ = [
@@ -31,65 +30,62 @@ __all__ = [
 
 
 class OtherPoint(Table):
-    """The second point of a characteristic between two: by `point`, `node`, `set` or `hole`, on a part."""
+    """The second point of a characteristic between two points."""
 
     part: Name = Field(description="the part that it is on")
-    point: Place = Field(UNPLACED, description="where, mm, at most 5 mm off the part")
-    node: Count | None = Field(None, description="or a node by its number in the part's mesh file")
+    point: Place = Field(UNPLACED, description="a point, mm, at most 5 mm off the part")
+    node: Count | None = Field(None, description="or the number of a node in the part's mesh file")
     set: Annotated[str, Field(min_length=1)] | None = Field(
-        None, description="or a set of nodes by its name in the part's mesh file: their middle"
+        None, description="or the name of a node set in the part's mesh file: its centre"
     )
     hole: Vector | None = Field(None, description="or a point near the centre of a hole: its rim is read")
-    radius: NonNegative = Field(2.5, description="of the probe, mm; 0 is nodal")
+    radius: NonNegative = Field(2.5, description="of the probe, mm; 0: a single node")
 
     @model_validator(mode="after")
     def _one_place(self):
-        return stands_once(self)
+        return check_single_place(self)
 
 
 class Measurement(OnPart):
-    """A key characteristic: how far a point is from nominal along a direction, or what `kind` makes of several, mm.
+    """A key characteristic, mm: the deviation of a point from nominal along a direction, or another `kind`.
 
-    `point` is one point. `flush`, `gap` and `distance` are by how much the point `to` moves away from the first: along
-    the normal of the first's sheet, along the line between the two laid into that sheet, and along that line itself.
-    `parallelism` is the width between two planes across `direction` that hold all `points`, less what is nominal;
-    `profile` twice the largest deviation of any point along the normals there, as ISO 1101 counts both.
+    `flush`, `gap` and `distance` are the motion of the point `to` relative to the first point: along the normal of the
+    first point's sheet, along the line between them projected into that sheet, and along that line itself.
+    `parallelism` is the width between two planes across `direction` that enclose all `points`, minus its nominal
+    value; `profile` is twice the largest deviation of any point along its normal; both follow ISO 1101.
     """
 
-    name: Name = Field(description="names the key characteristic in results")
+    name: Name = Field(description="name of the key characteristic in results")
     kind: Literal["point", "flush", "gap", "distance", "parallelism", "profile"] = Field(
-        "point", description="what is made of the points"
+        "point", description="quantity that is measured"
     )
     part: Name = Field(description="the part that is measured")
     direction: Direction = Field(
         NORMAL,
-        description=f"in which the deviation counts positive: {TOWARDS}; of a `gap` left out, of `distance` and "
-        "`profile` not given",
+        description="in which a deviation is positive; omitted for `gap`, not allowed for `distance` and `profile`",
     )
-    radius: NonNegative = Field(2.5, description="of the probe, mm; 0 is nodal")
+    radius: NonNegative = Field(2.5, description="of the probe, mm; 0: a single node")
     to: OtherPoint | None = Field(
-        None, description="`flush`, `gap`, `distance`: the other point, `{ part = NAME, point = [x, y, z] }`"
+        None, description="`flush`, `gap`, `distance`: the second point, `{ part = NAME, point = [x, y, z] }`"
     )
     points: Annotated[list[Vector], Field(min_length=2)] | None = Field(
-        None, description="`parallelism`, `profile`: in place of `point`, where, mm, at most 5 mm off the part"
+        None, description="`parallelism`, `profile`: the points, mm, at most 5 mm off the part"
     )
-    spacing: Positive | None = Field(
-        None, description="or points all over the part, none of which is farther than this from its neighbours, mm"
-    )
+    spacing: Positive | None = Field(None, description="or points all over the part, at most this far apart, mm")
     box: tuple[Vector, Vector] | None = Field(
-        None, description="with `spacing`: only inside of `[[xmin, ymin, zmin], [xmax, ymax, zmax]]`, mm"
+        None, description="with `spacing`: only within `[[xmin, ymin, zmin], [xmax, ymax, zmax]]`, mm"
     )
     best_fit: Annotated[list[Name], Field(min_length=1)] | None = Field(
         None,
-        description="measurements on which the assembly is aligned before this one is read, as a rigid body, with the "
-        "least sum of squares; of `parallelism` and `profile` it may be itself",
+        description="measurements to which the assembly is first aligned as a rigid body by least squares; "
+        "`parallelism` and `profile` may name themselves",
     )
     lower: FiniteFloat = Field(
-        description="lower limit of the tolerance, mm from nominal; of `parallelism` and `profile` 0, and left out"
+        description="lower tolerance limit, mm from nominal; omitted for `parallelism` and `profile`: 0"
     )
-    upper: FiniteFloat = Field(description="upper limit of the tolerance, mm from nominal")
+    upper: FiniteFloat = Field(description="upper tolerance limit, mm from nominal")
 
-    #: Kinds that are read at two points, and at any number.
+    #: Kinds with two points, and with any number of points.
     BETWEEN: ClassVar[tuple[str, ...]] = ("flush", "gap", "distance")
     OVER: ClassVar[tuple[str, ...]] = ("parallelism", "profile")
 
@@ -97,7 +93,7 @@ class Measurement(OnPart):
     @classmethod
     def _from_zero(cls, table: Any):
         if isinstance(table, dict) and table.get("kind") in cls.OVER:
-            none = ("direction",) if table.get("direction") is None else ()  # a profile, written out
+            none = ("direction",) if table.get("direction") is None else ()  # a profile of a placed scene
             return {"lower": 0.0} | {key: value for key, value in table.items() if key not in none}
         return table
 
@@ -107,7 +103,7 @@ class Measurement(OnPart):
         if self.kind not in self.OVER:
             if given:
                 raise ValueError(f"{given[0]} goes with kind {' or '.join(self.OVER)}; give point, or that kind")
-            return stands_once(self)
+            return check_single_place(self)
         single = [key for key in ("point", "node", "set", "hole") if getattr(self, key) is not None]
         if single:
             raise ValueError(f"{self.kind} is read at many points: give points or spacing in place of {single[0]}")
@@ -119,14 +115,14 @@ class Measurement(OnPart):
     def _of_its_kind(self):
         if (self.to is not None) != (self.kind in self.BETWEEN):
             raise ValueError(
-                f"{self.kind} is read between two points: give the other as to = {{ part = …, point = … }}"
+                f"{self.kind} is between two points: give the other as to = {{ part = …, point = … }}"
                 if self.to is None
-                else f"to goes with kind {', '.join(self.BETWEEN)}; {self.kind} has no other point, remove it"
+                else f"to goes with kind {', '.join(self.BETWEEN)}; {self.kind} has no second point, remove it"
             )
         if self.kind == "profile":
             if self.direction != NORMAL:
                 raise ValueError("a profile is read along the normals at its points: remove direction")
-            object.__setattr__(self, "direction", UNPLACED)  # it has as many as points
+            object.__setattr__(self, "direction", UNPLACED)  # one direction for each point
         if self.kind == "distance" and self.direction != NORMAL and not self._along_line():
             raise ValueError("a distance is read along the line between its points: remove direction")
         if self.box is not None and self.spacing is None:
@@ -144,7 +140,7 @@ class Measurement(OnPart):
         return self
 
     def _along_line(self) -> bool:
-        """Whether the direction is the line to the other point, as it is once both are placed."""
+        """Whether the direction is the line to the second point, which it is after placement."""
         if self.to is None or self.to.point is None or self.point is None or isinstance(self.direction, str):
             return False
         line = np.subtract(self.to.point, self.point)
@@ -152,17 +148,17 @@ class Measurement(OnPart):
 
     @property
     def one_sided(self) -> bool:
-        """Whether its lower limit is that of the quantity itself, which no spread can cross."""
+        """Whether the quantity is never below its lower limit, 0."""
         return self.kind in self.OVER
 
     @property
     def bounds(self) -> tuple[float, float]:
-        """Limits that its spread may cross, mm."""
+        """Limits that the quantity can exceed, mm."""
         return (-np.inf if self.one_sided else self.lower), self.upper
 
     @property
     def places(self) -> list[tuple[str, Vector]]:
-        """Parts and points where it is read, of those that are placed."""
+        """Parts and points where it is read, as far as these are placed."""
         found = [(self.part, point) for point in self.points or [self.point]]
         found += [(self.to.part, self.to.point)] if self.to is not None else []
         return [(part, point) for part, point in found if point is not None]

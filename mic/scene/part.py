@@ -14,74 +14,73 @@ __all__ = [
     "USUAL",
 ]
 
-#: Suffixes of CAD files, which are meshed when they are read.
+#: Suffixes of CAD files.
 CAD = (".step", ".stp", ".iges", ".igs", ".brep")
-#: What a sheet is where neither the scene nor a mesh file tells it: drawn in its middle, of steel; MPa.
+#: Defaults where neither the scene nor a mesh file has a value: drawn at the mid-surface, steel; MPa.
 USUAL = {"offset": 0.0, "young": 210e3, "poisson": 0.3}
 
 
 class Part(Table):
-    """One sheet-metal part."""
+    """A sheet-metal part."""
 
-    name: Name = Field(description="names the part in every other table")
+    name: Name = Field(description="name of the part in all other tables")
     mesh: str | None = Field(
         None,
-        description="mesh file of the sheet, triangles or quadrilaterals: gmsh, Abaqus, Nastran, LS-DYNA, STL, VTK, …; "
-        "or a CAD file of its mid-surface, STEP, IGES",
+        description="mesh file of the sheet, triangles or quadrilaterals (gmsh, Abaqus, Nastran, LS-DYNA, STL, "
+        "VTK, …), or CAD file of its mid-surface (STEP, IGES)",
     )
     set: str | Annotated[list[str], Field(min_length=1)] | None = Field(
         None,
-        description="with `mesh`: the element sets, properties or physical groups of the file that are this part; "
-        "left out, all of it",
+        description="with `mesh`: element sets, properties or physical groups that form the part; default: the "
+        "whole file",
     )
     unit: Literal["mm", "cm", "m", "um", "in", "ft"] = Field(
-        "mm", description="with `mesh`: of length in the file; its stresses are in the unit that goes with it"
+        "mm", description="with `mesh`: its unit of length; stresses are in the corresponding unit"
     )
     geometry: str | None = Field(
         None,
-        description="or a Python file with `build(part, size) -> (points (n, 3), triangles (k, 3))`, or with normals "
-        "(k, 3, 3) at the corners of the triangles as a third; it is executed",
+        description="or a Python file with `build(part, size) -> (points (n, 3), triangles (k, 3))`, optionally "
+        "also corner normals (k, 3, 3); it is executed",
     )
     size: str | Positive | None = Field(
-        None, description="with `geometry`: element size in mm, or a name from its `SIZES`; with a CAD file in mm"
+        None, description="element size, mm, with `geometry` or a CAD file; or a name from `SIZES` of the geometry"
     )
     accuracy: Annotated[FiniteFloat, Field(gt=0, le=0.5)] | None = Field(
         None,
-        description="or the share by which influence coefficients may be off, such as 0.01: the size is then found by "
-        "solving the part on finer and finer meshes",
+        description="or the tolerated relative error of influence coefficients, such as 0.01; the mesh is "
+        "refined until it is reached",
     )
-    thickness: Positive | None = Field(
-        None, description="of the sheet, mm; may be left out where the mesh file tells it"
-    )
+    thickness: Positive | None = Field(None, description="mm; optional if the mesh file has it")
     offset: Annotated[FiniteFloat, Field(ge=-5, le=5)] | None = Field(
         None,
-        description="from the surface as drawn to the middle of the sheet, as a share of the thickness, positive along "
-        "the normals of the mesh: ±0.5 where it is drawn on a skin; left out, what the mesh file tells, else 0",
+        description="from the drawn surface to the mid-surface along the mesh's normals, as a share of the "
+        "thickness: ±0.5 if drawn on a skin; default: that of the mesh file, else 0",
     )
     young: Positive | None = Field(
-        None, description="Young's modulus, MPa; left out, what the mesh file tells, else 210 000"
+        None, description="Young's modulus, MPa; default: that of the mesh file, else 210 000"
     )
     poisson: Annotated[FiniteFloat, Field(gt=-1, lt=0.5)] | None = Field(
-        None, description="Poisson's ratio, −1 < ν < ½; left out, what the mesh file tells, else 0.3"
+        None, description="Poisson's ratio; default: that of the mesh file, else 0.3"
     )
-    density: Positive | None = Field(None, description="kg/m³, such as 7850; needed where gravity acts")
+    density: Positive | None = Field(None, description="kg/m³, such as 7850; required with gravity")
     expansion: Positive | None = Field(
-        None, description="coefficient of thermal expansion, 1/K, such as 1.2e-5; needed where temperature deviates"
+        None,
+        description="coefficient of thermal expansion, 1/K, such as 1.2e-5; required with deviations of temperature",
     )
     rests: Flag = Field(
         False,
-        description="whether it rests on other parts or fixtures: what its locators leave free, contact and friction "
-        "in its zones must hold; it is put down where it is drawn, or as near to that as nothing overlaps",
+        description="whether contact and friction hold what its locators leave free; it is placed as drawn, or "
+        "as near as possible without overlap",
     )
 
     stiffness: str | None = Field(
         None,
-        description="with `mesh`: file of the part's reduced stiffness on named nodes, in place of finite elements: a "
-        "Matrix Market file or Nastran `OUTPUT4` with a node table beside it (`a.mtx` or `a.op4`, `a.csv` with node, "
-        "x, y, z), Nastran `DMIG`, output of Abaqus `*MATRIX GENERATE`; free of supports",
+        description="with `mesh`: the part's reduced stiffness on named nodes, without supports, in place of "
+        "finite elements: Matrix Market or Nastran `OUTPUT4` with a node table (`a.mtx` or `a.op4`, "
+        "`a.csv` with node, x, y, z), Nastran `DMIG`, Abaqus `*MATRIX GENERATE`",
     )
     compliance: str | None = Field(
-        None, description="or of its reduced compliance, on any statically determinate support; the same formats"
+        None, description="or its reduced compliance on any statically determinate support, same formats"
     )
 
     @model_validator(mode="after")
@@ -92,20 +91,20 @@ class Part(Table):
             if self.mesh is None and getattr(self, key) is not None:
                 raise ValueError(f"{key} needs mesh: the surface of the part, for pairs and pictures; add it")
         if (self.mesh is None) == (self.geometry is None):
-            raise ValueError('give either mesh = "file" or geometry = "file.py", not both and not neither')
+            raise ValueError('give either mesh = "file" or geometry = "file.py"')
         for key in ("set", "unit"):
             if self.mesh is None and getattr(self, key) not in (None, "mm"):
                 raise ValueError(f"{key} applies to mesh files only: remove it, or give mesh instead of geometry")
         if self.geometry is not None:
             if self.thickness is None:
                 raise ValueError("a geometry source needs thickness, mm: add it")
-            for key, usual in USUAL.items():  # nobody else will be asked for them
+            for key, usual in USUAL.items():  # no mesh file can have them
                 object.__setattr__(self, key, usual if getattr(self, key) is None else getattr(self, key))
         for key in ("size", "accuracy"):
             if self.geometry is None and getattr(self, key) is not None and not (key == "size" and self._cad):
                 raise ValueError(f"{key} applies to geometry sources only: remove it, or give geometry instead of mesh")
         if self._cad and not isinstance(self.size, float):
-            raise ValueError("a CAD file is meshed here and needs size, mm: add it")
+            raise ValueError("a CAD file needs an element size, mm: add size")
         if self.geometry is not None and self.size is None and self.accuracy is None:
             raise ValueError(
                 "a geometry source needs size: an element size in mm, or one of the geometry's named sizes; or accuracy"
@@ -120,7 +119,7 @@ class Part(Table):
 
     @property
     def sheet(self) -> tuple[float, float, float]:
-        """Thickness, mm, Young's modulus, MPa, and Poisson's ratio, once what the mesh file tells is filled in."""
+        """Thickness, mm, Young's modulus, MPa, and Poisson's ratio, after the mesh file is read."""
         if self.thickness is None or self.young is None or self.poisson is None:
-            raise ValueError(f"part {self.name}: its mesh file has not been asked for thickness and material")
+            raise ValueError(f"part {self.name}: thickness and material of its mesh file are not read yet")
         return self.thickness, self.young, self.poisson

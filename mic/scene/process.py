@@ -1,4 +1,4 @@
-"""The tables of the process: stages, and how closely their path is followed."""
+"""The tables of the process: stages, and the accuracy of the friction path."""
 
 from __future__ import annotations
 
@@ -16,47 +16,44 @@ __all__ = [
     "Stage",
 ]
 
-# Tolerances of a followed path: the contact problems inside it are solved to 1e-5, and a tenth is no path any more.
+# Tolerances of a followed path: contact problems are solved to 1e-5.
 FINEST, COARSEST = 1e-5, 0.1
 
 
 class Stage(Table):
-    """One stage of the process; in order. The first is ``locate``, ``measure`` may only come last.
+    """A stage of the process, in order. The first is ``locate``; ``measure`` can only be the last.
 
-    ``locate`` sets the parts down on the locators that name it: further parts beside the others; or, where the others
-    have locators in it too, in another station, all that held them open; ``clamp`` closes the clamps and further
-    locators that
-    name it; ``weld`` makes the welds that name it; ``release`` opens all clamps and every locator but `keep`;
-    ``measure`` reads the measurements, of the assembly as it is held, or where locators name the stage, set down on
-    these alone. What each of them does is a list of steps, one after the other, in each of which
-    actions happen together (`mic.process.actions`); `mic check` prints them.
+    ``locate`` places parts on the locators that name it: additional parts, or, if those locators hold parts that are
+    placed already, the assembly in another station. ``clamp`` closes the clamps and further locators that name it,
+    ``weld`` makes the welds that name it, ``release`` opens all clamps and every locator but `keep`, ``measure`` reads
+    the measurements, on the locators that name it if there are any. `mic check` prints the steps of each stage.
     """
 
     kind: Literal["locate", "clamp", "weld", "release", "measure"] = Field(description="what the stage does")
-    name: Name | None = Field(None, description="what `stage` keys refer to; the kind if left out")
+    name: Name | None = Field(None, description="name of the stage in `stage` keys; default: the kind")
     keep: list[Name] | None = Field(
-        None, description="release only: the locators and clamps that stay closed; if left out, all locators"
+        None, description="release only: locators and clamps that stay closed; default: all locators"
     )
     order: Annotated[list[list[Name]], Field(min_length=1)] | None = Field(
         None,
-        description="clamp, weld, release: what closes, or opens, one after the other: groups of names, each group "
-        "together. Left out, further locators close first and together, then clamps as the file has them, neighbours "
-        "that press two parts together as one; welds are made together; a release opens last what closed first",
+        description="clamp, weld, release: groups of names that close or open one after the other. Default: "
+        "further locators together, then each clamp (neighbours that press parts together as one); "
+        "all welds together; a release in reverse order of closing",
     )
     sequence: Flag = Field(False, description="weld only: one weld after the other, in the order of the file")
     settle: Flag = Field(
         True,
-        description="locate only: parts that overlap where they were set down come to rest on each other before "
-        "anything closes; `false`: while the first thing closes",
+        description="locate only: separate overlapping parts before anything closes; `false`: while the first "
+        "item closes",
     )
     path: Literal["followed", "increments", "one-step"] | None = Field(
         None,
-        description="how friction's path is followed where something closes or opens: `followed`, the default, by "
-        "steps of controlled error; `increments`, so many for each step of the stage, short at both its ends; "
-        "`one-step`, all that the stage does at once, overlaps included, as the paper has it",
+        description="how friction is followed while items close or open: `followed` (default), in steps of "
+        "controlled error; `increments`, a number per step of the stage, shorter at both ends; "
+        "`one-step`, all at once, overlaps included, as in the paper",
     )
     increments: Annotated[Count, Field(ge=1)] | None = Field(
-        None, description='of each step of the stage; means path = "increments"'
+        None, description='number per step of the stage; implies path = "increments"'
     )
 
     #: Kinds of stages to which a key applies.
@@ -77,27 +74,26 @@ class Stage(Table):
                     f"{key} applies to {', '.join(kinds)} stages only, this one is of kind {self.kind!r}: remove it"
                 )
         if self.order is not None and self.sequence:
-            raise ValueError("order and sequence both say in which order welds are made: remove one of them")
+            raise ValueError("order and sequence both give the order of welds: remove one of them")
         if self.path == "one-step" and (self.order is not None or self.sequence):
             key = "sequence" if self.sequence else "order"
-            raise ValueError(f'path = "one-step" does all at once, {key} one after the other: remove one of them')
+            raise ValueError(f'path = "one-step" and {key} exclude each other: remove one of them')
         if self.increments is not None and self.path not in (None, "increments"):
             raise ValueError(f"increments do not go with path = {self.path!r}: remove one of them")
         if self.increments is None and self.path == "increments":
-            raise ValueError('path = "increments" needs increments, how many for each step of the stage: give it')
+            raise ValueError('path = "increments" needs increments, the number per step of the stage: add it')
         if self.name is None:
             object.__setattr__(self, "name", self.kind)
         return self
 
 
 class FollowedPath(Table):
-    """How closely friction's path is followed, in stages that ask for nothing else.
+    """Accuracy of the friction path in stages without a `path` of their own.
 
-    The tolerance is that of one step: the error that it may leave in the contacts' tangential positions, and in the
-    slip of those that open, as a share of the motion that the step of the process asks of the contacts (root mean
-    squares over the contacts).
+    The tolerance is the error per step of the contacts' tangential positions, and of the slip of opening contacts,
+    relative to the motion of the contacts in this step of the process (root mean squares over the contacts).
     """
 
     tolerance: Annotated[FiniteFloat, Field(ge=FINEST, le=COARSEST)] = Field(
-        Followed.tolerance, description="relative; below its least value steps would be judged by rounding"
+        Followed.tolerance, description="relative; below the lower bound rounding errors dominate"
     )

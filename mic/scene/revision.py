@@ -1,4 +1,4 @@
-"""A scene file with some of its keys changed: all else stays as it was written, comments too."""
+"""Change keys in the text of a scene file, and preserve all other text and comments."""
 
 from __future__ import annotations
 
@@ -23,51 +23,51 @@ def revised(text: str, table: str, index: int, keys: Mapping[str, Any]) -> str:
     table : str
         As in ``[[table]]``.
     index : int
-        Of the item in it.
+        Index of the item in it.
     keys : mapping of str to object
-        Numbers, texts, or lists of them; None takes a key out.
+        Numbers, texts, or lists of them; None removes a key.
 
     Raises
     ------
     SceneError
-        Where the item does not stand in a ``[[table]]`` of its own.
+        If the item has no ``[[table]]`` of its number, such as a row of a CSV file.
     """
     lines = text.splitlines()
-    own = -1
+    number = -1
     last = None  # line behind the item's last statement
-    taken: set[int] = set()
-    written: dict[int, str] = {}
-    left = dict(keys)
+    removed: set[int] = set()
+    replaced: dict[int, str] = {}
+    remaining = dict(keys)
     inside = False
     for first, end, header, key in _statements(lines):
         if header is not None:
-            own += header == f"[[{table}]]"
-            inside = header == f"[[{table}]]" and own == index
+            number += header == f"[[{table}]]"
+            inside = header == f"[[{table}]]" and number == index
             last = end if inside else last
         elif inside:
             last = end
             if key in keys:
-                taken |= set(range(first, end))
-                value = left.pop(key)
+                removed |= set(range(first, end))
+                value = remaining.pop(key)
                 if value is not None:
-                    written[first] = f"{key} = {_told(value)}"
+                    replaced[first] = f"{key} = {_toml(value)}"
     if last is None:
-        raise SceneError(f"{table}[{index}]: stands in no [[{table}]] of its own in the file; change it there by hand")
-    more = [f"{key} = {_told(value)}" for key, value in left.items() if value is not None]
-    found = []
+        raise SceneError(f"{table}[{index}]: it has no [[{table}]] of its number in the scene file; change it by hand")
+    added = [f"{key} = {_toml(value)}" for key, value in remaining.items() if value is not None]
+    result = []
     for i, line in enumerate(lines):
         if i == last:
-            found += more
-        if i in written:
-            found.append(written[i])
-        elif i not in taken:
-            found.append(line)
-    found += more if last >= len(lines) else []
-    return "\n".join(found) + "\n"
+            result += added
+        if i in replaced:
+            result.append(replaced[i])
+        elif i not in removed:
+            result.append(line)
+    result += added if last >= len(lines) else []
+    return "\n".join(result) + "\n"
 
 
 def _statements(lines: list[str]) -> Iterator[tuple[int, int, str | None, str]]:
-    """First line and the line behind of each statement, its header without blanks or None, and its key."""
+    """First line and end line (exclusive) of each statement, its header without spaces or None, and its key."""
     i = 0
     while i < len(lines):
         line = lines[i].strip()
@@ -79,13 +79,13 @@ def _statements(lines: list[str]) -> Iterator[tuple[int, int, str | None, str]]:
             i += 1
             continue
         end = i + 1
-        while not _whole("\n".join(lines[i:end])) and end < len(lines):
+        while not _is_complete("\n".join(lines[i:end])) and end < len(lines):
             end += 1
         yield i, end, None, line.partition("=")[0].strip().strip("\"'")
         i = end
 
 
-def _whole(text: str) -> bool:
+def _is_complete(text: str) -> bool:
     try:
         tomllib.loads(text)
     except tomllib.TOMLDecodeError:
@@ -93,8 +93,8 @@ def _whole(text: str) -> bool:
     return True
 
 
-def _told(value: Any) -> str:
-    """A value as TOML has it; lists of lists a line each."""
+def _toml(value: Any) -> str:
+    """A value in TOML, with lists of lists on several lines."""
     if isinstance(value, list) and value and isinstance(value[0], list):
-        return "[\n" + "".join(f"    {json.dumps(one)},\n" for one in value) + "]"
+        return "[\n" + "".join(f"    {json.dumps(row)},\n" for row in value) + "]"
     return json.dumps(value)

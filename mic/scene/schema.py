@@ -1,4 +1,4 @@
-"""The scene: all its tables, and what is asked of a run."""
+"""The whole scene, and the tables that configure a run."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel, Field, field_validator, model_validator
 
 from mic.contact.laws import LAWS
-from mic.scene.checks import problems
+from mic.scene.checks import find_errors
 from mic.scene.deviation import Correlation, Deviation
 from mic.scene.fixture import Clamp, Fixture, Locator
 from mic.scene.keys import Count, FiniteFloat, Flag, Name, Table
@@ -17,7 +17,7 @@ from mic.scene.optimisation import Optimisation
 from mic.scene.part import Part
 from mic.scene.process import FollowedPath, Stage
 from mic.scene.settings import fill_in
-from mic.scene.tables import written_out
+from mic.scene.tables import expand_tables
 from mic.scene.weld import Weld
 from mic.scene.zone import Zone
 
@@ -30,30 +30,30 @@ __all__ = [
 
 
 class Report(Table):
-    """What the run shall produce; what is not asked for is not computed."""
+    """Requested results; others are not computed."""
 
     laws: Annotated[list[str], Field(min_length=1)] = Field(
         ["coulomb"], description="contact laws: " + ", ".join(f"`{law.name}` ({law.title})" for law in LAWS.values())
     )
     slip: Flag = Field(
         False,
-        description="report tangential motion even where no law with friction is asked for; "
-        "without either, a third of the contact functionals suffices",
+        description="report tangential motion without friction, too; otherwise a third of the contact readings "
+        "suffices",
     )
     accuracy: Flag = Field(
         False,
-        description="estimate what the parts' meshes leave of error: each part is solved once more at half the size",
+        description="estimate the mesh error: each part is solved once more at half the element size",
     )
     fields: Flag = Field(False, description="mean and 6σ displacement fields, for the report and ParaView")
     contacts: Annotated[Count, Field(ge=0)] = Field(
         2000,
-        description="of how many samples under each law the results keep every contact pair (`contacts/`: forces, "
-        "gaps, states), in whole blocks, the first always; statistics are of all samples, whatever is kept",
+        description="number of samples per law with stored contact pairs (`contacts/`: forces, gaps, states), in "
+        "whole blocks, at least one; statistics use all samples",
     )
     positions: list[str] = Field(
         [],
-        description="`welds.NAME`, `locators.NAME` and `clamps.NAME` whose places in their sheets are inputs of "
-        "`mic sensitivity`, too (`welds.NAME.x` …), or all of a kind: `welds`; each takes functionals of its own",
+        description="`welds.NAME`, `locators.NAME`, `clamps.NAME`, or all of a kind (`welds`): their positions "
+        "become inputs of `mic sensitivity` (`welds.NAME.x` …), at the cost of additional readings",
     )
 
     @field_validator("laws")
@@ -68,63 +68,62 @@ class Report(Table):
 
 
 class MonteCarlo(Table):
-    """Size and seed of the Monte Carlo, and who solves the contacts."""
+    """Size and seed of the Monte Carlo, and the contact solver."""
 
     samples: Annotated[Count, Field(ge=1)] = Field(500, description="number of assemblies")
     accuracy: Annotated[float, Field(gt=0, lt=1)] | None = Field(
         None,
-        description="how well every 6σ of a key characteristic is to be known: half of its 95 % interval, the plain "
-        "one or that by regression, as a share of it. Samples are drawn until it is, `samples` at most",
+        description="required relative accuracy of each 6σ: half of its 95 % interval. Samples are added until "
+        "it is reached, `samples` at most",
     )
-    seed: Annotated[Count, Field(ge=0, lt=2**63)] = Field(1, description="of the deviations")
+    seed: Annotated[Count, Field(ge=0, lt=2**63)] = Field(1, description="of the random numbers")
     design: Literal["independent", "antithetic", "latin-hypercube", "sobol"] = Field(
         "independent",
-        description="how the distributions are sampled: each sample for itself; in pairs of opposite deviations; in "
-        "Latin hypercubes of 50 samples; in scrambled Sobol' sequences of 64. The number of samples is a multiple of "
-        "these",
+        description="independent samples; pairs of opposite deviations; Latin hypercubes of 50 samples; "
+        "scrambled Sobol' sequences of 64. `samples` is a multiple of 2, 50 or 64",
     )
     table: Annotated[str, Field(min_length=1)] | None = Field(
         None,
-        description="file of samples, CSV or Parquet, in place of all drawing: a row for each assembly, a column for "
-        "each deviation under its name, N or mm as it has them (modes as `NAME.1` …); left out, `samples` is all of it",
+        description="file of samples, CSV or Parquet, in place of random numbers: a row per assembly, a column "
+        "per deviation, N or mm (modes `NAME.1` …)",
     )
     values: list[list[FiniteFloat]] | None = Field(
-        None, description="or these samples themselves, each with the deviations in their order"
+        None, description="or the samples, each with a value per deviation in their order"
     )
     backend: Literal["native", "paper"] = Field(
-        "native", description="`paper`: OSQP for (12) and ECOS for (13) through CVXPY, as the paper did"
+        "native", description="`paper`: OSQP for (12) and ECOS for (13) through CVXPY, as in the paper"
     )
 
     @model_validator(mode="after")
     def _drawn_or_given(self):
         given = "table" if self.table is not None else "values"
         if (self.table is not None or self.values is not None) and self.design != "independent":
-            raise ValueError(f"design says how samples are drawn, and {given} gives them: remove one of them")
+            raise ValueError(f"design and {given} exclude each other: remove one of them")
         if self.accuracy is not None and (self.table is not None or self.values is not None):
-            raise ValueError(f"accuracy says how many samples are drawn, and {given} gives them: remove one of them")
+            raise ValueError(f"accuracy and {given} exclude each other: remove one of them")
         if self.accuracy is not None and self.design != "independent":
-            raise ValueError("accuracy adds samples one by one, and a design makes them together: remove one of them")
+            raise ValueError('accuracy adds samples one by one and needs design = "independent": remove one of them')
         return self
 
 
 class Scene(Table):
     """A whole scene: one TOML file, or a folder that holds ``scene.toml``."""
 
-    name: Name = Field(description="names the results folder; letters, digits, `_ . + -`")
+    name: Name = Field(description="name of the results folder; letters, digits, `_ . + -`")
     description: str = Field("", description="one sentence for the report")
     setting: Literal["draft", "standard", "reference"] | None = Field(
-        None, description="fills in what the scene leaves open, and only that"
+        None, description="defaults for accuracy, see below"
     )
     element: Name = Field(
         "dkt-opt-curved",
-        description="shell element, of those that the installed provider of compliance knows: `dkt-opt-curved`, the "
-        "production shell, `dkt-opt`, the same on flat triangles, `p2-cr`, the independent check, …",
+        description="shell element: `dkt-opt-curved`, the production shell; `dkt-opt`, the same on flat "
+        "triangles; `p2-cr`, an independent check; or another of the installed compliance provider",
     )
     stiffness: Literal["nominal", "mean", "first-order"] = Field(
         "nominal",
-        description="of which shape the parts have their stiffness: of the nominal one; of that which the means of "
-        "the deviations give them, gaps and normals with it, by a second set of influence coefficients for each part; "
-        "or to first order of each sample's own, by two more sets for each source that matters, and work for each",
+        description="shape for which the stiffness is computed: nominal; mean, with gaps and normals (a second "
+        "set of influence coefficients per part); or each sample's to first order (two more sets per "
+        "relevant source, more work per sample)",
     )
     parts: Annotated[list[Part], Field(min_length=1)]
     fixtures: list[Fixture] = []
@@ -145,17 +144,17 @@ class Scene(Table):
     @model_validator(mode="before")
     @classmethod
     def _fill_in(cls, table: Any):
-        return fill_in(written_out(table, TABLES))
+        return fill_in(expand_tables(table, TABLES))
 
     @model_validator(mode="after")
     def _check(self):
-        found = problems(self)
+        found = find_errors(self)
         if found:
             raise ValueError("\n".join(found))
         return self
 
 
-#: Tables that may be written out in a CSV file, or that stand for several.
+#: Tables that may stand for several items.
 TABLES: dict[str, type[BaseModel]] = {
     "locators": Locator,
     "clamps": Clamp,

@@ -1,4 +1,4 @@
-"""Named settings: how far accuracy goes where a scene leaves it open."""
+"""Named settings: defaults of accuracy."""
 
 from __future__ import annotations
 
@@ -8,12 +8,9 @@ from mic.contact.path import Followed
 
 __all__ = ["SETTINGS", "fill_in"]
 
-#: What a named setting gives wherever the scene leaves it open: the geometry's named element size, the tolerance of the
-#: path of friction, how far apart candidates stand, samples. What each costs, and how far off it is,
-#: `verification/trade` measures. A stated number of pairs is off by more than any of these. So is one
-#: increment for each step of the process. What the path leaves may take half of what a setting is to keep, 5, 2 and 1 %
-#: of a 6σ, of the slip that it errs most in. The tolerance of the contact solver is not among them: the tightest costs
-#: no more than the loosest.
+#: Element size, tolerance of the friction path, spacing of contact candidates and samples where the scene gives none.
+#: `verification/trade` measures their cost and error. The path may use half of the error of a setting: 5, 2 and 1 % of
+#: a 6σ, for the slip with the largest error. The tolerance of the contact solver is not included: it costs nothing.
 SETTINGS: dict[str, dict[str, Any]] = {
     "draft": {"size": "coarse", "tolerance": 10 * Followed.tolerance, "spacing_factor": 0.7, "samples": 100},
     "standard": {"size": "fine", "tolerance": 4 * Followed.tolerance, "spacing_factor": 0.85, "samples": 500},
@@ -23,14 +20,14 @@ FOLLOWING = ("clamp", "weld", "release")  # kinds of stages that a path can be g
 
 
 def fill_in(table: dict[str, Any]) -> dict[str, Any]:
-    """A scene's table with what its setting gives, where it leaves it open; malformed tables are left to the schema."""
+    """A scene's table with the defaults of its setting; malformed tables are left to the schema."""
     name = table.get("setting")
     setting = SETTINGS.get(name) if isinstance(name, str) else None
     if setting is None:
         return table
 
     def filled(item, key, rivals=(), applies=True):
-        given = not isinstance(item, dict) or any(name in item for name in (key, *rivals))  # null is an answer, too
+        given = not isinstance(item, dict) or any(name in item for name in (key, *rivals))  # None counts as given
         return item if given or not applies else item | {key: setting[key]}
 
     def each(key, fill):

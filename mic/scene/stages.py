@@ -1,4 +1,4 @@
-"""Stages that make a process: what closes in which of them, in which order, and what opens only after it has closed."""
+"""Checks of the stages: which items each closes or opens, and in which order."""
 
 from __future__ import annotations
 
@@ -6,15 +6,14 @@ import difflib
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
-__all__ = ["check_stages", "known", "moves_assembly", "set_down_in", "told"]
+__all__ = ["check_stages", "check_known", "error_lines", "moves_assembly", "raise_errors", "set_down_in"]
 
-#: What stages close, by the scene's table, and the kinds of stages that may.
+#: Kinds of stages that close the items of each table.
 CLOSING = {"locators": ("locate", "clamp", "measure"), "clamps": ("clamp",), "welds": ("weld",)}
 
 
 def set_down_in(scene) -> dict[str, str]:
-    """The stage in which each part is set down: the first locate stage that one of its locators names; the first of all
-    where none does."""
+    """The stage that places each part: the first locate stage of its locators, or the first stage if it has none."""
     stations = [str(stage.name) for stage in scene.stages if stage.kind == "locate"]
     found = {}
     for part in scene.parts:
@@ -24,7 +23,7 @@ def set_down_in(scene) -> dict[str, str]:
 
 
 def moves_assembly(scene, stage) -> bool:
-    """Whether a stage sets down what stands already, on locators of its own: all that holds it opens."""
+    """Whether a stage moves placed parts to locators of its own, and opens all earlier locators and clamps."""
     if stage is scene.stages[0]:
         return False
     there = set_down_in(scene)
@@ -34,8 +33,8 @@ def moves_assembly(scene, stage) -> bool:
     )
 
 
-def told(check: Callable[..., Any], *arguments: Any) -> list[str]:
-    """The lines of what a check finds wrong."""
+def error_lines(check: Callable[..., Any], *arguments: Any) -> list[str]:
+    """The lines of the error of a check; empty if it passes."""
     try:
         check(*arguments)
     except ValueError as error:
@@ -43,15 +42,22 @@ def told(check: Callable[..., Any], *arguments: Any) -> list[str]:
     return []
 
 
+def raise_errors(lines: Iterable[str]) -> None:
+    """Raise ValueError with all lines, if there are any."""
+    message = "\n".join(lines)
+    if message:
+        raise ValueError(message)
+
+
 def check_stages(scene) -> None:
-    """Every locator, clamp and weld has its stage, and every stage orders just what it closes or opens.
+    """Every locator, clamp and weld has its stage, and the order of a stage names what it closes or opens.
 
     Raises
     ------
     ValueError
-        One line a problem, naming the key and the remedy.
+        One line per error, with the key and the remedy.
     """
-    found = told(_check_kinds, scene)
+    found = error_lines(_check_kinds, scene)
     for key, kinds in CLOSING.items():
         fitting = [stage.name for stage in scene.stages if stage.kind in kinds]
         for i, item in enumerate(getattr(scene, key)):
@@ -60,21 +66,20 @@ def check_stages(scene) -> None:
                     f"{key}[{i}].stage ({item.name}): no stage of kind {' or '.join(kinds)} is called {item.stage!r}; "
                     f"add one to [[stages]], or name one of: {', '.join(fitting) or 'none yet'}"
                 )
-    if not found:  # what follows reads them in their order
-        found = told(_check_present, scene)
-        held: list[str] = []  # names of the locators and clamps that are closed, those of all stages so far
+    if not found:  # the next checks need existing stages
+        found = error_lines(_check_present, scene)
+        held: list[str] = []  # names of the closed locators and clamps
         for i, stage in enumerate(scene.stages):
             held, lines = _check_stage(scene, i, stage, held)
             found += lines
-    if found:
-        raise ValueError("\n".join(found))
+    raise_errors(found)
 
 
 def _check_stage(scene, i: int, stage, held: list[str]) -> tuple[list[str], list[str]]:
-    """What is held after a stage, and what is wrong with it."""
+    """Names of the closed locators and clamps after a stage, and the errors of the stage."""
     found: list[str] = []
     if stage.kind == "release":
-        found += told(_check_keep, scene, f"stages[{i}].keep ({stage.name})", stage, held)
+        found += error_lines(_check_keep, scene, f"stages[{i}].keep ({stage.name})", stage, held)
         kept = {locator.name for locator in scene.locators} if stage.keep is None else set(stage.keep)
         own = [name for name in held if name not in kept]
         held = [name for name in held if name in kept]
@@ -84,12 +89,12 @@ def _check_stage(scene, i: int, stage, held: list[str]) -> tuple[list[str], list
             held = []
         held = held + (own if stage.kind != "weld" else [])
     if stage.order is not None:
-        found += told(_check_order, scene, f"stages[{i}].order ({stage.name})", stage, own)
+        found += error_lines(_check_order, scene, f"stages[{i}].order ({stage.name})", stage, own)
     if stage.kind in ("locate", "measure") and (stage.path or stage.increments) and not moves_assembly(scene, stage):
         key = "path" if stage.path else "increments"
         found.append(f"stages[{i}].{key} ({stage.name}): nothing moves in this stage: remove it")
     if stage.path == "one-step":
-        found += told(_check_guns, scene, f"stages[{i}].path ({stage.name})", stage)
+        found += error_lines(_check_guns, scene, f"stages[{i}].path ({stage.name})", stage)
     return held, found
 
 
@@ -97,7 +102,7 @@ def _check_guns(scene, key, stage) -> None:
     guns = [weld.name for weld in scene.welds if weld.stage == stage.name and weld.gun is not None]
     if guns:
         raise ValueError(
-            f"{key}: the gun of weld {guns[0]!r} presses before its weld is made, and one-step does all at once; give "
+            f"{key}: the gun of weld {guns[0]!r} presses before its weld is made, which one-step does not allow; give "
             "the stage increments, or remove path"
         )
 
@@ -105,11 +110,11 @@ def _check_guns(scene, key, stage) -> None:
 def _check_kinds(scene) -> None:
     sequence = [stage.kind for stage in scene.stages]
     if sequence[0] != "locate":
-        raise ValueError("stages: the first stage must be of kind 'locate': it sets the parts down")
+        raise ValueError("stages: the first stage must be of kind 'locate'; put one first")
     if "measure" in sequence[:-1]:
-        raise ValueError("stages: 'measure' may only come last, once")
+        raise ValueError("stages: 'measure' must be the last stage, once; move or remove it")
     if scene.measurements and "measure" not in sequence:
-        raise ValueError("measurements: nothing measures them; add a last stage of kind 'measure' or remove them")
+        raise ValueError("measurements: no stage reads them; add a last stage of kind 'measure' or remove them")
 
 
 def _check_present(scene) -> None:
@@ -140,17 +145,17 @@ def _check_present(scene) -> None:
 
 
 def _check_keep(scene, key, stage, held: Sequence[str]) -> None:
-    """What a release leaves closed is closed."""
+    """Items that a release keeps are closed before it."""
     for name in stage.keep or ():
         _single(scene, key, name)
-        known(key, name, {item.name for item in (*scene.locators, *scene.clamps)}, "locator or clamp")
+        check_known(key, name, {item.name for item in (*scene.locators, *scene.clamps)}, "locator or clamp")
         if name not in held:
             raise ValueError(f"{key}: {name!r} {_whereabouts(scene, stage, name)}, so it cannot stay closed; remove it")
 
 
 def _check_order(scene, key, stage, own: Sequence[str]) -> None:
-    """Every name of `own` stands in one group of the order, and no other name does."""
-    if any(isinstance(group, str) for group in stage.order):  # told where groups are read: its letters are no names
+    """The groups of the order have each name of `own` once, and no other."""
+    if any(isinstance(group, str) for group in stage.order):  # an error of the schema already
         return
     verb = "opens" if stage.kind == "release" else "closes"
     seen: set[str] = set()
@@ -159,12 +164,12 @@ def _check_order(scene, key, stage, own: Sequence[str]) -> None:
             raise ValueError(f"{key}: a group is empty; give it names, or remove it")
         for name in group:
             if name in seen:
-                raise ValueError(f"{key}: {name!r} stands more than once; name it once, in the group that it {verb} in")
+                raise ValueError(f"{key}: {name!r} is given more than once; keep it in one group")
             seen.add(name)
             _single(scene, key, name)
             if name not in own:
                 everything = {item.name for table in CLOSING for item in getattr(scene, table)}
-                known(key, name, everything, "locator, clamp or weld")
+                check_known(key, name, everything, "locator, clamp or weld")
                 raise ValueError(
                     f"{key}: {name!r} {_whereabouts(scene, stage, name)}; "
                     f"remove it, this stage {verb} {_listed(own) or 'nothing'}"
@@ -172,13 +177,12 @@ def _check_order(scene, key, stage, own: Sequence[str]) -> None:
     left_out = [name for name in own if name not in seen]
     if left_out:
         raise ValueError(
-            f"{key}: the stage {verb} {_listed(left_out)} too; add each to the group that it {verb} with, or to one of "
-            "its own"
+            f"{key}: the stage {verb} {_listed(left_out)} too; add each to a group, or as a group of its own"
         )
 
 
 def _whereabouts(scene, stage, name: str) -> str:
-    """Why a stage neither closes nor opens what has this name."""
+    """Reason why a stage neither closes nor opens the item of this name."""
     place = [each.name for each in scene.stages]
     table, item = next((key, item) for key in CLOSING for item in getattr(scene, key) if item.name == name)
     if stage.kind != "release":
@@ -188,14 +192,14 @@ def _whereabouts(scene, stage, name: str) -> str:
     if place.index(item.stage) > place.index(stage.name):
         return f"closes only in stage {item.stage!r}, after this one"
     if stage.keep is None and table == "locators" or name in (stage.keep or ()):
-        return "is kept"
-    return "has opened before"
+        return "stays closed (keep)"
+    return "is open already"
 
 
 def _single(scene, key, name: str) -> None:
     tables = [key for key in CLOSING for item in getattr(scene, key) if item.name == name]
     if len(tables) > 1:
-        raise ValueError(f"{key}: {name!r} stands in {' and in '.join(tables)}; give each its own name")
+        raise ValueError(f"{key}: {name!r} is a name in {' and in '.join(tables)}; give each item its own name")
 
 
 def _listed(names: Sequence[str], most: int = 8) -> str:
@@ -203,8 +207,8 @@ def _listed(names: Sequence[str], most: int = 8) -> str:
     return shown + f" and {len(names) - most} more" * (len(names) > most)
 
 
-def known(key: str, name: str, names: Iterable[str], what: str) -> None:
-    """Raise ValueError where `names` has no such name, with the one that was perhaps meant."""
+def check_known(key: str, name: str, names: Iterable[str], what: str) -> None:
+    """Raise ValueError if `names` lacks a name, with the most similar one."""
     names = sorted(set(names))
     if name not in names:
         near = difflib.get_close_matches(name, names, 1)

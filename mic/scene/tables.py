@@ -1,8 +1,8 @@
-"""Tables of a scene that stand for many: rows of a CSV file, or a weld at each of several points.
+"""Tables of a scene that stand for several items: rows of a CSV file, or a weld at each of several points.
 
-A table with ``file`` stands for one item a row of that file. Its other keys hold for every row; the columns are keys,
-and what a row says comes first. ``x``, ``y`` and ``z`` together are ``point``; members of a list stand in one cell with
-blanks between them; an empty cell leaves the key to the table, or to its default.
+A table with ``file`` stands for one item per row of that file. Its other keys apply to every row; columns are keys and
+override them. ``x``, ``y`` and ``z`` together are ``point``; members of a list are separated by
+spaces in one cell; an empty cell omits the key.
 """
 
 from __future__ import annotations
@@ -18,27 +18,27 @@ from pydantic import BaseModel, ValidationError
 
 from mic.errors import SceneError
 
-__all__ = ["DECIMAL", "read_cells", "read_number", "read_rows", "written_out"]
+__all__ = ["DECIMAL", "read_cells", "read_number", "read_rows", "expand_tables"]
 
 AXES = ("x", "y", "z")
-#: A comma that stands for the point of a number.
+#: A decimal comma.
 DECIMAL = re.compile(r"(?<=\d),(?=\d)")
 
 
-def written_out(table: Any, kinds: Mapping[str, type[BaseModel]]) -> Any:
-    """A scene's table with every item by itself; malformed tables are left to the schema.
+def expand_tables(table: Any, kinds: Mapping[str, type[BaseModel]]) -> Any:
+    """A scene's table with one table per item; malformed tables are left to the schema.
 
     Parameters
     ----------
     table : dict
-        With ``folder``, which file names are relative to.
+        With ``folder``, to which file names are relative.
     kinds : mapping of str to type
-        The tables that may stand for many, and their schema.
+        The tables that may stand for several items, and their schemas.
 
     Raises
     ------
     SceneError
-        A line for each cell that is wrong, with file, row and column; for a weld without any point.
+        One line for each wrong cell, with file, row and column; for an empty list of points.
     """
     if not isinstance(table, dict):
         return table
@@ -52,15 +52,15 @@ def written_out(table: Any, kinds: Mapping[str, type[BaseModel]]) -> Any:
     changed: dict[str, list[Any]] = {}
     for key, kind in kinds.items():
         items = table.get(key)
-        if not isinstance(items, list) or not any(isinstance(item, dict) and _stands_for(key, item) for item in items):
+        if not isinstance(items, list) or not any(isinstance(item, dict) and _shorthand(key, item) for item in items):
             continue
         changed[key] = []
         for i, item in enumerate(items):
-            what = _stands_for(key, item) if isinstance(item, dict) else None
-            if what == "file":
-                own = f"{key}[{i}].file"
-                changed[key] += _from_file(own, item, kind, Path(table.get("folder") or "."), names, problems)
-            elif what == "points":
+            shorthand = _shorthand(key, item) if isinstance(item, dict) else None
+            if shorthand == "file":
+                location = f"{key}[{i}].file"
+                changed[key] += _from_file(location, item, kind, Path(table.get("folder") or "."), names, problems)
+            elif shorthand == "points":
                 changed[key] += _from_points(f"{key}[{i}]", item, problems)
             else:
                 changed[key].append(item)
@@ -69,25 +69,25 @@ def written_out(table: Any, kinds: Mapping[str, type[BaseModel]]) -> Any:
     return table | changed if changed else table
 
 
-def _stands_for(key: str, item: dict[str, Any]) -> str | None:
+def _shorthand(key: str, item: dict[str, Any]) -> str | None:
     if "file" in item:
         return "file"
     return "points" if key == "welds" and isinstance(item.get("points"), list) else None
 
 
 def _from_points(key, item: dict[str, Any], problems) -> Iterator[dict[str, Any]]:
-    """A weld at each point, numbered from 1."""
+    """One weld per point, numbered from 1."""
     if "point" in item:
-        problems.append(f"{key}: give either point, of one weld, or points, of one weld at each, not both")
+        problems.append(f"{key}: give either point, for one weld, or points, for one weld at each, not both")
     if not item["points"]:
-        problems.append(f"{key}.points: there is no point in it; give one at least, or remove the weld")
+        problems.append(f"{key}.points: the list is empty; give at least one point, or remove the weld")
     rest = {key: value for key, value in item.items() if key != "points"}
     for number, point in enumerate(item["points"], 1):
         yield rest | {"point": point} | ({"name": f"{rest['name']}-{number}"} if "name" in rest else {})
 
 
 def _from_file(key, item, kind, folder, names, problems) -> list[dict[str, Any]]:
-    """The items of a file's rows, checked one by one; what is wrong is added to `problems`."""
+    """The items of a file's rows, checked one by one; errors are added to `problems`."""
     common = {name: value for name, value in item.items() if name != "file"}
     if not isinstance(item["file"], str):
         problems.append(f"{key}: give the name of a CSV file")
@@ -105,16 +105,16 @@ def _from_file(key, item, kind, folder, names, problems) -> list[dict[str, Any]]
         if {"node", "set", "hole"} & row.keys():
             whole = {name: value for name, value in whole.items() if name != "point" or name in row}
         found.append(whole)
-        told = [(_column(error["loc"], whole), error["msg"], error["input"]) for error in _errors(kind, whole)]
-        for column, message, given in told:
+        errors = [(_column(error["loc"], whole), error["msg"], error["input"]) for error in _errors(kind, whole)]
+        for column, message, given in errors:
             text = message.removeprefix("Value error, ")
-            what = f", column {column}" if column else ""
+            where = f", column {column}" if column else ""
             got = f"; got {given!r}, correct it" if column and "Field required" not in text else ""
             text = "is required; fill it in" if text == "Field required" else text
-            problems.append(f"{path}: row {number}{what}: {text}{got}")
+            problems.append(f"{path}: row {number}{where}: {text}{got}")
         for column in ("part", "parts"):
-            told_names = whole.get(column) or []
-            for name in [told_names] if isinstance(told_names, str) else told_names:
+            given_names = whole.get(column) or []
+            for name in [given_names] if isinstance(given_names, str) else given_names:
                 if name not in names and column in row:
                     known = ", ".join(sorted(names))
                     problems.append(f"{path}: row {number}, column {column}: there is no part {name!r}; known: {known}")
@@ -139,14 +139,14 @@ def _column(location: tuple[Any, ...], row: dict[str, Any]) -> str:
 
 
 def read_cells(path: Path, beside: str = "the scene file") -> tuple[pd.DataFrame, str]:
-    """The cells of a CSV file as text, its first row their columns, and what separates them.
+    """The cells of a CSV file as text, with its first row as column names, and the separator.
 
-    Row i of the frame is row i + 2 of the file, empty ones included. Its name is relative to what it stands beside.
+    Row i of the frame is row i + 2 of the file, empty rows included. `beside` names what the path is relative to.
 
     Raises
     ------
     SceneError
-        If the file cannot be read as a table, or names a column twice.
+        If the file is not a table, or repeats a column.
     """
     try:
         text = path.read_text(encoding="utf-8-sig")
@@ -158,11 +158,11 @@ def read_cells(path: Path, beside: str = "the scene file") -> tuple[pd.DataFrame
     separator = max(",;\t", key=header.count)
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("error", pd.errors.ParserWarning)  # cells too many are no warning, but lost
+            warnings.simplefilter("error", pd.errors.ParserWarning)  # pandas would drop surplus cells
             frame = pd.read_csv(
                 path,
                 sep=separator,
-                header=None,  # for pandas gives columns of one name others
+                header=None,  # pandas would rename repeated columns
                 dtype=str,
                 keep_default_na=False,
                 skipinitialspace=True,
@@ -172,20 +172,19 @@ def read_cells(path: Path, beside: str = "the scene file") -> tuple[pd.DataFrame
             ).fillna("")
     except (ValueError, pd.errors.ParserError, pd.errors.ParserWarning) as error:
         raise SceneError(
-            f"{path}: this is no table: {' '.join(str(error).split())}; give each row as many cells"
+            f"{path}: not a table: {' '.join(str(error).split())}; give each row the same number of cells"
         ) from None
     columns = frame.iloc[0].str.strip()
     twice = columns[columns.duplicated()]
     if len(twice):
-        raise SceneError(f"{path}: row 1: column {twice.iloc[0]!r} stands there twice; remove one of them")
+        raise SceneError(f"{path}: row 1: column {twice.iloc[0]!r} is given twice; remove one of them")
     frame = frame.iloc[1:].reset_index(drop=True)
     frame.columns = pd.Index(columns)
     return frame, separator
 
 
 def read_number(cell: str, separator: str = ",") -> float:
-    """A cell's number, exactly as it was written; NaN for what is none. Where commas do not separate the cells they may
-    stand for the point."""
+    """The number in a cell, else NaN; unless commas separate the cells, they may be decimal commas."""
     try:
         return float(cell if separator == "," else DECIMAL.sub(".", cell)) if "_" not in cell else float("nan")
     except ValueError:
@@ -193,20 +192,20 @@ def read_number(cell: str, separator: str = ",") -> float:
 
 
 def read_rows(path: Path, kind: type[BaseModel]) -> list[tuple[int, dict[str, Any]]]:
-    """Rows of a CSV file as a table of the scene has them, by their number in the file; the header is row 1.
+    """Rows of a CSV file as tables of the scene, with their numbers in the file; the header is row 1.
 
-    Commas, semicolons or tabs separate the cells; where commas do not, numbers may have a decimal comma.
+    Commas, semicolons or tabs separate the cells; with the latter two, numbers may have a decimal comma.
 
     Parameters
     ----------
     path : Path
     kind : type
-        Schema of one row: its keys are the columns that there may be.
+        Schema of one row: its keys are the possible columns.
 
     Raises
     ------
     SceneError
-        If the file cannot be read as a table, or has other columns.
+        If the file is not a table, or has other columns.
     """
     frame, separator = read_cells(path)
     known = [name for name in kind.model_fields if name != "point"]
@@ -214,11 +213,13 @@ def read_rows(path: Path, kind: type[BaseModel]) -> list[tuple[int, dict[str, An
     if strange:
         raise SceneError(
             f"{path}: row 1: there is no column {strange[0]!r}; columns are {', '.join((*AXES, *known))}, "
-            "which cells are separated by a comma, a semicolon or a tab"
+            "separated by commas, semicolons or tabs"
         )
     given = [axis for axis in AXES if axis in frame.columns]
     if given and len(given) < 3:
-        raise SceneError(f"{path}: row 1: of x, y and z there is only {' and '.join(given)}; give all three")
+        raise SceneError(
+            f"{path}: row 1: x, y and z belong together, and there is only {' and '.join(given)}; give all three"
+        )
     rows = []
     for number, record in enumerate(frame.to_dict("records"), 2):
         cells = {str(column): str(cell).strip() for column, cell in record.items()}
@@ -227,20 +228,20 @@ def read_rows(path: Path, kind: type[BaseModel]) -> list[tuple[int, dict[str, An
         if any(cells.values()):
             rows.append((number, _row(cells, kind)))
     if not rows:
-        raise SceneError(f"{path}: there is no row below the header; fill it in, or take the table out")
+        raise SceneError(f"{path}: there is no row below the header; add rows, or remove the table")
     return rows
 
 
 def _row(cells: dict[str, str], kind: type[BaseModel]) -> dict[str, Any]:
-    told = {column: cell for column, cell in cells.items() if cell}
-    row = {column: _value(cell, kind, column) for column, cell in told.items() if column not in AXES}
-    if any(axis in told for axis in AXES):
-        row["point"] = [_number(told.get(axis, "")) for axis in AXES]
+    given = {column: cell for column, cell in cells.items() if cell}
+    row = {column: _value(cell, kind, column) for column, cell in given.items() if column not in AXES}
+    if any(axis in given for axis in AXES):
+        row["point"] = [_number(given.get(axis, "")) for axis in AXES]
     return row
 
 
 def _value(cell: str, kind: type[BaseModel], column: str) -> Any:
-    """A cell as its key takes it; what it cannot be is left as text, which the schema then refuses."""
+    """The value of a cell for its key; a text if it cannot be converted, which the schema rejects."""
     if column == "parts":
         return cell.split()
     if column in ("direction", "hole"):
@@ -252,7 +253,7 @@ def _value(cell: str, kind: type[BaseModel], column: str) -> Any:
 
 
 def _with_points(cell: str, kind: type[BaseModel], column: str) -> str:
-    """A cell with points in its numbers, where commas do not separate the cells and may stand for them."""
+    """A cell with decimal points in place of decimal commas."""
     text = column not in AXES and column != "direction" and _is_text(kind.model_fields[column].annotation)
     return cell if text else DECIMAL.sub(".", cell)
 

@@ -12,28 +12,26 @@ __all__ = [
 
 
 class Weld(OnSheet):
-    """A spot weld; it freezes the relative position that it finds, or closes the gap first."""
+    """A spot weld; it freezes the relative position of the sheets, or closes the gap first."""
 
-    name: Name = Field(description="names the weld in results")
+    name: Name = Field(description="name of the weld in results")
     parts: tuple[Name, Name] = Field(description="the two parts that it joins; nodes and sets are those of the first")
     radius: NonNegative = Field(2.5, description="of the nugget, mm")
-    close: Flag = Field(False, description="close the gap first (one more contact resolution), or freeze what is found")
+    close: Flag = Field(False, description="close the gap first (one more contact solution); else it is frozen")
     gun: Positive | None = Field(
         None,
-        description="force with which the gun presses the two parts together while the weld is made, N; it opens "
-        "after. Where it leaves a gap, the weld keeps it, the assembly counts as not built, and the force that the gun "
-        "would need is told",
+        description="force of the welding gun, N. A remaining gap is frozen, the assembly counts as not built, "
+        "and the required force is reported",
     )
-    moment: Flag = Field(True, description="whether the nugget carries moment, or ties its mean displacement alone")
+    moment: Flag = Field(True, description="whether the nugget transmits moments, or couples mean displacements only")
     fused: Flag = Field(
         True,
-        description="whether all of the nugget is one piece; `false` ties its mean displacement and rotation, which is "
-        "softer",
+        description="whether the nugget is rigid; `false` couples its mean displacement and rotation, which is softer",
     )
     stage: Name = Field("weld", description="the weld stage that makes it")
 
     @model_validator(mode="after")
     def _one_way_to_close(self):
         if self.close and self.gun is not None:
-            raise ValueError("close closes the gap whatever that takes, a gun with its force: remove one of them")
+            raise ValueError("close closes the gap with any force, a gun with its own: remove one of them")
         return self

@@ -17,7 +17,7 @@ __all__ = [
 
 
 class PressurePower(Table):
-    """A coefficient of friction that is a power of pressure, within bounds."""
+    """A coefficient of friction as a bounded power of pressure."""
 
     mu0: Positive = Field(description="μ at p0")
     p0: Positive = Field(description="MPa")
@@ -33,11 +33,11 @@ def _number_or_table(value: Any) -> str:
 class Zone(Table):
     """A contact zone: contact pairs between two parts, or between a part and a rigid fixture.
 
-    The zone is where the two surfaces face each other within `max_gap` and `max_angle_deg`, inside the region: a box,
-    or a tube of radius `within` about the polyline `path`; without either, everywhere.
+    The zone is where the two surfaces face each other within `max_gap` and `max_angle_deg`, inside a box, or a tube of
+    radius `within` about the polyline `path`; without either, everywhere.
     """
 
-    name: Name = Field(description="names the zone in results")
+    name: Name = Field(description="name of the zone in results")
     parts: tuple[Name, Name] = Field(
         description="two parts, or a part and a fixture; normals point from the first to the second"
     )
@@ -46,61 +46,58 @@ class Zone(Table):
         Discriminator(_number_or_table),
     ] = Field(
         0.0,
-        description="coefficient of friction μ; or by stage, `{ clamp = 0.12, default = 0.2 }`, where `default` is for "
-        "the stages that are not named",
+        description="coefficient μ; or one per stage, `{ clamp = 0.12, default = 0.2 }`, with `default` for the others",
     )
     friction_table: Annotated[list[tuple[NonNegative, NonNegative]], Field(min_length=1)] | None = Field(
         None,
-        description="law `pressure-dependent`: μ in place of `friction`, as points `[pressure in MPa, μ]`, linear "
-        "between them and constant outside; μ p must not fall",
+        description="law `pressure-dependent`: points `[pressure in MPa, μ]` in place of `friction`, "
+        "interpolated linearly, constant outside; μ p must not decrease",
     )
     friction_power: PressurePower | None = Field(
         None,
-        description="or as the power law μ = mu0 (p/p0)^(−n), p and p0 in MPa, within `mu_min` and `mu_max`; n ≤ 1",
+        description="or the power law μ = mu0 (p/p0)^(−n), p and p0 in MPa, bounded by `mu_min` and `mu_max`; n ≤ 1",
     )
     tangential_stiffness: Positive | None = Field(
         None,
-        description="law `micro-slip`: tangential contact stiffness per area, N/mm³; without it contacts do not yield",
+        description="law `micro-slip`: tangential contact stiffness per area, N/mm³; default: rigid",
     )
     box: tuple[Vector, Vector] | None = Field(None, description="region `[[xmin, ymin, zmin], [xmax, ymax, zmax]]`, mm")
     path: Annotated[list[Vector], Field(min_length=1)] | None = Field(None, description="or the polyline of a tube, mm")
     within: Positive | None = Field(None, description="radius of the tube about `path`, mm")
     spacing: Positive | None = Field(
         None,
-        description="distance between the candidates for contact, mm, of which those carry force that would penetrate; "
-        "left out, one element, or if that is more the less of four thicknesses and one and a half clamp radii; nearer "
-        "on bends, 1.3 √(radius · thickness) and no less than 0.85 elements, and under a clamp, 2/3 of its radius",
+        description="distance between contact candidates, mm, which act where sheets would penetrate. Default: "
+        "one element, or if larger the smaller of four thicknesses and 1.5 clamp radii; on bends 1.3 "
+        "√(radius · thickness), at least 0.85 elements; under a clamp 2/3 of its radius",
     )
     spacing_factor: Positive = Field(
         1.0,
-        description="times these distances, under clamps as well: 0.7 gives twice as many candidates, which are dearer "
-        "and leave less of the slips",
+        description="multiplies these distances: 0.7 doubles the candidates, costs more, and reduces the error of slip",
     )
     pairs: Annotated[Count, Field(gt=0)] | None = Field(
-        None, description="or so many contact pairs, and no others: sheets may pass through each other between them"
+        None, description="or a fixed number of contact pairs; between them the sheets may penetrate"
     )
     points: Annotated[list[Vector], Field(min_length=1)] | None = Field(
-        None, description="or the contact points themselves, mm, and no others"
+        None, description="or the points of the contact pairs, mm"
     )
     max_gap: Positive = Field(2.0, description="largest nominal gap between the facing surfaces, mm")
     gap: NonNegative | None = Field(
-        None, description="nominal gap between the facing surfaces, mm, in place of the one that the meshes have"
+        None, description="nominal gap between the facing surfaces, mm, in place of that of the meshes"
     )
     max_angle_deg: Annotated[FiniteFloat, Field(gt=0, lt=90)] = Field(
         30.0, description="largest angle between the two surfaces"
     )
     nominal_overlap: Literal["close", "keep"] | Positive = Field(
         "close",
-        description="what is done where the surfaces are drawn into each other: `close` counts them as touching, at "
-        "pairs and welds, up to half of the thinner sheet; a number is another limit, mm; beyond it the scene is "
-        "refused; `keep` leaves the overlap, where it is meant",
+        description="nominal overlaps: `close` counts them as touching, at pairs and welds, up to half of the "
+        "thinner sheet, or up to a number, mm; larger ones are errors. `keep` keeps them",
     )
     patch: Literal["tributary"] | NonNegative = Field(
-        "tributary", description="area that a pair averages over: its tributary area, or a disc of this radius, mm"
+        "tributary", description="area over which a pair averages: its tributary area, or a disc of this radius, mm"
     )
     mid_surface: Flag = Field(
         False,
-        description="read the mid-surfaces instead of the facing surfaces: stuck sheets then do not act as one",
+        description="read the mid-surfaces, not the facing surfaces: sticking sheets then do not act as one",
     )
 
     @model_validator(mode="after")
@@ -110,11 +107,11 @@ class Zone(Table):
         if (self.path is None) != (self.within is None):
             raise ValueError("path and within (mm) belong together")
         if any(start == end for start, end in zip(self.path or [], (self.path or [])[1:])):
-            raise ValueError("path stands still: two points that follow each other are one, remove one of them")
+            raise ValueError("path has two equal consecutive points: remove one of them")
         if sum(value is not None for value in (self.pairs, self.spacing, self.points)) > 1:
             raise ValueError("give one of pairs (how many), spacing (mm) and points (coordinates) at most")
         if self.spacing_factor != 1 and not self.candidates:
-            raise ValueError("spacing_factor is for candidates: leave it out beside pairs or points")
+            raise ValueError("spacing_factor applies to candidates only: remove it, or pairs and points")
         if self.box is not None and any(low >= high for low, high in zip(*self.box)):
             raise ValueError("box is [[xmin, ymin, zmin], [xmax, ymax, zmax]] with each minimum below its maximum")
         return self
@@ -149,7 +146,7 @@ class Zone(Table):
 
     @property
     def candidates(self) -> bool:
-        """Whether its pairs are candidates, watched: those carry force that would penetrate."""
+        """Whether its pairs are candidates, which act where the sheets would penetrate."""
         return self.pairs is None and self.points is None
 
     @property

@@ -1,4 +1,4 @@
-"""A first scene from nothing but meshes: what `mic init` writes."""
+"""`mic init`: propose a first scene from meshes alone, and write it."""
 
 from __future__ import annotations
 
@@ -29,17 +29,17 @@ def write_scene(
     welds: Path | None = None,
     points: Path | None = None,
 ) -> tuple[Path, Proposal]:
-    """Propose a scene for the parts that mesh files hold, and write it.
+    """Propose a scene for the parts in mesh files, and write it.
 
     Parameters
     ----------
     files : sequence of Path
     out : Path, optional
-        The scene's folder; by default one that is called after the meshes, where the program was started.
+        Folder of the scene; by default named after the meshes, in the working directory.
     thickness : mapping of str or None to float, optional
-        mm, by part; under None, of all that are not named and whose mesh file tells nothing.
+        mm, by part; the value of None applies to parts that are not named and whose mesh file has no thickness.
     welds, points : Path, optional
-        CSV files that list the welds and the points to measure, by their coordinates.
+        CSV files with the coordinates of welds and of measured points.
 
     Returns
     -------
@@ -51,12 +51,12 @@ def write_scene(
     FormatError, SceneError
         If a mesh or a list cannot be read, or a thickness is missing.
     RunError
-        If a scene stands there already, or the folder cannot be written.
+        If the folder contains a scene already, or cannot be written.
     """
     name = "+".join(dict.fromkeys(part_name(file.stem) for file in files))[:50]
     folder = Path(name) if out is None else Path(out)
     if (folder / "scene.toml").exists():
-        raise RunError(f"{folder}: a scene stands there already and is left alone; name another folder with --out")
+        raise RunError(f"{folder}: it contains a scene already; give another folder with --out")
     bodies = read_bodies(files, thickness or {})
     listed = _listed_welds(welds, bodies) if welds is not None else None
     measured = _listed_points(points, bodies) if points is not None else None
@@ -77,12 +77,12 @@ def write_scene(
         with replacing(folder / "scene.toml") as temporary:
             temporary.write_text(text, encoding="utf-8")
     except OSError as problem:
-        raise RunError(f"{folder}: cannot be written ({problem.strerror}); name another folder with --out") from problem
+        raise RunError(f"{folder}: cannot be written ({problem.strerror}); give another folder with --out") from problem
     return folder, proposal
 
 
 def _listed_welds(file: Path, bodies: list[Body]) -> list[dict[str, Any]]:
-    """Rows of the list of welds, each with the two parts that it joins; a weld of three sheets is two."""
+    """Rows of the list of welds, each with the two parts that it joins; a weld of three sheets becomes two rows."""
     found: list[dict[str, Any]] = []
     problems: list[str] = []
     names = [body.name for body in bodies]
@@ -118,7 +118,7 @@ def _by_parts(rows: list[dict[str, Any]]) -> dict[tuple[str, str], np.ndarray]:
 
 
 def _listed_points(file: Path, bodies: list[Body]) -> list[dict[str, Any]]:
-    """Rows of the list of points to measure, each with the part that it lies on."""
+    """Rows of the list of points to measure, each with its part."""
     found: list[dict[str, Any]] = []
     problems: list[str] = []
     for count, (number, row) in enumerate(read_rows(file, Measurement), 1):

@@ -1,4 +1,4 @@
-"""The parts of an assembly as mesh files give them: one a file, or one an element set."""
+"""The parts of an assembly in mesh files: one per file, or one per element set."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ from mic.geometry.surface import Surface
 
 __all__ = ["Body", "part_name", "read_bodies"]
 
-METRES = 10.0  # a part that is smaller, in the file's unit, is not meant in mm
-YOUNG, POISSON = 210e3, 0.3  # steel, where a deck tells no material
-PLAUSIBLE = (1e3, 1e6)  # MPa: what a deck tells beyond is in other units
+METRES = 10.0  # a smaller part, in the file's unit, is assumed to be in metres
+YOUNG, POISSON = 210e3, 0.3  # steel, if a mesh file has no material
+PLAUSIBLE = (1e3, 1e6)  # MPa; values outside are in other units
 
 
 @dataclass(frozen=True)
@@ -34,21 +34,21 @@ class Body:
     name : str
     file : Path
     sets : tuple of str
-        Element sets of the file that it consists of; empty for all of it.
+        Element sets of the file that form it; empty for the whole file.
     unit : str
-        Of length in the file.
+        Unit of length of the file.
     surface : Surface
-        mm, as it is drawn.
+        As drawn, mm.
     deck : Deck
     thickness : float
         mm.
     thickness_from : str
-        Who tells it: the option, or the deck.
+        Its source: the option, or the mesh file.
     young, poisson : float
         MPa.
     material_from : str
     offset : float or None
-        From the drawn surface to the middle of the sheet, in thicknesses along the normal, where the deck tells it.
+        From the drawn surface to the mid-surface, in thicknesses along the normal, if the mesh file has it.
     """
 
     name: str
@@ -71,7 +71,7 @@ class Body:
 
     @cached_property
     def edge(self) -> tuple[np.ndarray, np.ndarray]:
-        """(q, 3) points along the free edges, no farther apart than half an element, mm, and the length of each."""
+        """(q, 3) points along the free edges, at most half an element apart, mm, and their lengths of edge."""
         triangle, opposite = np.nonzero(self.surface.border)
         at = self.surface.sample_edges(triangle, opposite, self.element / 2)
         return self.surface.at(*at[:2]), at[2]
@@ -83,20 +83,20 @@ class Body:
 
 
 def read_bodies(files: Sequence[Path], thickness: Mapping[str | None, float]) -> list[Body]:
-    """The parts that mesh files hold.
+    """The parts in mesh files.
 
-    A file whose elements are divided into sets that share no nodes is as many parts; sets that do share nodes are one.
+    Element sets that share nodes form one part; sets without common nodes are separate parts.
 
     Parameters
     ----------
     files : sequence of Path
     thickness : mapping of str or None to float
-        mm, by part; under None, of all that are not named and whose deck tells nothing.
+        mm, by part; the value of None applies to parts that are not named and whose mesh file has no thickness.
 
     Raises
     ------
     FormatError, SceneError
-        If a file cannot be read, a thickness is missing, or a part consists of pieces that nothing names.
+        If a file cannot be read, a thickness is missing, or a part consists of separate pieces.
     """
     found: list[tuple[str, Path, tuple[str, ...]]] = []
     for file in files:
@@ -114,14 +114,14 @@ def read_bodies(files: Sequence[Path], thickness: Mapping[str | None, float]) ->
     bare = [body.name for body in bodies if np.isnan(body.thickness)]
     if bare:
         raise SceneError(
-            f"nothing tells the thickness of {', '.join(bare)}: give it in mm, --thickness 1.5 for all, or "
+            f"the mesh files lack the thickness of {', '.join(bare)}: give it in mm, --thickness 1.5 for all, or "
             f"--thickness {bare[0]}=1.5 for one"
         )
     return bodies
 
 
 def _groups(raw: RawMesh) -> list[tuple[str, ...]]:
-    """The sets that divide a file into parts, those together whose elements share nodes."""
+    """The element sets of each part of a file; sets that share nodes are together."""
     sets = [name for name in raw.parts if len(raw.element_sets.get(name, ()))]
     if len(sets) < 2:
         return []
@@ -139,27 +139,27 @@ def _body(name: str, file: Path, sets: tuple[str, ...], thickness: Mapping[str |
     if surface.diameter < METRES:
         unit = "m"
         surface, deck = read_mesh(file, sets, unit)
-    _in_one_piece(name, file, surface)
-    told = deck.told()
+    _check_connected(name, file, surface)
+    told = deck.distinct_sheets()
     sheet = told[0] if len(told) == 1 else Sheet()
     various = sorted({one.thickness for one in told if one.thickness is not None})
     given = thickness.get(name, np.nan)
-    source = "as the command said"
+    source = "from the command line"
     if np.isnan(given) and various:
         areas = {t: sum(_area(surface, deck, one) for one in told if one.thickness == t) for t in various}
         given = max(areas, key=areas.__getitem__)
-        source = "as the mesh file tells"
+        source = "from the mesh file"
         if len(various) > 1:
-            source += f", of most of it: it tells {', '.join(f'{t:g}' for t in various)}"
+            source += f", the value of the largest area; it has {', '.join(f'{t:g}' for t in various)}"
     if np.isnan(given):
         given = thickness.get(None, np.nan)
-    young, poisson, material = YOUNG, POISSON, "steel: the mesh file tells no material"
+    young, poisson, material = YOUNG, POISSON, "steel; the mesh file has no material"
     if sheet.young is not None and sheet.poisson is not None:
         if PLAUSIBLE[0] <= sheet.young <= PLAUSIBLE[1]:
             young, poisson = sheet.young, sheet.poisson
-            material = f"as the mesh file tells{f' (material {sheet.material})' if sheet.material else ''}"
+            material = f"from the mesh file{f' (material {sheet.material})' if sheet.material else ''}"
         else:
-            material = f"steel: the mesh file tells {sheet.young:.3g}, which is no MPa"
+            material = f"steel; the mesh file has {sheet.young:.3g}, which is not in MPa"
     return Body(name, file, sets, unit, surface, deck, given, source, young, poisson, material, sheet.offset)
 
 
@@ -168,7 +168,7 @@ def _area(surface: Surface, deck: Deck, sheet: Sheet) -> float:
     return float(surface.areas[np.isin(deck.sheet_of, own)].sum())
 
 
-def _in_one_piece(name: str, file: Path, surface: Surface) -> None:
+def _check_connected(name: str, file: Path, surface: Surface) -> None:
     corner = surface.triangles
     a, b = corner[:, [0, 1]].ravel(), corner[:, [1, 2]].ravel()
     count = len(surface.points)
@@ -177,18 +177,18 @@ def _in_one_piece(name: str, file: Path, surface: Surface) -> None:
     if len(pieces) > 1:
         largest = ", ".join(str(size) for size in sorted(sizes, reverse=True)[:5])
         raise SceneError(
-            f"{file}: part {name!r} is in {len(pieces)} pieces that do not hang together (of {largest} triangles): "
+            f"{file}: part {name!r} consists of {len(pieces)} separate pieces (of {largest} triangles): "
             "put each into an element set of its own, or join them in the mesh"
         )
 
 
 def part_name(text: str) -> str:
-    """A name as scenes take it."""
+    """A valid name for a scene."""
     return re.sub(r"[^A-Za-z0-9_.+-]+", "_", text).strip("_")[:25] or "part"
 
 
 def _unique(names: Sequence[str]) -> list[str]:
-    """The names, numbered where several are alike."""
+    """The names, with numbers appended to repeated ones."""
     counts: dict[str, int] = {}
     found = []
     for name in names:

@@ -1,4 +1,4 @@
-"""Where two parts lie on each other, as they are drawn, and what the drawing says of how they do."""
+"""Laps: regions where two parts lie on each other, as drawn."""
 
 from __future__ import annotations
 
@@ -10,45 +10,44 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from mic.geometry.coincident_sheets import TOLD, offsets
+from mic.geometry.coincident_sheets import COINCIDENT, offsets
 from mic.geometry.pairing import Side, pair_at
 from mic.geometry.surface import Surface
 from mic.wizard.bodies import Body
 
-__all__ = ["Faying", "closer", "find_faying", "nearest_distance"]
+__all__ = ["Faying", "restrict", "find_faying", "nearest_distance"]
 
-GAP = 2.0  # mm between facing surfaces, as zones have it
-ANGLE = 30.0  # degrees between two surfaces that face each other, as zones have it
-MOST = 40_000  # places that are looked at
-LEAST = 25.0  # mm²: sheets that face each other over less do not lie on each other
+GAP = 2.0  # mm between facing surfaces, the default of zones
+ANGLE = 30.0  # degrees between facing surfaces, the default of zones
+MOST = 40_000  # sample points
+LEAST = 25.0  # mm²: smaller areas are no lap
 
 
 @dataclass(frozen=True)
 class Faying:
-    """Where two parts lie on each other.
+    """A lap of two parts.
 
     Attributes
     ----------
     first, second : Body
     point : (n, 3) array
-        On the first part's surface, mm.
+        Sample points on the first part's surface, mm.
     normal : (n, 3) array
         Of the first part's surface.
     height : (n,) array
         Of the second part's drawn surface above the first one's, along the normals of the latter, mm.
     depth : (n,) array
-        From the nearest place where they do not face each other, mm.
+        Distance from the boundary of the lap, mm.
     piece : (n,) int array
-        Places that hang together, the largest piece first.
+        Connected piece of each point, the largest piece first.
     area : float
         mm².
     spacing : float
-        Between neighbouring places, about, mm.
+        Approximate distance of neighbouring points, mm.
     side : float
-        Whether the second part lies on the side of the first part's normals, +1, or on the other, −1; 0 where the
-        drawing does not tell.
+        +1 if the second part is on the side of the first part's normals, −1 on the other, 0 if unknown.
     turned : float
-        +1 where the normals of the two look the same way, −1 where they look opposite ways.
+        +1 if the normals of the two have the same direction, −1 if opposite.
     """
 
     first: Body
@@ -65,20 +64,20 @@ class Faying:
 
     @property
     def coincident(self) -> bool:
-        """Whether both are drawn on the skins that touch: they meet in more places than lie a thickness apart."""
+        """Whether both are drawn on the touching skins: more points coincide than are a thickness apart."""
         share = np.abs(self.height) / ((self.first.thickness + self.second.thickness) / 2)
-        meeting, apart = np.mean(share < TOLD), np.mean(np.abs(share - 1) < TOLD)
+        meeting, apart = np.mean(share < COINCIDENT), np.mean(np.abs(share - 1) < COINCIDENT)
         return bool(meeting > 0 and meeting >= apart)
 
     def gap(self, offset: Mapping[str, float]) -> np.ndarray:
-        """(n,) gaps between the facing surfaces, mm, where each sheet lies so many thicknesses off its drawing."""
+        """(n,) gaps between the facing surfaces, mm, with these offsets of the sheets in thicknesses."""
         a, b = self.first, self.second
         moved = self.turned * offset[b.name] * b.thickness - offset[a.name] * a.thickness
         return (self.side or 1.0) * (self.height + moved) - (a.thickness + b.thickness) / 2
 
 
 def find_faying(first: Body, second: Body) -> Faying | None:
-    """Where two parts lie on each other; None where they nowhere do."""
+    """The lap of two parts; None if there is none."""
     reach = GAP + (first.thickness + second.thickness) / 2
     a, b = first.surface, second.surface
     if (np.maximum(a.points.min(0), b.points.min(0)) - np.minimum(a.points.max(0), b.points.max(0)) > reach).any():
@@ -97,7 +96,7 @@ def find_faying(first: Body, second: Body) -> Faying | None:
     facing = near & (beside <= np.maximum(0.05 * min(first.thickness, second.thickness), 0.35 * np.abs(along)))
     if area[facing].sum() < LEAST:
         return None
-    # Where the sheets do not face each other: elsewhere on the first one, and at its free edge.
+    # Points outside the lap: elsewhere on the first sheet, and on its free edge.
     own = np.setdiff1d(np.arange(len(a.triangles)), triangles)
     border = first.edge[0]
     elsewhere = np.concatenate([x[~facing], a.corners[own].mean(1), border])
@@ -115,8 +114,8 @@ def find_faying(first: Body, second: Body) -> Faying | None:
     return replace(found, side=side)
 
 
-def closer(lap: Faying, near: np.ndarray) -> Faying | None:
-    """Those places of a lap alone, (n,) bool, as a lap of their own; None where too little is left."""
+def restrict(lap: Faying, near: np.ndarray) -> Faying | None:
+    """The lap restricted to some points, (n,) bool; None if the area is too small."""
     area = lap.area * float(near.mean())
     if area < LEAST:
         return None
@@ -134,7 +133,7 @@ def closer(lap: Faying, near: np.ndarray) -> Faying | None:
 
 
 def nearest_distance(first: Body, second: Body) -> float:
-    """How near two parts come to each other, mm, from the points of the one to the surface of the other."""
+    """Distance of two parts, mm, from the points of the first to the surface of the second."""
     points = first.surface.points[np.unique(first.surface.triangles)]
     tree = cKDTree(second.surface.points)
     nearest = np.argsort(tree.query(points)[0])[:50]
@@ -142,14 +141,14 @@ def nearest_distance(first: Body, second: Body) -> float:
 
 
 def _near(a: Surface, b: Surface, reach: float) -> np.ndarray:
-    """Triangles of one surface that may lie within reach of another."""
+    """Triangles of one surface that may be within reach of another."""
     tree = cKDTree(b.corners.mean(1))
     bound = reach + a.reach + b.reach.max()
     return np.flatnonzero(tree.query(a.corners.mean(1))[0] <= bound)
 
 
 def _pieces(points: np.ndarray, link: float) -> np.ndarray:
-    """(n,) number of the piece that each point belongs to, the one of most points first."""
+    """(n,) number of the connected piece of each point, the largest first."""
     pairs = cKDTree(points).query_pairs(link, output_type="ndarray")
     n = len(points)
     label = connected_components(coo_matrix((np.ones(len(pairs)), pairs.T), shape=(n, n)), directed=False)[1]
@@ -158,7 +157,7 @@ def _pieces(points: np.ndarray, link: float) -> np.ndarray:
 
 
 def _side(first: Body, second: Body, point: np.ndarray) -> float:
-    """On which side of the first surface the second sheet lies, as the rest of the two tells; 0 where it does not."""
+    """Side of the first surface on which the second sheet is, from the rest of the two; 0 if unknown."""
     a, b = Side(first.surface, first.thickness), Side(second.surface, second.thickness)
     (share, _), told = offsets(pair_at(point, min(first.element, second.element), a, b), a, b)
     return -float(np.sign(share)) if told else 0.0

@@ -1,13 +1,12 @@
-"""A 3-2-1 for a part, and further supports: where it is held, and how well that holds it.
+"""A 3-2-1 fixture for a part, and further supports.
 
-Three locators along the sheet's normal stand where the sheet looks along its main direction, and span the largest
-triangle; two across the line along which the part is longest, as far apart as there is room; one along it. Round holes
-take the pins where the part has two, far enough apart. What is chosen is judged by the singular values of the readings
-G of the part's rigid motions,
+Three locators along the normal, on surfaces near the main direction, span the largest triangle; two are across the
+longest direction of the part, as far apart as possible; one is along it. Two round holes, if there are any, take pins.
+The choice is evaluated by the singular values of the readings G of the rigid-body motions,
 
-    G_i = [d_i, (x_i − c) × d_i / ρ],        c the middle of the points, ρ half their extent,
+    G_i = [d_i, (x_i − c) × d_i / ρ],        c the centre of the points, ρ half their extent,
 
-and where such a 3-2-1 holds the part badly, six rows are chosen of all places and directions by pivoting instead.
+and if these are badly conditioned, six rows among all places and directions are chosen by QR with pivoting.
 """
 
 from __future__ import annotations
@@ -24,19 +23,19 @@ from mic.wizard.bodies import Body
 __all__ = ["Place", "Support", "conditioning", "find_places", "propose_fixture"]
 
 PAD = 4.0  # mm, radius of a locator's pad
-FLAT = 12.0  # degrees: over a pad, normals turn by no more
-MAIN = 25.0  # degrees about the main direction within which the first three locators push
-ENOUGH = 0.1  # least ratio of the singular values of G of a 3-2-1 that is taken
-SHARE = 0.6  # or of that of the best six rows of any kind
-PIN = (4.0, 40.0)  # mm, diameters of holes that pins go through
-MOST = 400  # places that are looked at
-TRIED = 100  # directions among which the main one is sought
+FLAT = 12.0  # degrees by which normals turn under a pad
+MAIN = 25.0  # degrees between the main direction and the first three locators
+ENOUGH = 0.1  # least ratio of singular values of G of an accepted 3-2-1
+SHARE = 0.6  # or relative to that of the pivoted six rows
+PIN = (4.0, 40.0)  # mm, diameters of holes for pins
+MOST = 400  # places that are considered
+TRIED = 100  # directions considered for the main one
 FURTHER = 3  # supports of a part beyond the six, at most
 
 
 @dataclass(frozen=True)
 class Place:
-    """Where a pad may stand.
+    """A possible place of a pad.
 
     Attributes
     ----------
@@ -56,10 +55,10 @@ class Support:
     point : (3,) array
         mm.
     words : str
-        Its direction as a scene says it.
+        Direction as a text of the scene.
     direction : (3,) array
     hole : bool
-        Whether a pin in a hole does it.
+        Whether it is a pin in a hole.
     further : bool
         Whether it is one beyond the six.
     """
@@ -72,7 +71,7 @@ class Support:
 
 
 def conditioning(supports: list[Support]) -> float:
-    """Smallest over largest singular value of G; 0 where a motion is free."""
+    """Ratio of the smallest to the largest singular value of G; 0 if a motion is free."""
     return _conditioning(np.array([one.point for one in supports]), np.array([one.direction for one in supports]))
 
 
@@ -88,7 +87,7 @@ def _readings(points: np.ndarray, directions: np.ndarray, scale: float | None = 
 
 
 def find_places(body: Body) -> list[Place]:
-    """Flat places of a part, a pad's radius off its edges, spread over it; any places where it has no such."""
+    """Flat places of a part, a pad's radius off its edges, spread over it; other places if there are none."""
     surface = body.surface
     triangles = np.arange(len(surface.triangles))
     points, normals = surface.corners.mean(1), surface.normals
@@ -112,7 +111,7 @@ def propose_fixture(body: Body, taken: np.ndarray) -> list[Support]:
     ----------
     body : Body
     taken : (n, 3) array
-        Where it lies on other parts, mm: left free if what remains holds it well.
+        Points in laps with other parts, mm: avoided if the rest of the part is sufficient.
     """
     every, main = find_places(body), _main_direction(body)
     holes = [hole for hole in find_holes(body.surface) if _pin(hole, main)]
@@ -130,10 +129,10 @@ def _facing(places: list[Place], main: np.ndarray) -> list[Place]:
 
 
 def _six(options: list[list[Place]], holes: list[Hole], main: np.ndarray) -> tuple[list[Support], list[Place]]:
-    """A 3-2-1, with pins in holes if there are two; six rows of any kind where it holds the part badly."""
+    """A 3-2-1, with pins in holes if there are two; pivoted rows if it is badly conditioned."""
     pivoted = [(_pivoted(places), places) for places in options]
     best = max(pivoted, key=lambda one: conditioning(one[0]))
-    enough = min(ENOUGH, SHARE * conditioning(best[0]))  # a narrow strip is held badly by any six
+    enough = min(ENOUGH, SHARE * conditioning(best[0]))  # for a narrow strip, any six are badly conditioned
     for places in options:
         facing = _facing(places, main)
         if len(facing) < 3:
@@ -146,7 +145,7 @@ def _six(options: list[list[Place]], holes: list[Hole], main: np.ndarray) -> tup
 
 
 def _main_direction(body: Body) -> np.ndarray:
-    """The direction about which most of the sheet looks, either way: of an angle that of its larger leg."""
+    """The direction, of either sign, near the normals of most of the sheet."""
     n, area = body.surface.normals, body.surface.areas
     tried = n[np.argsort(-area, kind="stable")[:: max(1, len(n) // TRIED)]]
     near = np.abs(tried @ n.T) >= np.cos(np.radians(MAIN))
@@ -179,40 +178,40 @@ def _three(places: list[Place], main: np.ndarray) -> list[Support]:
 
 
 def _pins(holes: list[Hole], main: np.ndarray) -> list[Support]:
-    """A pin in one hole, both ways, and in the farthest other one, across the line between them; none for one hole."""
+    """A pin in two directions in one hole, and in one direction across the line to the farthest other hole."""
     if len(holes) < 2:
         return []
     centres = np.array([hole.centre for hole in holes])
     apart = np.linalg.norm(centres[:, None] - centres[None], axis=2)
     i, j = np.unravel_index(int(np.argmax(apart)), apart.shape)
     words = _axes(main)
-    across = min(words, key=lambda axis: abs(_laid(axis, holes[j].normal) @ (centres[j] - centres[i])))
+    across = min(words, key=lambda axis: abs(_projected(axis, holes[j].normal) @ (centres[j] - centres[i])))
     rows = [(holes[i], axis) for axis in words] + [(holes[j], across)]
-    return [Support(hole.centre, f"in-plane {axis}", _laid(axis, hole.normal), hole=True) for hole, axis in rows]
+    return [Support(hole.centre, f"in-plane {axis}", _projected(axis, hole.normal), hole=True) for hole, axis in rows]
 
 
 def _two_and_one(places: list[Place], main: np.ndarray) -> list[Support]:
     """Two locators across the longer of two axes, at its ends, and one along it."""
     points = np.array([one.point for one in places])
     axes = _axes(main)
-    extents = [float(np.ptp(points @ _laid(axis, main))) for axis in axes]
+    extents = [float(np.ptp(points @ _projected(axis, main))) for axis in axes]
     long, short = (axes[i] for i in np.argsort(extents)[::-1])
-    along, across = points @ _laid(long, main), points @ _laid(short, main)
+    along, across = points @ _projected(long, main), points @ _projected(short, main)
     side = across.min() if abs(across.min() - across.mean()) > abs(across.max() - across.mean()) else across.max()
     row = np.abs(across - side) <= 0.35 * np.ptp(across) + 1e-9
     ends = [int(np.flatnonzero(row)[np.argmin(along[row])]), int(np.flatnonzero(row)[np.argmax(along[row])])]
     middle = int(np.argmin(np.abs(across - across.mean()) + (along - along.min())))
     rows = [(places[i], short) for i in ends] + [(places[middle], long)]
-    return [Support(place.point, f"in-plane {axis}", _laid(axis, place.normal)) for place, axis in rows]
+    return [Support(place.point, f"in-plane {axis}", _projected(axis, place.normal)) for place, axis in rows]
 
 
 def _pivoted(places: list[Place]) -> list[Support]:
-    """Six rows of all places and directions, chosen by pivoting."""
+    """Six rows among all places and directions, by QR with pivoting."""
     every = []
     for place in places:
         axes = _axes(place.normal)
         every.append(Support(place.point, "normal", place.normal))
-        every += [Support(place.point, f"in-plane {axis}", _laid(axis, place.normal)) for axis in axes]
+        every += [Support(place.point, f"in-plane {axis}", _projected(axis, place.normal)) for axis in axes]
     points, directions = (np.array([getattr(one, key) for one in every]) for key in ("point", "direction"))
     G = _readings(points, directions, _extent(points) / 2)
     order = qr(G.T, pivoting=True, mode="r")[1]
@@ -220,7 +219,7 @@ def _pivoted(places: list[Place]) -> list[Support]:
 
 
 def _further(six: list[Support], places: list[Place]) -> list[Support]:
-    """Places along the normal that are far from what holds the part already."""
+    """Supports along the normal at places far from the others."""
     held = np.array([one.point for one in six])
     points = np.array([place.point for place in places])
     least = 0.3 * _extent(points)
@@ -236,12 +235,12 @@ def _further(six: list[Support], places: list[Place]) -> list[Support]:
 
 
 def _axes(normal: np.ndarray) -> list[str]:
-    """The two axes that lie most in a plane."""
+    """The two axes with the smallest angles to a plane."""
     return ["xyz"[i] for i in sorted(np.argsort(np.abs(normal), kind="stable")[:2])]
 
 
-def _laid(axis: str, normal: np.ndarray) -> np.ndarray:
-    """An axis laid into a plane."""
+def _projected(axis: str, normal: np.ndarray) -> np.ndarray:
+    """An axis projected into a plane, of unit length."""
     unit = np.eye(3)["xyz".index(axis)]
     laid = unit - (unit @ normal) * normal
     return laid / np.linalg.norm(laid)
@@ -252,7 +251,7 @@ def _extent(points: np.ndarray) -> float:
 
 
 def spread(points: np.ndarray, count: int, near: np.ndarray | None = None) -> np.ndarray:
-    """Numbers of points, each the farthest from those before; the first from `near`, or from the middle."""
+    """Indices of points by farthest-point sampling; the first is farthest from `near`, or from the centre."""
     away = np.linalg.norm(points - points.mean(0), axis=1) if near is None else cKDTree(near).query(points)[0]
     chosen = []
     for step in range(min(count, len(points))):

@@ -1,8 +1,7 @@
-"""Welds and tongs along the places where two parts lie on each other, and welds that a user lists.
+"""Welds and tongs in laps, and the parts of listed welds.
 
-A weld stands 10 mm off the edge of the lap, or in the middle of a narrower flange, and welds follow each other along
-it. Tongs stand between them. Of all places that are as deep in the lap as those about them allow, each next one is the
-farthest from those before, until they would be nearer than their pitch.
+Welds are 10 mm off the edge of the lap, or in the middle of a narrower flange, along it. Tongs are between them. Both
+are chosen among the points of sufficient depth by farthest-point sampling, until the distance falls below the pitch.
 """
 
 from __future__ import annotations
@@ -19,25 +18,25 @@ from mic.wizard.fixture import spread
 __all__ = ["Joints", "force", "joined", "propose_joints"]
 
 DEEP = 10.0  # mm from the edge of a lap
-LEAST = 4.0  # mm: a lap that is nowhere so deep has no room for a nugget of 5 mm
-CLOSE = 0.1  # mm of gap beyond that of the closest quarter of a lap
-FLAT = 12.0  # degrees by which normals turn about a weld
-PITCH = 45.0  # mm between welds, about
-MOST = 12  # welds of a pair of parts: farther apart, if need be
-CLEAR = 8.0  # mm between the middles of a tong and a weld: the pad does not touch the nugget
-NEAR = 5.0  # mm: a listed weld joins the parts that are no farther off
+LEAST = 4.0  # mm: least depth of a lap for a nugget of 5 mm
+CLOSE = 0.1  # mm above the lower quartile of the gaps of a lap
+FLAT = 12.0  # degrees by which normals turn around a weld
+PITCH = 45.0  # mm between welds
+MOST = 12  # welds of a pair of parts
+CLEAR = 8.0  # mm between the centres of a tong and a weld
+NEAR = 5.0  # mm: a listed weld joins the parts within this distance
 
 
 @dataclass(frozen=True)
 class Joints:
-    """What joins two parts.
+    """The joints of two parts.
 
     Attributes
     ----------
     welds, tongs : (n, 3) array
-        mm, in the middle between the drawn surfaces, or of a stack.
+        mm, midway between the drawn surfaces, or in a stack.
     through : (m,) int array
-        Tongs of other laps that stand on this one too.
+        Tongs of other laps that also press this one.
     """
 
     welds: np.ndarray
@@ -55,22 +54,21 @@ def propose_joints(
     welded: np.ndarray = NONE,
     pressed: np.ndarray = NONE,
 ) -> Joints:
-    """Welds and tongs of a lap; with `listed` welds, (n, 3), tongs alone.
+    """Welds and tongs of a lap; tongs only if welds are `listed`, (n, 3).
 
-    Every piece of the lap that has room for a nugget gets a weld. They stand where the sheets are flat and lie closest,
-    if they do anywhere in the piece.
+    Every piece of the lap with room for a nugget gets a weld, where possible at flat places with small gaps.
 
     Parameters
     ----------
     lap : Faying
     gap : (n,) array
-        Between the facing surfaces at its places, mm.
+        Between the facing surfaces at its points, mm.
     listed : (w, 3) array, optional
     welded, pressed : (n, 3) array
-        Where laps that share a sheet with this one have welds and tongs.
+        Welds and tongs of laps that share a sheet with this one.
     """
     pitch, lines = PITCH, _lines(lap, gap)
-    through, pressing = welded[_standing(lap, welded)], np.flatnonzero(_standing(lap, pressed))
+    through, pressing = welded[_on_lap(lap, welded)], np.flatnonzero(_on_lap(lap, pressed))
     while True:
         welds = (
             [] if listed is not None else [one for own in lines for one in own[_row(lap.point[own], pitch, through)]]
@@ -94,8 +92,8 @@ def propose_joints(
     return Joints(points, lap.point[np.array(tongs, dtype=np.int64)], pressing)
 
 
-def _standing(lap: Faying, points: np.ndarray) -> np.ndarray:
-    """(n,) whether points of other laps stand on this one, seen along its normal, a nugget's width off its edge."""
+def _on_lap(lap: Faying, points: np.ndarray) -> np.ndarray:
+    """(n,) whether points of other laps are on this one along its normal, a nugget's width off its edge."""
     if not len(points):
         return np.zeros(0, dtype=bool)
     near = cKDTree(lap.point).query(points)[1]
@@ -107,7 +105,7 @@ def _standing(lap: Faying, points: np.ndarray) -> np.ndarray:
 
 
 def _lines(lap: Faying, gap: np.ndarray) -> list[np.ndarray]:
-    """Of each piece with room, the places where welds may stand."""
+    """Points for welds in each piece with room."""
     lines = []
     around = cKDTree(lap.point).query_ball_point(lap.point, max(LEAST, 2.5 * lap.spacing))
     flat = np.array([float((lap.normal[own] @ lap.normal[i]).min()) for i, own in enumerate(around)])
@@ -128,10 +126,7 @@ def _lines(lap: Faying, gap: np.ndarray) -> list[np.ndarray]:
 
 
 def _row(points: np.ndarray, pitch: float, given: np.ndarray = NONE) -> np.ndarray:
-    """Numbers of points that are a pitch apart, the ends first; two at least where they can be half a pitch apart.
-
-    Where some are `given`, such as are a pitch off these too.
-    """
+    """Indices of points a pitch apart, the ends first; at least two if half a pitch apart; a pitch off `given`."""
     if len(given):
         chosen = spread(points, min(len(points), 4 * MOST), given)
         others = [np.concatenate([given, points[chosen[:i]]]) for i in range(len(chosen))]
@@ -151,12 +146,12 @@ def _middle(lap: Faying, points: np.ndarray) -> np.ndarray:
 
 
 def joined(point: np.ndarray, bodies: list[Body]) -> tuple[list[tuple[str, str]], list[tuple[str, float]]]:
-    """Which parts a weld at a point joins, in pairs that follow each other through the stack.
+    """The parts that a weld at a point joins, in pairs of neighbours in the stack.
 
     Returns
     -------
     pairs : list of (str, str)
-        Empty where there are not two parts within reach.
+        Empty if there are fewer than two parts within reach.
     nearest : list of (str, float)
         The parts by their distance, mm.
     """
@@ -172,7 +167,7 @@ def joined(point: np.ndarray, bodies: list[Body]) -> tuple[list[tuple[str, str]]
 
 
 def force(first: Body, second: Body) -> float:
-    """Force of a tong, N: 100 N a square millimetre of the thinner sheet's thickness squared, to one digit."""
+    """Force of a tong, N: 100 N/mm² times the squared thickness of the thinner sheet, to one digit."""
     value = 100.0 * min(first.thickness, second.thickness) ** 2
     digit = 10.0 ** np.floor(np.log10(value))
     return float(max(1.0, round(value / digit)) * digit)

@@ -1,4 +1,4 @@
-"""A whole scene for parts that nothing is known of but their meshes."""
+"""Propose a scene from the meshes of its parts."""
 
 from __future__ import annotations
 
@@ -9,20 +9,20 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from mic.wizard.bodies import Body
-from mic.wizard.faying import Faying, closer, find_faying, nearest_distance
+from mic.wizard.faying import Faying, find_faying, nearest_distance, restrict
 from mic.wizard.fixture import Support, conditioning, propose_fixture, spread
 from mic.wizard.joints import NONE, Joints, propose_joints
 
 __all__ = ["Proposal", "Shaping", "Tong", "propose"]
 
-CLOSED = 0.25  # of the thinner sheet: so much drawn overlap a zone closes unasked
-BETWEEN = 0.8  # of the thickness of a sheet that lies between two others: their gap, at least
-PAIRS = 800  # contact pairs of a first run, about
-ACROSS = 4.0  # thicknesses between two candidates, if the elements are finer
-MEASURED = 4  # points of each part, along its free edges
+CLOSED = 0.25  # of the thinner sheet: overlap that a zone closes by default
+BETWEEN = 0.8  # of the thickness of a sheet between two others: least gap of these
+PAIRS = 800  # approximate number of contact pairs of a first run
+ACROSS = 4.0  # thicknesses between two candidates on finer meshes
+MEASURED = 4  # measured points of each part, on its free edges
 AWAY = 12.0  # mm between a measured point and a lap
-SHAPE = 0.3  # mm by which a corrective force moves a flat sheet
-ROOM = 1.1  # of the deepest overlap that is found here: a zone looks closer
+SHAPE = 0.3  # mm of deflection of a flat sheet by a corrective force
+ROOM = 1.1  # of the largest overlap found here, since a zone has more points
 
 
 @dataclass(frozen=True)
@@ -42,7 +42,7 @@ class Shaping:
 
 @dataclass(frozen=True)
 class Tong:
-    """A tong that presses the outer two of the sheets that lie upon each other at its point.
+    """A tong that presses the outer two sheets of a stack at its point.
 
     Attributes
     ----------
@@ -58,23 +58,23 @@ class Tong:
 
 @dataclass(frozen=True)
 class Proposal:
-    """What a scene is made of, by the names of its parts.
+    """A proposed scene, by the names of its parts.
 
     Attributes
     ----------
     bodies : list of Body
     offsets : dict of str to float
-        Thicknesses from the drawn surface to the middle of the sheet.
+        Thicknesses from the drawn surface to the mid-surface.
     why : dict of str to str
-        Where an offset other than zero comes from.
+        Reason for an offset other than zero.
     laps : list of Faying
-        Where parts lie on each other, the largest first.
+        The largest first.
     overlap : list of float
-        By lap, the drawn overlap that its zone must be told to close, mm; 0 for none.
+        By lap, the overlap that its zone must close beyond the default, mm; 0 for none.
     spacing : float or None
-        Between the candidates of all zones, mm, where left to themselves they would be many.
+        Between the candidates of all zones, mm, if the default gives too many.
     reach : list of float
-        By lap, the gap beyond which another sheet lies between the two, mm; 0 where none does.
+        By lap, the gap beyond which another sheet is between the two, mm; 0 if there is none.
     joints : list of Joints
         By lap.
     tongs : list of Tong
@@ -83,11 +83,11 @@ class Proposal:
     conditioned : dict of str to float
         Ratio of the singular values of the six.
     base : list of str
-        Of every group of parts that welds join the one whose six locators stay closed.
+        The part of each welded group whose six locators stay closed.
     measured : dict of str to (k, 3) array
     shaping : dict of str to Shaping
     sentences : list of str
-        What a user should know.
+        Notes for the user.
     """
 
     bodies: list[Body]
@@ -106,8 +106,8 @@ class Proposal:
     shaping: dict[str, Shaping]
     sentences: list[str]
 
-    def words(self) -> str:
-        """What is proposed, in numbers."""
+    def summary(self) -> str:
+        """Numbers of proposed items."""
         count = {
             "part": len(self.bodies),
             "locator": sum(map(len, self.fixtures.values())),
@@ -128,7 +128,7 @@ def propose(bodies: Sequence[Body], welds: Mapping[tuple[str, str], np.ndarray] 
         Points of welds by the parts that they join; by default welds are proposed.
     """
     sentences = [
-        f"{body.file}: {body.name} is {body.surface.diameter / 1e3:.3g} long in the file's unit, plainly metres"
+        f"{body.file}: {body.name} is {body.surface.diameter / 1e3:.3g} long in the file's unit: taken for metres"
         for body in bodies
         if body.unit == "m"
     ]
@@ -151,7 +151,7 @@ def propose(bodies: Sequence[Body], welds: Mapping[tuple[str, str], np.ndarray] 
         for body in bodies
     }
     fixtures = {body.name: propose_fixture(body, taken[body.name]) for body in bodies}
-    _tell_alone(bodies, laps, joints, sentences)
+    _note_unconnected(bodies, laps, joints, sentences)
     return Proposal(
         list(bodies),
         offsets,
@@ -172,10 +172,9 @@ def propose(bodies: Sequence[Body], welds: Mapping[tuple[str, str], np.ndarray] 
 
 
 def _offsets(bodies, laps: Sequence[Faying], sentences) -> tuple[dict[str, float], dict[str, str]]:
-    """Where the middle of each sheet lies: as the deck tells, else beside surfaces that are drawn on the same skin."""
-    told = {body.name: body.offset for body in bodies if body.offset is not None}
-    known = dict(told)
-    why = {name: "as the mesh file tells" for name, value in told.items() if value}
+    """Offsets of mid-surfaces: from the mesh file, else so that sheets drawn on touching skins are side by side."""
+    known = {body.name: body.offset for body in bodies if body.offset is not None}
+    why = {name: "from the mesh file" for name, value in known.items() if value}
     for lap in laps:
         a, b = lap.first, lap.second
         if not lap.coincident or a.name in known and b.name in known:
@@ -183,7 +182,7 @@ def _offsets(bodies, laps: Sequence[Faying], sentences) -> tuple[dict[str, float
         side = lap.side or 1.0
         if a.name not in known and b.name not in known:
             known[a.name] = -0.5 * side
-            why[a.name] = f"it is drawn on the skin that touches {b.name}, and its sheet lies on the other side"
+            why[a.name] = f"it is drawn on the skin that touches {b.name}, and its sheet is on the other side"
         if a.name in known:
             middle = known[a.name] * a.thickness + side * (a.thickness + b.thickness) / 2
             known[b.name] = lap.turned * middle / b.thickness
@@ -193,19 +192,19 @@ def _offsets(bodies, laps: Sequence[Faying], sentences) -> tuple[dict[str, float
             known[a.name] = middle / a.thickness
             why[a.name] = f"it is drawn on the skin that touches {b.name}"
         sentences.append(
-            f"{a.name} and {b.name} are drawn upon each other: offsets put their sheets side by side"
-            + ("" if lap.side else ", on which side is a guess that only you can judge")
+            f"{a.name} and {b.name} are drawn on the same surface: offsets place their sheets side by side"
+            + ("" if lap.side else "; the side is a guess, check it")
         )
     return {body.name: known.get(body.name, 0.0) for body in bodies}, why
 
 
 def _touching(bodies, laps: Sequence[Faying], offsets) -> tuple[list[Faying], list[float]]:
-    """Laps without the places that other sheets keep apart, and by lap the gap that begins there, mm."""
+    """Laps without points where another sheet is between, and by lap the gap that excludes these, mm."""
     found, reach = [], []
     for lap in laps:
         gap = lap.gap(offsets)
         least = min((BETWEEN * body.thickness for body in bodies if _between(body, lap, gap)), default=np.inf)
-        rest = lap if np.isinf(least) else closer(lap, gap < least)
+        rest = lap if np.isinf(least) else restrict(lap, gap < least)
         if rest is not None:
             found.append(rest)
             reach.append(0.0 if np.isinf(least) else round(least, 2))
@@ -213,7 +212,7 @@ def _touching(bodies, laps: Sequence[Faying], offsets) -> tuple[list[Faying], li
 
 
 def _between(body: Body, lap: Faying, gap: np.ndarray) -> bool:
-    """Whether another sheet lies between those of a lap, at some of its places, so that they cannot touch there."""
+    """Whether another sheet is between those of a lap, at some of its points."""
     wide = gap >= BETWEEN * body.thickness
     if body in (lap.first, lap.second) or not wide.any():
         return False
@@ -224,7 +223,7 @@ def _between(body: Body, lap: Faying, gap: np.ndarray) -> bool:
 
 
 def _joints(laps: Sequence[Faying], offsets, welds) -> list[Joints]:
-    """Welds and tongs lap by lap; what stands in a stack already is not proposed once more."""
+    """Welds and tongs lap by lap, without repeating those of a stack."""
     joints: list[Joints] = []
     for lap in laps:
         pair = (lap.first.name, lap.second.name)
@@ -239,7 +238,7 @@ def _joints(laps: Sequence[Faying], offsets, welds) -> list[Joints]:
 
 
 def _tongs(laps: Sequence[Faying], joints: Sequence[Joints]) -> list[Tong]:
-    """Tongs through all the sheets that lie upon each other where they stand."""
+    """Tongs on the outer sheets of the stacks at their points."""
     points = np.concatenate([NONE, *(joint.tongs for joint in joints)])
     owner = [lap for lap, joint in zip(laps, joints) for _ in joint.tongs]
     tongs = []
@@ -257,7 +256,7 @@ def _tongs(laps: Sequence[Faying], joints: Sequence[Joints]) -> list[Tong]:
 
 
 def _overlap(lap: Faying, offsets: Mapping[str, float]) -> float:
-    """The drawn overlap that must be closed, mm, if it is more than a zone closes unasked."""
+    """The overlap to be closed, mm, if a zone does not close it by default; else 0."""
     deepest = -float(lap.gap(offsets).min())
     if deepest <= 0.9 * CLOSED * _thinner(lap):
         return 0.0
@@ -265,7 +264,7 @@ def _overlap(lap: Faying, offsets: Mapping[str, float]) -> float:
 
 
 def _spacing(laps: Sequence[Faying]) -> float | None:
-    """A distance between candidates that leaves about `PAIRS` of them, if their own would leave more."""
+    """A distance of candidates that gives about `PAIRS` of them, if the default gives more."""
     if not laps:
         return None
     own = [max(lap.first.element, lap.second.element, ACROSS * _thinner(lap)) for lap in laps]
@@ -283,22 +282,20 @@ def _touched(lap: Faying, body: Body) -> np.ndarray:
     return lap.point if body is lap.first else lap.second.surface.project(lap.point).point
 
 
-def _tell_alone(bodies, laps, joints, sentences) -> None:
+def _note_unconnected(bodies, laps, joints, sentences) -> None:
     for body in bodies:
         own = [(lap, joint) for lap, joint in zip(laps, joints) if body in (lap.first, lap.second)]
         others = [other for other in bodies if other is not body]
         if not own and others:
             near = [(nearest_distance(body, other), other.name) for other in others]
             distance, name = min(near)
-            sentences.append(
-                f"{body.name} lies on no other part, the nearest is {name}, {distance:.3g} mm away: it stands by itself"
-            )
+            sentences.append(f"{body.name} has no lap with another part; the nearest is {name}, {distance:.3g} mm away")
         elif own and not any(len(joint.welds) for _, joint in own):
-            sentences.append(f"{body.name} has no weld: where it lies on others there is no room for one")
+            sentences.append(f"{body.name} has no weld: its laps have no room for one")
 
 
 def _base(bodies, laps, joints, welds) -> list[str]:
-    """The largest part of every group that welds join."""
+    """The largest part of every welded group."""
     group = {body.name: body.name for body in bodies}
     pairs = [(lap.first.name, lap.second.name) for lap, joint in zip(laps, joints) if len(joint.welds)]
     for a, b in [*pairs, *(welds or {})]:
@@ -312,7 +309,7 @@ def _base(bodies, laps, joints, welds) -> list[str]:
 
 
 def _free_edge(body: Body, taken: np.ndarray, away: float) -> np.ndarray:
-    """(n, 3) points on the edges of a part, away from where it lies on others, if any are."""
+    """(n, 3) points on the edges of a part, if possible away from its laps."""
     points = body.edge[0]
     if not len(points):
         points = body.surface.corners.mean(1)
@@ -330,9 +327,9 @@ def _measured(body: Body, taken: np.ndarray) -> np.ndarray:
 
 
 def _shaping(body: Body, six: Sequence[Support], taken: np.ndarray) -> Shaping:
-    """A force at the place of the free edge that is farthest from what holds the part.
+    """A force at the point of the free edge farthest from the supports.
 
-    A flat cantilever as wide as it is long, L, bends under F by 4 F L²/(E t³).
+    A flat square cantilever of length L deflects under F by 4 F L²/(E t³).
     """
     points = _free_edge(body, taken, 0.0)
     held = np.array([one.point for one in six])

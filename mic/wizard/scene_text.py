@@ -1,4 +1,4 @@
-"""A proposal as the text of a scene file that explains itself."""
+"""Write a proposal as a scene file with comments."""
 
 from __future__ import annotations
 
@@ -18,15 +18,15 @@ from mic.wizard.proposal import Proposal
 __all__ = ["scene_text"]
 
 WIDTH = 118
-LIMIT = 0.5  # mm: a tolerance to begin with
+LIMIT = 0.5  # mm
 SAMPLES = 100
 FRICTION = 0.2
 
-Row = tuple[str, Any, str]  #: key, value, what it means
+Row = tuple[str, Any, str]  #: key, value, comment
 
 
 class _Page:
-    """Lines of a scene file: the first table of each kind has a comment on every line, the others where they differ."""
+    """Lines of a scene file; each key is explained where it first occurs in a kind of table."""
 
     def __init__(self) -> None:
         self.lines: list[str] = []
@@ -70,22 +70,21 @@ def scene_text(proposal: Proposal, name: str, folder: Path, welds: str | None = 
     proposal : Proposal
     name : str
     folder : Path
-        Where the file will stand: mesh files are named from there.
+        Folder of the file, to which mesh names are relative.
     welds, points : str, optional
-        CSV files in that folder that list the welds, and the points to measure.
+        CSV files in that folder with the welds and the points to measure.
     """
     page = _Page()
     page.say(
-        "A first scene, proposed by mic init from the meshes alone. Everything here is a guess but what the meshes "
-        "tell: go through it from top to bottom and put in what you know. Lengths are mm, forces N, stiffness MPa. "
-        "`mic check` says what the scene means and what is wrong with it, `mic run` computes it. The scene reference "
-        "of the documentation has every key."
+        "A first scene, proposed by mic init from the meshes alone. All values that the meshes do not contain are "
+        "guesses: go through the file and correct them. Units are mm, N, MPa. `mic check` explains the scene and lists "
+        "its errors, `mic run` computes it. The scene reference in the documentation has all keys."
     )
     page.blank()
     page.table(
         "",
         [
-            ("name", name, "names the folder of the results"),
+            ("name", name, "name of the results folder"),
             ("description", "Proposed from the meshes.", "one sentence for the report"),
         ],
     )
@@ -101,11 +100,11 @@ def scene_text(proposal: Proposal, name: str, folder: Path, welds: str | None = 
     _measurements(page, proposal, points)
     page.say("Size of the Monte Carlo: 500 samples leave a standard deviation uncertain by 6 %, 100 by 14 %.")
     page.table("[monte_carlo]", [("samples", SAMPLES, "number of assemblies"), ("seed", 1, "of the deviations")])
-    page.say("What the run shall produce; what is not asked for is not computed.")
+    page.say("Requested results; others are not computed.")
     page.table(
         "[report]",
         [
-            ("laws", ["coulomb"], 'laws of contact; add "frictionless" to see what friction does'),
+            ("laws", ["coulomb"], 'contact laws; add "frictionless" to see the effect of friction'),
             ("fields", True, "mean and 6σ displacement of the whole assembly"),
         ],
     )
@@ -113,21 +112,21 @@ def scene_text(proposal: Proposal, name: str, folder: Path, welds: str | None = 
 
 
 def _parts(page: _Page, proposal: Proposal, folder: Path) -> None:
-    page.say("--- Parts: sheets, each by the mesh of one of its surfaces, mostly the middle one.")
+    page.say("--- Parts: sheets, each with the mesh of a surface, usually the mid-surface.")
     for body in proposal.bodies:
         rows: list[Row] = [
-            ("name", body.name, "names the part in every other table"),
+            ("name", body.name, "name of the part in all other tables"),
             (
                 "mesh",
                 Path(os.path.relpath(body.file.resolve(), folder.resolve())).as_posix(),
-                "from this file's folder",
+                "relative to this file",
             ),
         ]
         if body.sets:
             value = body.sets[0] if len(body.sets) == 1 else list(body.sets)
-            rows.append(("set", value, "the element set of the mesh file that is this part"))
+            rows.append(("set", value, "element sets of the mesh file that form this part"))
         if body.unit != "mm":
-            rows.append(("unit", body.unit, "of the mesh file"))
+            rows.append(("unit", body.unit, "unit of length of the mesh file"))
         page.table(
             "[[parts]]",
             [*rows, *_sheet(body, proposal)],
@@ -147,7 +146,7 @@ def _sheet(body: Body, proposal: Proposal) -> list[Row]:
             (
                 "offset",
                 round(offset, 4),
-                "thicknesses from the drawn surface to the middle of the sheet, along the mesh's normals: "
+                "thicknesses from the drawn surface to the mid-surface, along the mesh's normals: "
                 + proposal.why[body.name],
             )
         )
@@ -160,34 +159,38 @@ def _size(body: Body) -> str:
 
 def _locators(page: _Page, proposal: Proposal) -> None:
     page.say(
-        '--- Locators: each holds a part in one direction, over a round pad. The six of stage "locate" set a part '
-        "down: three along the sheet's normal (A), two across it (B), one along it (C). Further ones close in stage "
+        '--- Locators: each holds a part in one direction, over a round pad. The six of stage "locate" place a part: '
+        "three along the sheet's normal (A), two across it (B), one along it (C). Further ones close in stage "
         '"clamp" and bend the part to its nominal shape there.'
     )
     for body in proposal.bodies:
         own = proposal.fixtures[body.name]
         page.say(
-            f"{body.name}: how well the six hold it, the ratio of the least to the largest singular value of its rigid "
-            f"motions' readings, is {proposal.conditioned[body.name]:.2f} (0 would be loose)."
+            f"{body.name}: conditioning of its six locators (ratio of the smallest to the largest singular value) is "
+            f"{proposal.conditioned[body.name]:.2f}; 0 means a free motion."
         )
         for label, one in zip(_labels(own), own):
-            where: Row = ("point", _point(one.point), "where, mm")
+            where: Row = ("point", _point(one.point), "mm")
             if one.hole:
-                where = ("hole", _point(one.point), "a pin in the hole about this point, mm: the rim is read")
+                where = ("hole", _point(one.point), "a pin in the hole at this point, mm")
             rows: list[Row] = [
-                ("name", f"{body.name}-{label}", "names it in `keep` and in deviations"),
-                ("part", body.name, "the part that it holds"),
+                ("name", f"{body.name}-{label}", "name in `keep` and in deviations"),
+                ("part", body.name, "supported part"),
                 where,
-                ("direction", one.words, '"normal" to the sheet, an axis laid into it ("in-plane x"), or [x, y, z]'),
+                (
+                    "direction",
+                    one.words,
+                    '"normal" to the sheet, an axis projected into it ("in-plane x"), or [x, y, z]',
+                ),
             ]
             if not one.hole:
                 rows.append(("radius", 4, "of the pad, mm"))
-            rows.append(("stage", "clamp" if one.further else "locate", "when it closes"))
+            rows.append(("stage", "clamp" if one.further else "locate", "stage in which it closes"))
             page.table("[[locators]]", rows)
 
 
 def _labels(supports: Sequence[Support]) -> list[str]:
-    """A1, A2, A3, B1, B2, C1 of a 3-2-1; A4 and so on beyond; L1 to L6 of six rows that are none."""
+    """A1, A2, A3, B1, B2, C1 for a 3-2-1, else L1 to L6; A4 and so on for further locators."""
     words = [one.words for one in supports[:6]]
     labels = [f"L{i}" for i in range(1, 7)]
     if words[:3] == ["normal"] * 3 and "normal" not in words[3:]:
@@ -204,13 +207,13 @@ def _labels(supports: Sequence[Support]) -> list[str]:
 def _zones(page: _Page, proposal: Proposal) -> None:
     if not proposal.laps:
         return
-    page.say("--- Contact zones: where two parts may touch. A zone finds by itself where they face each other.")
+    page.say("--- Contact zones: where two parts may touch. The facing surfaces are found automatically.")
     for lap, overlap, reach in zip(proposal.laps, proposal.overlap, proposal.reach):
         a, b = lap.first.name, lap.second.name
         gap = lap.gap(proposal.offsets)
         rows: list[Row] = [
-            ("name", f"{a}-{b}", "names it in the results"),
-            ("parts", [a, b], "the two that may touch"),
+            ("name", f"{a}-{b}", "name in results"),
+            ("parts", [a, b], "the two parts that may touch"),
             ("friction", FRICTION, "coefficient of friction; 0.1 to 0.3 for sheet metal, oiled to dry"),
         ]
         if overlap:
@@ -218,22 +221,22 @@ def _zones(page: _Page, proposal: Proposal) -> None:
                 (
                     "nominal_overlap",
                     overlap,
-                    f"mm: the sheets are drawn {-gap.min():.2f} mm into each other here, which counts as touching up "
-                    "to this; thicknesses or offsets may be wrong",
+                    f"mm: overlaps up to this count as touching; the largest drawn overlap is {-gap.min():.2f} mm, so "
+                    "thicknesses or offsets may be wrong",
                 )
             )
         if reach:
-            rows.append(("max_gap", reach, "mm between them; where they lie farther apart, another sheet lies between"))
+            rows.append(("max_gap", reach, "mm; with larger gaps another sheet is between the two"))
         if proposal.spacing is not None:
             rows.append(
                 (
                     "spacing",
                     _number(proposal.spacing),
-                    "mm between candidates for contact: so that a first run takes minutes; take it out for the last",
+                    "mm between contact candidates, for a fast first run; remove it for the final run",
                 )
             )
-        told = f"{lap.area:.0f} mm², drawn gaps {gap.min() + 0.0:.2f} to {gap.max() + 0.0:.2f} mm"
-        page.table("[[zones]]", rows, told)
+        comment = f"{lap.area:.0f} mm², drawn gaps {gap.min() + 0.0:.2f} to {gap.max() + 0.0:.2f} mm"
+        page.table("[[zones]]", rows, comment)
 
 
 def _clamps(page: _Page, proposal: Proposal) -> None:
@@ -244,9 +247,9 @@ def _clamps(page: _Page, proposal: Proposal) -> None:
     )
     for count, tong in enumerate(proposal.tongs, 1):
         rows: list[Row] = [
-            ("name", f"T{count}", "names it in `order` and in deviations"),
-            ("parts", [tong.first.name, tong.second.name], "the two that it presses together"),
-            ("point", _point(tong.point), "where, mm"),
+            ("name", f"T{count}", "name in `order` and in deviations"),
+            ("parts", [tong.first.name, tong.second.name], "the two parts that it presses together"),
+            ("point", _point(tong.point), "mm"),
             ("force", _number(force(tong.first, tong.second)), "N"),
         ]
         page.table("[[clamps]]", rows)
@@ -254,45 +257,45 @@ def _clamps(page: _Page, proposal: Proposal) -> None:
 
 def _welds(page: _Page, proposal: Proposal, file: str | None) -> None:
     if file is not None:
-        page.say("--- Spot welds: one a row of a CSV file, whose columns are keys.")
+        page.say("--- Spot welds: one per row of a CSV file, whose columns are keys.")
         page.table(
             "[[welds]]",
-            [("file", file, "columns name, parts, x, y, z"), ("radius", 2.5, "of the nuggets, mm")],
+            [("file", file, "columns name, parts, x, y, z"), ("radius", 2.5, "radius of the nuggets, mm")],
         )
         return
     if not any(len(joint.welds) for joint in proposal.joints):
         return
     page.say(
-        "--- Spot welds: each freezes the gap that it finds; `points` is one at each. Hundreds come from a CSV file."
+        "--- Spot welds, one at each of `points`; each freezes the gap at its point. Many welds can be in a CSV file."
     )
     count = 0
     for lap, joint in zip(proposal.laps, proposal.joints):
         if len(joint.welds):
             count += 1
             rows: list[Row] = [
-                ("name", f"W{count}", f"they are called W{count}-1, W{count}-2, …"),
-                ("parts", [lap.first.name, lap.second.name], "the two that they join"),
-                ("points", [_point(point) for point in joint.welds], "where, mm"),
-                ("radius", 2.5, "of the nuggets, mm"),
+                ("name", f"W{count}", f"the welds are W{count}-1, W{count}-2, …"),
+                ("parts", [lap.first.name, lap.second.name], "the two parts that they join"),
+                ("points", [_point(point) for point in joint.welds], "mm"),
+                ("radius", 2.5, "radius of the nuggets, mm"),
             ]
             page.table("[[welds]]", rows)
 
 
 def _stages(page: _Page, proposal: Proposal, welds: str | None) -> None:
-    page.say("--- The process, stage after stage. `mic check` prints it step by step.")
-    page.table("[[stages]]", [("kind", "locate", "the parts are set down on their six locators")])
+    page.say("--- The stages of the process. `mic check` prints their steps.")
+    page.table("[[stages]]", [("kind", "locate", "places the parts on their six locators")])
     further = any(one.further for own in proposal.fixtures.values() for one in own)
     tongs = bool(proposal.tongs)
     welded = welds is not None or any(len(joint.welds) for joint in proposal.joints)
     if further or tongs:
         page.table("[[stages]]", [("kind", "clamp", "")], "further locators close, then one clamp after the other")
     if welded:
-        page.table("[[stages]]", [("kind", "weld", "")], "all welds at once; `sequence = true`: one by one")
+        page.table("[[stages]]", [("kind", "weld", "")], "all welds at once; one by one with `sequence = true`")
     if further or tongs or welded:
         keep = [f"{name}-{label}" for name in proposal.base for label in _labels(proposal.fixtures[name])[:6]]
         page.table(
             "[[stages]]",
-            [("kind", "release", ""), ("keep", keep, "all opens but these: what is measured springs back on them")],
+            [("kind", "release", ""), ("keep", keep, "these stay closed, all others open")],
             "springback",
         )
     page.table("[[stages]]", [("kind", "measure", "")], "reads the measurements")
@@ -300,21 +303,21 @@ def _stages(page: _Page, proposal: Proposal, welds: str | None) -> None:
 
 def _deviations(page: _Page, proposal: Proposal) -> None:
     page.say(
-        "--- Deviations: what varies from assembly to assembly, each on its own. These are placeholders, so that a "
-        "first run says something: put in what your parts and fixtures do. A corrective force gives a part another "
-        "stress-free shape; a locator that is off moves its part."
+        "--- Deviations: independent variations between assemblies. These are placeholders for a first run: replace "
+        "them by the variations of your parts and fixtures. A corrective force gives a part another stress-free shape; "
+        "a displaced locator moves its part."
     )
     for body in proposal.bodies:
         shaping = proposal.shaping[body.name]
         page.table(
             "[[deviations]]",
             [
-                ("name", f"{body.name}-shape", "names it in the results"),
-                ("kind", "force", '"force": shapes a part; "locator", "clamp": moves one'),
-                ("part", body.name, "the part that it shapes"),
-                ("point", _point(shaping.point), "where the force acts, mm"),
-                ("direction", "normal", "into which it acts"),
-                ("sigma", _number(shaping.sigma), "standard deviation, N: a flat sheet would move by about 0.3 mm"),
+                ("name", f"{body.name}-shape", "name in results"),
+                ("kind", "force", '"force" shapes a part; "locator" and "clamp" move these'),
+                ("part", body.name, "the part whose shape varies"),
+                ("point", _point(shaping.point), "of the force, mm"),
+                ("direction", "normal", "of the force"),
+                ("sigma", _number(shaping.sigma), "standard deviation, N: deflects a flat sheet by about 0.3 mm"),
             ],
         )
         labels = _labels(proposal.fixtures[body.name])
@@ -324,7 +327,7 @@ def _deviations(page: _Page, proposal: Proposal) -> None:
                 [
                     ("name", f"{body.name}-{label}-off", ""),
                     ("kind", "locator", ""),
-                    ("target", f"{body.name}-{label}", "the locator that moves along its direction"),
+                    ("target", f"{body.name}-{label}", "locator that moves along its direction"),
                     ("sigma", 0.1, ""),
                 ],
                 "standard deviation in mm",
@@ -340,7 +343,7 @@ def _measurements(page: _Page, proposal: Proposal, file: str | None) -> None:
         "--- Key characteristics: the deviation of a point from nominal, and its tolerance. The limits are guesses."
     )
     if file is not None:
-        rows: list[Row] = [("file", file, "one a row; columns are keys, and come before what stands here"), *limits]
+        rows: list[Row] = [("file", file, "one per row; columns are keys and override those below"), *limits]
         page.table("[[measurements]]", rows)
         return
     for body in proposal.bodies:
@@ -348,10 +351,10 @@ def _measurements(page: _Page, proposal: Proposal, file: str | None) -> None:
             page.table(
                 "[[measurements]]",
                 [
-                    ("name", f"{body.name}-M{number}", "names it in the results"),
-                    ("part", body.name, "the part that is measured"),
-                    ("point", _point(point), "where, mm: at a free edge"),
-                    ("direction", "normal", "in which the deviation counts positive"),
+                    ("name", f"{body.name}-M{number}", "name in results"),
+                    ("part", body.name, "measured part"),
+                    ("point", _point(point), "mm, at a free edge"),
+                    ("direction", "normal", "in which a deviation is positive"),
                     *limits,
                 ],
             )
@@ -367,7 +370,7 @@ def _number(value: float) -> float | int:
 
 
 def _value(value: Any) -> str:
-    """A value as TOML has it; long lists over several lines."""
+    """A value in TOML, with long lists on several lines."""
     text = json.dumps(value, ensure_ascii=False)
     if isinstance(value, list) and len(text) > 90:
         return "[\n" + "".join(f"    {json.dumps(one, ensure_ascii=False)},\n" for one in value) + "]"
