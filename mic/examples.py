@@ -58,7 +58,7 @@ def copy(name: str, out: Path | str | None = None) -> Path:
         for path in sorted(path for pattern in _FILES for path in source.glob(pattern)):
             shutil.copyfile(path, target / path.name)
     except FileExistsError as problem:
-        raise RunError(f"{target}: this already exists and is not overwritten; name another folder with --out") from problem
+        raise RunError(f"{target}: this already exists; name another folder with --out") from problem
     except OSError as problem:
         raise RunError(f"{target}: cannot be written ({problem.strerror}); name another folder with --out") from problem
     return target

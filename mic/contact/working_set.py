@@ -152,7 +152,7 @@ class WorkingSetSolver:
         self._prepared_set = self._neighbourhood.copy()
         self._prepared: ContactSolver | None = None  # see _prepare
         self._frictionless: ContactSolver | None = None  # see _solved_frictionless
-        self._landing: Landing | None = None  # see _lands
+        self._factorised: Landing | None = None  # see _uses_newton
 
     def with_friction(self, friction: Friction) -> WorkingSetSolver:
         """The solver of the same candidates with another friction; everything that depends on S alone is reused."""
@@ -161,7 +161,7 @@ class WorkingSetSolver:
         some._parameters, some.carried = self.law.parameters(some._friction), np.zeros_like(self.carried)
         changed = lambda solver, own: solver.with_friction(some._friction.take(own))
         some._solvers = {key: changed(known, np.frombuffer(key, bool)) for key, known in self._solvers.items()}
-        some._landing = None
+        some._factorised = None
         some._prepared = None if self._prepared is None else changed(self._prepared, self._prepared_set)
         return some
 
@@ -359,9 +359,9 @@ class WorkingSetSolver:
             or not MAX_INITIAL < self._start.sum() <= MANY_CANDIDATES
         ):
             return False
-        if self._landing is None:
-            self._landing = self._solver(self._start).backend.landing(self._start, self._S)
-        return bool(self._landing)
+        if self._factorised is None:
+            self._factorised = self._solver(self._start).backend.landing(self._start, self._S)
+        return bool(self._factorised)
 
     def _by_solver(self, working, todo) -> Iterator[tuple[np.ndarray, np.ndarray, ContactSolver]]:
         """Samples of `todo`, candidates (m,) that include their working sets (n, m), and the solver of these."""
@@ -379,7 +379,7 @@ class WorkingSetSolver:
         end[:, :, 1:] -= anchor[:, among]
         end[:, :, 0][~working[:, among]] = FAR
         load = end.reshape(len(b), -1)
-        newton = solver.backend.land(load, force[:, rows], among, self._landing)
+        newton = solver.backend.land(load, force[:, rows], among, self._factorised)
         solution = from_solution(solver, solver.certify(load, *newton))
         return replace(solution, anchor=solution.anchor + anchor[:, among])
 
