@@ -1,20 +1,15 @@
-"""The error budget of a scene: what each source of error leaves in its figures, by the cheapest honest estimate.
+"""The error budget of a scene: the error that each source causes in its figures.
 
-A figure θ is a mean or a 6σ, of a key characteristic or of a zone's slip; its error δ is what production prints less
-what it would print without the source, so that a positive δ is a figure that is printed too large. Where a source can
-be made smaller, the same n samples are taken a second time with less of it, and with y in production and x better
+A figure θ is a mean or 6σ of a key characteristic or zone slip. Its error δ is the printed value minus the value
+without the source, so a positive δ is a figure that is printed too large. Where a source can be reduced, the same n
+samples are solved again with less of it. With y in production and x better,
 
     d = θ(y) − θ(x),        δ = f d,        |δ − f d| ≤ (f + g) t s + g |d|
 
-s is the jackknife's standard error of d (:mod:`mic.statistics.paired_differences`), t Student's. f extrapolates to a source that is
-gone: where its error is of order p and the better samples have 1/r of it in size, f = 1/(1 − r⁻ᵖ). g is how far f may
-be wrong, as :data:`REFINED` says, and 3/n of f for what n samples do not show. Doubts of the kind that repeats itself
-add to those of chance, not in squares. What cannot be repeated with less of it is bounded, ``|δ| ≤ U``: then δ is 0
-with U about it.
-
-The sum adds the δ with their signs, and what is unsure of them in squares, as independent (ASME V&V 20, section 7).
-
-Costs are CPU seconds of the process that worked, the first use of compiled code among them.
+s is the jackknife's standard error of d (:mod:`mic.statistics.paired_differences`), t Student's. f extrapolates to the
+limit: for an error of order p and a refinement by r, f = 1/(1 − r⁻ᵖ). g is the uncertainty of f (:data:`REFINED`),
+and 3/n of f covers effects that n samples may miss. Systematic doubts add linearly to those of chance. A source that
+cannot be reduced is bounded, ``|δ| ≤ U``: then δ = 0 with uncertainty U.
 """
 
 from __future__ import annotations

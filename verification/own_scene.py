@@ -109,6 +109,76 @@ def choose(results: np.ndarray, numbers: np.ndarray, count: int, seed: int) -> l
     return [Choice(int(numbers[i]), kind) for i, kind in zip(picked, kinds)]
 
 
+def _record(scene: Scene, chosen, full, seconds, ranks: int) -> dict:
+    """Samples, full solves and times of a verification, for ``summary.json``."""
+    samples, laws = scene.monte_carlo.samples, scene.report.laws
+    taken = [result["seconds"] for result in full if "failure" not in result]
+    return {
+        "scene": scene.name,
+        "samples": samples,
+        "seed": scene.monte_carlo.seed,
+        "law": laws[0],
+        "chosen": [
+            {"sample": c.sample, "kind": c.kind, "seconds": r.get("seconds"), "failure": r.get("failure")}
+            for c, r in zip(chosen, full)
+        ],
+        "seconds": {
+            "reduced_model": seconds[0],
+            "reduced_sample": seconds[1] * ranks / (samples * len(laws)),
+            "full_sample": float(np.mean(taken)) if taken else None,
+        },
+        "versions": versions(),
+        "ranks": ranks,
+    }
+
+
+def _write_results(folder: Path, summary: dict, per_sample: pd.DataFrame, table: pd.DataFrame, budget, items) -> dict:
+    """Write tables, ``summary.json`` and the page; returns the summary."""
+    per_sample.to_csv(folder / "samples.csv", index=False)
+    table.to_csv(folder / "estimates.csv", index=False)
+    _write(folder / "summary.json", json.dumps(summary, indent=2, allow_nan=False) + "\n")
+    page = _page(summary, per_sample, table, summary["truth"]["law"], budget, items)
+    _write(folder / "report.html", page)
+    return summary
+
+
+def _sample_reduced(scene: Scene, asked: Scene, folder: Path, cache: Path, tell):
+    """Monte Carlo of the reduced model, on increments and, where the scene follows its path, as the scene states it.
+
+    Returns
+    -------
+    model, assembly
+    production : Path
+        Results folder of the scene as stated.
+    seconds : (2,) tuple of float
+        Wall time of the model, and of its samples on increments.
+    """
+    samples, seed, law = scene.monte_carlo.samples, scene.monte_carlo.seed, scene.report.laws[0]
+    start = time.perf_counter()
+    tell(f"{scene.name}: reduced model and {samples} samples under {', '.join(scene.report.laws)} …")
+    model, assembly = reduced_and_assembly(scene, cache)
+    prepared = time.perf_counter()
+    sample_into(folder / "reduced", model, scene.report.laws, samples, seed)
+    evaluated = time.perf_counter()
+    production = folder / "reduced"
+    if scene != asked:
+        tell(f"{samples} samples as the scene has its path, under {law} …")
+        production = folder / "production"
+        sample_into(production, dataclasses.replace(model, scene=asked), [law], samples, seed)
+    return model, assembly, production, (prepared - start, evaluated - prepared)
+
+
+def _chosen(cheap, truth: str, scene: Scene, count: int) -> list[Choice]:
+    """Samples to solve in full; raises SceneError if there is nothing to compare."""
+    base = cheap.get(truth, next(iter(cheap.values())))
+    if base.shape[1] == 0 or len(base) == 0:
+        raise SceneError(
+            f"scene {scene.name!r} has nothing to verify: it needs samples that do not fail, and measurements or "
+            "contact zones with friction; add [[measurements]], or find out with mic run why samples fail"
+        )
+    return choose(base.to_numpy(), base.index.to_numpy(), count, scene.monte_carlo.seed)
+
+
 def verify_scene(
     scene: Scene,
     folder: Path,
@@ -121,8 +191,8 @@ def verify_scene(
 ) -> dict:
     """Verify the Monte Carlo of a scene by a few full solves; returns the content of ``summary.json``.
 
-    Stages whose path is followed take one increment a step here, in the reduced model and in the full solves: what the
-    path leaves, every run tells of itself, and the full solves would take minutes a sample.
+    Followed stages take one increment a step here, in the reduced model and in the full solves: every run reports its
+    own path error, and followed full solves would take minutes a sample.
 
     Parameters
     ----------
@@ -133,14 +203,12 @@ def verify_scene(
     count : int
         Full solves.
     deviated : bool
-        Whether they are done on meshes that carry each sample's shape deviation, with its stiffness, normals and gaps.
+        Use meshes that carry each sample's shape deviation, with its stiffness, normals and gaps.
     team : Team
-        Ranks that share the samples.
     say : callable
-        Called on the first rank with one line of text at a time.
+        Receives lines of text on the first rank.
     sources : collection of str
-        Sources of error that are estimated beside the full solves, of :data:`verification.budget.EVERY`;
-        with none of them there is no budget.
+        Sources of error to estimate, of :data:`verification.budget.EVERY`; without any there is no budget.
 
     Raises
     ------
@@ -153,27 +221,11 @@ def verify_scene(
     scene = _on_increments(asked)
     truth = "coulomb" if any(zone.frictional for zone in scene.zones) else "frictionless"
     samples, seed = scene.monte_carlo.samples, scene.monte_carlo.seed
-    start = time.perf_counter()
     with threadpool_limits(limits=1, user_api="blas"):
-        tell(f"{scene.name}: reduced model and {samples} samples under {', '.join(scene.report.laws)} …")
-        model, assembly = reduced_and_assembly(scene, cache)
-        prepared = time.perf_counter()
-        sample_into(folder / "reduced", model, scene.report.laws, samples, seed)
-        evaluated = time.perf_counter()
-        production = folder / "reduced"
-        if scene != asked:
-            tell(f"{samples} samples as the scene has its path, under {law} …")
-            production = folder / "production"
-            sample_into(production, dataclasses.replace(model, scene=asked), [law], samples, seed)
+        model, assembly, production, seconds = _sample_reduced(scene, asked, folder, cache, tell)
         outcome = read_outcome(folder / "reduced")
         cheap = {law: _quantities(outcome, law) for law in outcome.laws}
-        base = cheap.get(truth, next(iter(cheap.values())))
-        if base.shape[1] == 0 or len(base) == 0:
-            raise SceneError(
-                f"scene {scene.name!r} has nothing to verify: it needs samples that do not fail, and measurements or "
-                "contact zones with friction; add [[measurements]], or look at why samples fail with mic run"
-            )
-        chosen = choose(base.to_numpy(), base.index.to_numpy(), count, seed)
+        chosen = _chosen(cheap, truth, scene, count)
         tell(
             f"full finite elements, {'deviated' if deviated else 'nominal'} meshes: samples "
             + ", ".join(f"{choice.sample} ({choice.kind})" for choice in chosen)
@@ -193,44 +245,23 @@ def verify_scene(
             items += estimate(case, folder / "budget", mark, team, sources, say)
     if team.rank > 0:
         return {}
-    solved = [(choice, result) for choice, result in zip(chosen, full) if "failure" not in result]
-    per_sample = pd.DataFrame(
-        [row for choice, result in solved for row in _sample_rows(outcome, model, choice, result)]
-    )
-    table = pd.DataFrame([row for law in outcome.laws for row in _statistics_rows(law, cheap[law], model, solved)])
-    laws = len(scene.report.laws)
     budget = None
     if sources:
         items = [_algebra(printing, law), *items, _sampling(figures)]
         budget = by_quantity(figures, items)
         budget.to_csv(folder / "budget.csv", index_label="quantity")
-    summary = {
-        "scene": scene.name,
-        "samples": samples,
-        "seed": seed,
+    solved = [(choice, result) for choice, result in zip(chosen, full) if "failure" not in result]
+    per_sample = pd.DataFrame(
+        [row for choice, result in solved for row in _sample_rows(outcome, model, choice, result)]
+    )
+    table = pd.DataFrame([row for law in outcome.laws for row in _statistics_rows(law, cheap[law], model, solved)])
+    summary = _record(scene, chosen, full, seconds, team.size) | {
         "truth": {"law": truth, "deviated_meshes": deviated},
-        "chosen": [
-            {"sample": c.sample, "kind": c.kind, "seconds": r.get("seconds"), "failure": r.get("failure")}
-            for c, r in zip(chosen, full)
-        ],
-        "seconds": {
-            "reduced_model": prepared - start,
-            "reduced_sample": (evaluated - prepared) * team.size / (samples * laws),
-            "full_sample": float(np.mean([r["seconds"] for _, r in solved])) if solved else None,
-        },
-        "law": law,
         "budget": None if budget is None else _budget_record(scene.name, budget, items),
         "per_sample": per_sample.to_dict("records"),
         "statistics": table.to_dict("records"),
-        "versions": versions(),
-        "ranks": team.size,
     }
-    summary = _finite(summary)
-    per_sample.to_csv(folder / "samples.csv", index=False)
-    table.to_csv(folder / "estimates.csv", index=False)
-    _write(folder / "summary.json", json.dumps(summary, indent=2, allow_nan=False) + "\n")
-    _write(folder / "report.html", _page(summary, per_sample, table, truth, budget, items))
-    return summary
+    return _write_results(folder, _finite(summary), per_sample, table, budget, items)
 
 
 def _algebra(outcome, law) -> Item:

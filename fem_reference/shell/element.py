@@ -265,8 +265,7 @@ def membrane_strain(T: Triangle, v: Kinematics, at: Corners, material: Material)
 
         L + a_i = P_i (L + k Δn),   k = (L·Δn) (3 + cos α)/(4 cos α (1 + cos α)(2 + cos α)).
 
-    They turn with the nodal rotations, δa_i = θ_i × (L + a_i) − ΔL, where ΔL = u_j − u_i, and the mean strain along the
-    edge is
+    They rotate with the nodes, δa_i = θ_i × (L + a_i) − ΔL, where ΔL = u_j − u_i. The mean strain along the edge is
 
         l² ε_e = L·ΔL + r_e,   r_e = q_i·δa_i + q_j·δa_j,   q_i = 2/15 a_i − 1/30 a_j,                              (3)
 
@@ -274,17 +273,16 @@ def membrane_strain(T: Triangle, v: Kinematics, at: Corners, material: Material)
 
         ε_0 = sym ∇u − Σ_e r_e sym(∇λi ⊗ ∇λj).                                                                       (4)
 
-    Drilling is the turn of the corner's tangent plane against the chord, in that plane:
+    Drilling is the rotation of the corner's tangent plane against the chord, in that plane:
 
         φ_i = m_i·(θ_i × L − ΔL)/l,   m_i = (n_i × L)/|n_i × L|.                                                     (5)
 
-    Basic part: the strain of edges that bow out by the difference of their end rotations (α_b = 1 would be Allman's
-    triangle; OPT takes 3/2). With A the triangle's area and k opposite to the edge,
+    Basic part: the strain of edges that bow out by the difference of their end rotations (OPT: α_b = 3/2). With A the
+    triangle's area and k opposite to the edge,
 
         ε_b = ε_0 + α_b A/3 Σ_e (φ_j − φ_i) ∇λk ⊗ ∇λk.                                                               (6)
 
-    Higher-order part, of zero mean: linear in the deviatoric rotations ω̃_i and set by the strain along each edge, of
-    which −sym ∇λi ⊗ ∇λj is the tensor that the other two edges do not feel,
+    Higher-order part, of zero mean and linear in the deviatoric rotations ω̃_i,
 
         ε_h = −√β0 A Σ_e s_k sym(∇λi ⊗ ∇λj),   s_k = (1 − 3λj) ω̃_i − (1 − 3λi) ω̃_j + (λi − λj) ω̃_k,              (7)
 
@@ -292,18 +290,16 @@ def membrane_strain(T: Triangle, v: Kinematics, at: Corners, material: Material)
 
         φ_i + m·ε_0 s − F l²/6 δ(κτ),   m = e3 × s,                                                                  (8)
 
-    the turn of the edge in the mean strain, and the turn of the chord out of the geodesic, whose normal curvature and
-    torsion are κ = −Δn·s/l and τ = −Δn·m/l. With θ′ the rotation relative to that of the triangle, δκ = −(θ′_j × n_j −
-    θ′_i × n_i)·s/l and δτ likewise with m. F makes (8) vanish for a cylinder that opens, whatever its edges turn; with
-    the arc over its chord c = 3/(2 + cos α),
+    the rotation of the edge by the mean strain, and of the chord against the geodesic of normal curvature
+    κ = −Δn·s/l and torsion τ = −Δn·m/l. With θ′ the rotation relative to that of the triangle,
+    δκ = −(θ′_j × n_j − θ′_i × n_i)·s/l and δτ likewise with m. F makes (8) vanish for a cylinder that opens; with the
+    arc over its chord c = 3/(2 + cos α),
 
         F = ¾ (1/cos α + c (3 + 2 c cos α)/(3 (6 − c cos α))) · (|n_i × s| |n_j × s|)^−½.                            (9)
 
-    Every quadratic inextensional displacement of every quadratic surface has ε_b = ε_h = 0, whatever the shape of the
-    triangle (docs/curved_triangle.md proves it). With n_i = e3 all a, κ and τ vanish, φ_i = ω_i − m·∇u s, (8) is the
-    drilling freedom less the rotation ½(∂u2/∂x1 − ∂u1/∂x2), and (6) and (7) are the ANDES template of Felippa (2003)
-    with (β1 … β9) = (1, 2, 1, 0, 1, −1, −1, −1, −2): his K_b = A ∫ ε_b : C ε_b and K_h = ¾β0 A ΣQᵀE Q follow on
-    integration, and ε_b, ε_h do not couple.
+    Every quadratic inextensional displacement of every quadratic surface has ε_b = ε_h = 0 (docs/curved_triangle.md).
+    With n_i = e3 all a, κ and τ vanish, and (6) and (7) are the ANDES template of Felippa (2003) with (β1 … β9) =
+    (1, 2, 1, 0, 1, −1, −1, −1, −2).
     """
     α_b = 3 / 2
     λ, dλ, A, P = T.barycentric, T.gradient, T.area, T.frame

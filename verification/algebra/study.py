@@ -67,6 +67,34 @@ def compare(model, assembly, law, sample, penalties, path="one-step") -> list[di
     return rows
 
 
+def _convergence(penalised: pd.DataFrame, augmented: pd.DataFrame):
+    """Figure of the difference against the penalty, and the fitted order of each sample."""
+    figure, axes = panels(len(CASES), 4.2)
+    orders = []
+    for axis, (name, *_) in zip(axes, CASES):
+        for law, colour in zip(LAWS, ("tab:red", "tab:blue")):
+            series_of, best_of = (
+                table[(table["assembly"] == name) & (table["law"] == law)] for table in (penalised, augmented)
+            )
+            for sample, series in series_of.groupby("sample"):
+                order = -np.polyfit(np.log(series["ε/k"]), np.log(series["largest"]), 1)[0]
+                orders.append(order)
+                axis.loglog(
+                    series["ε/k"],
+                    series["largest"],
+                    "o-",
+                    color=colour,
+                    ms=4,
+                    lw=1,
+                    label=f"{law}, order {order:.3f}" if sample == 0 else None,
+                )
+            best = best_of["largest"].max()
+            axis.axhline(best, color=colour, ls=":", lw=1, label=f"{law}, augmented {best:.0e}")
+        axis.set(title=name.replace("_", " "), xlabel="penalty ε/k", ylabel="largest relative difference")
+        axis.legend()
+    return figure, orders
+
+
 def run(context):
     cases = [
         (name, quick if context.quick else size, sample)
@@ -98,29 +126,7 @@ def run(context):
     rows["largest"] = rows[["force", "displacement", "measurement"]].max(axis=1)
     augmented, penalised = rows[rows["ε/k"].isna()], rows[rows["ε/k"].notna()]
 
-    figure, axes = panels(len(CASES), 4.2)
-    orders = []
-    for axis, (name, *_) in zip(axes, CASES):
-        for law, colour in zip(LAWS, ("tab:red", "tab:blue")):
-            series_of, best_of = (
-                table[(table["assembly"] == name) & (table["law"] == law)] for table in (penalised, augmented)
-            )
-            for sample, series in series_of.groupby("sample"):
-                order = -np.polyfit(np.log(series["ε/k"]), np.log(series["largest"]), 1)[0]
-                orders.append(order)
-                axis.loglog(
-                    series["ε/k"],
-                    series["largest"],
-                    "o-",
-                    color=colour,
-                    ms=4,
-                    lw=1,
-                    label=f"{law}, order {order:.3f}" if sample == 0 else None,
-                )
-            best = best_of["largest"].max()
-            axis.axhline(best, color=colour, ls=":", lw=1, label=f"{law}, augmented {best:.0e}")
-        axis.set(title=name.replace("_", " "), xlabel="penalty ε/k", ylabel="largest relative difference")
-        axis.legend()
+    figure, orders = _convergence(penalised, augmented)
     finest = penalised[penalised["ε/k"] == penalties[-1]]
     return [
         Finding(

@@ -113,41 +113,20 @@ class Leaves:
         return load / 2 * L**3 / (3 * EI) - couple * (at * L - at**2 / 2) / EI
 
 
-def scene(
-    leaves: Leaves,
-    folder,
-    loads,
-    weld_at: float | None = None,
-    increments: int | None = None,
-    mid_surface: bool = False,
-):
-    """The scene of a load history: a clamp stage presses the leaves together, one further clamp stage brings each next
-    load.
-
-    A deviation for each load's clamps can take them away again, so that one batch shows the state after every load.
+def _on_leaves(leaves: Leaves, loads, x, y, share):
+    """Locators, clamps, measurements and deviations of both leaves.
 
     Parameters
     ----------
-    leaves : Leaves
-    folder : Path
-        Where the meshes go.
-    loads : sequence of float
-        P after each stage, N.
-    weld_at : float, optional
-        Welds across the whole width at this distance to both sides of the middle, mm.
-    increments : int, optional
-        Of each stage that brings a load; followed without.
-    mid_surface : bool
-        Let the pairs read the mid-surfaces, where friction has no lever.
+    leaves, loads
+        As :func:`scene` takes them.
+    x, y : array
+        Places of the pressing clamps along the span, and of the points across the width, mm.
+    share : array
+        Share of a load at each point across the width.
     """
     L, b, h = leaves.length, leaves.width, leaves.depth
-    y, share = strips.line(0, b, 1 + 2 * max(1, round(b / leaves.size / 2)))
-    x = (np.arange(leaves.columns) + 0.5) / leaves.columns * 2 * L - L
     cell = 2 * L / leaves.columns
-    sheets = {
-        name: dict(x=-L, z=z, length=2 * L, width=b, size=leaves.size, thickness=h, young=leaves.young, poisson=0.0)
-        for name, z in (("lower", 0.0), ("upper", h))
-    }
     locators, clamps, measurements, deviations = [], [], [], []
     for part, z in (("lower", 0.0), ("upper", h)):
         for i, at in enumerate((-L, L)):
@@ -190,6 +169,44 @@ def scene(
                     )
                 )
                 deviations.append(dict(name=f"{part}-{j}-load{k}", kind="clamp", target=f"{part}-{j}-load{k}", sigma=0))
+    return locators, clamps, measurements, deviations
+
+
+def scene(
+    leaves: Leaves,
+    folder,
+    loads,
+    weld_at: float | None = None,
+    increments: int | None = None,
+    mid_surface: bool = False,
+):
+    """The scene of a load history: a clamp stage presses the leaves together, one further clamp stage brings each next
+    load.
+
+    A deviation for each load's clamps can take them away again, so that one batch shows the state after every load.
+
+    Parameters
+    ----------
+    leaves : Leaves
+    folder : Path
+        Where the meshes go.
+    loads : sequence of float
+        P after each stage, N.
+    weld_at : float, optional
+        Welds across the whole width at this distance to both sides of the middle, mm.
+    increments : int, optional
+        Of each stage that brings a load; followed without.
+    mid_surface : bool
+        Let the pairs read the mid-surfaces, where friction has no lever.
+    """
+    L, b, h = leaves.length, leaves.width, leaves.depth
+    y, share = strips.line(0, b, 1 + 2 * max(1, round(b / leaves.size / 2)))
+    x = (np.arange(leaves.columns) + 0.5) / leaves.columns * 2 * L - L
+    sheets = {
+        name: dict(x=-L, z=z, length=2 * L, width=b, size=leaves.size, thickness=h, young=leaves.young, poisson=0.0)
+        for name, z in (("lower", 0.0), ("upper", h))
+    }
+    locators, clamps, measurements, deviations = _on_leaves(leaves, loads, x, y, share)
     zone = dict(
         name="interface",
         parts=("lower", "upper"),

@@ -75,14 +75,12 @@ def _scene(
     measurements=(),
     supports="base",
     stop_y=None,
-    deviations=(),
-    stages=(),
+    **tables,
 ):
-    """A sheet whose lower face lies `gap` above a round pad; points and directions of the arguments lie in the sheet's
-    own frame.
+    """A sheet whose lower face lies `gap` above a round pad; points and directions are in the sheet's own frame.
 
-    It is held by supports in its normal direction at its corners (or across its whole ends), two at its side, and a
-    stop at its far end.
+    Supports hold it in its normal direction at its corners (or across its whole ends), two at its side, and a stop at
+    its far end. `tables` may hold ``deviations`` and ``stages``.
     """
     L, b, h = sheet.length, sheet.width, sheet.depth
     ends = (0, L)
@@ -124,9 +122,9 @@ def _scene(
         locators=[turned(item, part="sheet", radius=0) for item in locators],
         clamps=[turned(item, part="sheet") for item in clamps],
         zones=[zone],
-        deviations=list(deviations),
+        deviations=tables.get("deviations", []),
         measurements=[turned(item, part="sheet", radius=0, lower=-1, upper=1) for item in measurements],
-        stages=[dict(kind="locate"), *(stages or [dict(kind="clamp", increments=1)]), dict(kind="measure")],
+        stages=[dict(kind="locate"), *tables.get("stages", [dict(kind="clamp", increments=1)]), dict(kind="measure")],
     )
 
 

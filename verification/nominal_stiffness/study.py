@@ -175,6 +175,20 @@ def _judged(model, assembly, sample) -> dict[str, np.ndarray]:
     }
 
 
+def _differences(solved: pd.DataFrame):
+    """Figure of the differences against the deviation, a panel for each quantity."""
+    figure, axes = panels(4, 3.7)
+    for axis, quantity in zip(axes, ("measurement", "force", "zone slip", "stretching")):
+        for name, own in solved.groupby("assembly", sort=False):
+            axis.loglog(own["deviation, mm"], own[quantity], "o-", ms=4, lw=1, label=name.replace("_", " "))
+        axis.set(
+            xlabel="largest shape deviation, mm",
+            title="added membrane energy, relative" if quantity == "stretching" else f"{quantity}, relative difference",
+        )
+    axes[0].legend()
+    return figure
+
+
 def run(context):
     cases = [
         (name, quick if context.quick else size)
@@ -210,15 +224,7 @@ def run(context):
         if len(own) > 1
     }
 
-    figure, axes = panels(4, 3.7)
-    for axis, quantity in zip(axes, ("measurement", "force", "zone slip", "stretching")):
-        for name, own in solved.groupby("assembly", sort=False):
-            axis.loglog(own["deviation, mm"], own[quantity], "o-", ms=4, lw=1, label=name.replace("_", " "))
-        axis.set(
-            xlabel="largest shape deviation, mm",
-            title="added membrane energy, relative" if quantity == "stretching" else f"{quantity}, relative difference",
-        )
-    axes[0].legend()
+    figure = _differences(solved)
 
     def each(table, column, form):
         return ", ".join(f"{row['assembly'].replace('_', ' ')} {row[column]:{form}}" for _, row in table.iterrows())

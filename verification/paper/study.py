@@ -142,25 +142,8 @@ def slip_forces(evaluation):
     return np.linalg.norm(force[:, active, 1:], axis=-1).mean(0)
 
 
-def run(context):
-    scene = shipped("wheelhouse", "coarse" if context.quick else "medium", LAWS)
-    with open(scene.folder / "paper.toml", "rb") as file:
-        paper = tomllib.load(file)
-    names = [zone.name for zone in scene.zones]
-    published = {
-        law: np.array([[paper["zones"][name][law][key] for name in names] for key in ("mean", "six_sigma")])
-        for law in ("frictionless", "associated")
-    }
-    model = context.model(scene)
-    mean, sigma = calibrate(model, published["frictionless"], 150 if context.quick else 500)
-
-    # Fresh samples: those that calibrated the forces are not the judge of the calibration.
-    base_mean = np.array([deviation.mean for deviation in scene.deviations])
-    base_sigma = np.array([deviation.sigma for deviation in scene.deviations])
-    deviations = mean + sigma * (draw(scene, 202, 0, 500) - base_mean) / base_sigma
-    evaluations = dict(zip(LAWS, context.team.map(lambda law: model.evaluate(deviations, law), LAWS)))
-    slip = {law: zone_slip(model, evaluation) for law, evaluation in evaluations.items()}
-
+def _trend(evaluations, slip, published, names) -> pd.DataFrame:
+    """Mean and 6σ of each zone's slip under each law, with their intervals, beside the paper's."""
     rows = []
     for law in LAWS:
         reported = published["frictionless" if law == "frictionless" else "associated"]
@@ -180,27 +163,43 @@ def run(context):
                     "failed samples": int(evaluations[law].failed.sum()),
                 }
             )
-    table = pd.DataFrame(rows)
-    free = table[table["law"] == "frictionless"]
-    calibration = max(
-        abs(free["mean, mm"] / free["paper's mean, mm"] - 1).max(),
-        abs(free["6σ, mm"] / free["paper's 6σ, mm"] - 1).max(),
-    )
-    ratio = {
-        law: np.stack(
-            [slip[law].mean(0) / slip["frictionless"].mean(0), slip[law].std(0) / slip["frictionless"].std(0)]
-        )
-        for law in LAWS[1:]
-    }
-    published_ratio = published["associated"] / published["frictionless"]
-    worst = max(r.max() for r in ratio.values())
-    off = np.abs(np.log(ratio["associated"] / published_ratio))
-    few = deviations[: 40 if context.quick else 100]
-    orders, order_figure, moved = by_order(context, model, few, published_ratio)
-    there = int((~evaluations["coulomb"].failed[: len(few)]).sum())  # of the slips, those of the few samples
-    laws = laws_by_cut(context, model, few, slip["coulomb"][:there].mean(0))
-    uncut = laws.loc[laws["increments of a step"] == CUTS[0], "Coulomb's law / followed"]
+    return pd.DataFrame(rows)
 
+
+def _trend_in_words(ratio, published_ratio, names) -> str:
+    off = np.abs(np.log(ratio / published_ratio))
+    return (
+        "Friction under the paper's law leaves "
+        + ", ".join(
+            f"{ratio[0, z]:.2f} of the mean and {ratio[1, z]:.2f} of the spread in "
+            f"{name} (paper: {published_ratio[0, z]:.2f} and {published_ratio[1, z]:.2f})"
+            for z, name in enumerate(names)
+        )
+        + f". The reductions differ from the paper's by factors of up to {np.exp(off.max()):.1f}. The paper's "
+        "geometry, locators and clamp forces are not "
+        "published: agreement of the frictionless column is a calibration and proves nothing; that friction "
+        "lowers mean and spread in all zones is a "
+        "prediction that could have failed; the amount is a property of this geometry and its clamps, and no "
+        "agreement of amounts is claimed."
+    )
+
+
+def _fitted(model, mean, sigma) -> pd.DataFrame:
+    """Calibrated corrective forces beside the scene's."""
+    deviations = model.scene.deviations
+    return pd.DataFrame(
+        {
+            "force": model.parameters,
+            "mean, N": mean,
+            "σ, N": sigma,
+            "scene's mean, N": [deviation.mean for deviation in deviations],
+            "scene's σ, N": [deviation.sigma for deviation in deviations],
+        }
+    )
+
+
+def _densities(slip, published, names):
+    """Figure of the probability density of each zone's slip under each law."""
     figure, axes = panels(len(names), width=3.9)
     for z, (axis, name) in enumerate(zip(axes, names)):
         x = np.linspace(0, 1.15 * max(values[:, z].max() for values in slip.values()), 400)
@@ -215,10 +214,12 @@ def run(context):
             )
         axis.set(xlabel=f"RMS slip in {name}, mm", ylabel="probability density, 1/mm")
     axes[0].legend(fontsize=7.5)
+    return figure
 
-    forces = slip_forces(evaluations["coulomb"])
-    measured = paper["slip_force"]
-    force_figure, (axis,) = panels(1, width=7)
+
+def _forces(forces, measured):
+    """Figure of the friction forces of the active contacts beside the published ranges."""
+    figure, (axis,) = panels(1, width=7)
     axis.bar(
         np.arange(len(forces)), np.sort(forces)[::-1], color="tab:red", label="active contacts, mean of the samples"
     )
@@ -229,16 +230,56 @@ def run(context):
         )
     axis.set(xlabel="active contacts, largest first", ylabel="friction force, N")
     axis.legend()
-    inside = ((forces >= measured["calculated_low"]) & (forces <= measured["calculated_high"])).mean()
-    fitted = pd.DataFrame(
-        {
-            "force": model.parameters,
-            "mean, N": mean,
-            "σ, N": sigma,
-            "scene's mean, N": base_mean,
-            "scene's σ, N": base_sigma,
-        }
+    return figure
+
+
+def _published(scene, names):
+    """Mean and 6σ of each zone's slip in the paper, by law, and its slip forces."""
+    with open(scene.folder / "paper.toml", "rb") as file:
+        paper = tomllib.load(file)
+    zones = {
+        law: np.array([[paper["zones"][name][law][key] for name in names] for key in ("mean", "six_sigma")])
+        for law in ("frictionless", "associated")
+    }
+    return zones, paper["slip_force"]
+
+
+def run(context):
+    scene = shipped("wheelhouse", "coarse" if context.quick else "medium", LAWS)
+    names = [zone.name for zone in scene.zones]
+    published, measured = _published(scene, names)
+    model = context.model(scene)
+    mean, sigma = calibrate(model, published["frictionless"], 150 if context.quick else 500)
+
+    # Fresh samples: those that calibrated the forces are not the judge of the calibration.
+    base_mean = np.array([deviation.mean for deviation in scene.deviations])
+    base_sigma = np.array([deviation.sigma for deviation in scene.deviations])
+    deviations = mean + sigma * (draw(scene, 202, 0, 500) - base_mean) / base_sigma
+    evaluations = dict(zip(LAWS, context.team.map(lambda law: model.evaluate(deviations, law), LAWS)))
+    slip = {law: zone_slip(model, evaluation) for law, evaluation in evaluations.items()}
+
+    table = _trend(evaluations, slip, published, names)
+    free = table[table["law"] == "frictionless"]
+    calibration = max(
+        abs(free["mean, mm"] / free["paper's mean, mm"] - 1).max(),
+        abs(free["6σ, mm"] / free["paper's 6σ, mm"] - 1).max(),
     )
+    ratio = {
+        law: np.stack(
+            [slip[law].mean(0) / slip["frictionless"].mean(0), slip[law].std(0) / slip["frictionless"].std(0)]
+        )
+        for law in LAWS[1:]
+    }
+    published_ratio = published["associated"] / published["frictionless"]
+    worst = max(r.max() for r in ratio.values())
+    few = deviations[: 40 if context.quick else 100]
+    orders, order_figure, moved = by_order(context, model, few, published_ratio)
+    there = int((~evaluations["coulomb"].failed[: len(few)]).sum())  # of the slips, those of the few samples
+    laws = laws_by_cut(context, model, few, slip["coulomb"][:there].mean(0))
+    uncut = laws.loc[laws["increments of a step"] == CUTS[0], "Coulomb's law / followed"]
+
+    forces = slip_forces(evaluations["coulomb"])
+    inside = ((forces >= measured["calculated_low"]) & (forces <= measured["calculated_high"])).mean()
     return [
         Finding(
             "order",
@@ -257,24 +298,13 @@ def run(context):
                 "On 500 samples that were not used to calibrate; 6σ of 500 samples is itself uncertain, see the "
                 "table of the trend."
             ),
-            table=fitted,
+            table=_fitted(model, mean, sigma),
         ),
         Finding(
             "trend",
             float(worst),
-            "Friction under the paper's law leaves "
-            + ", ".join(
-                f"{ratio['associated'][0, z]:.2f} of the mean and {ratio['associated'][1, z]:.2f} of the spread in "
-                f"{name} (paper: {published_ratio[0, z]:.2f} and {published_ratio[1, z]:.2f})"
-                for z, name in enumerate(names)
-            )
-            + f". The reductions differ from the paper's by factors of up to {np.exp(off.max()):.1f}. The paper's "
-            "geometry, locators and clamp forces are not "
-            "published: agreement of the frictionless column is a calibration and proves nothing; that friction "
-            "lowers mean and spread in all zones is a "
-            "prediction that could have failed; the amount is a property of this geometry and its clamps, and no "
-            "agreement of amounts is claimed.",
-            figure,
+            _trend_in_words(ratio["associated"], published_ratio, names),
+            _densities(slip, published, names),
             table,
         ),
         Finding(
@@ -291,7 +321,7 @@ def run(context):
             f"{measured['measured_low']:g} to {measured['measured_high']:g} N, calculated "
             f"{measured['calculated_low']:g} to {measured['calculated_high']:g} N); {inside:.0%} of them lie in the "
             "range that the paper calculated.",
-            force_figure,
+            _forces(forces, measured),
         ),
     ]
 

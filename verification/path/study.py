@@ -292,6 +292,87 @@ def against_full(routes):
     return pd.DataFrame(rows)
 
 
+def _on_scenes(table, nearing, counts, samples) -> list[Finding]:
+    """Findings on the shipped scenes: errors of the followed path, of the reference path, and costs."""
+    followed = table[table["path"] == "followed"].set_index("scene")
+    worst = followed.loc[followed["slip / allowed"].idxmax()]
+    doubt = table[table["path"] == "25 times tighter"].set_index("scene")
+    doubt["either"] = doubt[["slip / allowed", "key characteristic / allowed"]].max(axis=1)
+    return [
+        Finding(
+            "slip",
+            float(followed["slip / allowed"].max()),
+            f"Worst: {worst.name}, {worst['worst slip']}. {samples} samples of each scene, coarse, the same for all "
+            "paths.",
+            picture(table),
+            table,
+        ),
+        Finding("key-characteristic", float(followed["key characteristic / allowed"].max())),
+        Finding(
+            "judge",
+            float(doubt["either"].max()),
+            "The path 25 times tighter than production's, against the tightest: "
+            + ", ".join(f"{name.replace('_', ' ')} {value:.2g}" for name, value in doubt["either"].items())
+            + ".",
+        ),
+        Finding("nearing", fall(nearing, counts), table=nearing),
+        *(Finding(f"cost-{name}", float(followed.loc[name, "times one increment"])) for name in SCENES),
+    ]
+
+
+def _coverage(true, estimate) -> Finding:
+    """How often a sample's own estimate covers its error."""
+    seen = true > ROUNDING
+    over = estimate[seen] / true[seen]
+    return Finding(
+        "coverage",
+        float((true <= estimate + ROUNDING).mean()),
+        f"{len(true)} ends of stages; where the error exceeds {1e6 * ROUNDING:g} nm, the estimate is "
+        f"{np.median(over):.3g} times as large in the median, {over.min():.2g} times at least."
+        if len(over)
+        else f"No error exceeds {1e6 * ROUNDING:g} nm.",
+    )
+
+
+def _in_closed_form(cases, exact, plain, found, skipped) -> list[Finding]:
+    """Findings on paths with a closed form, and on the layered cantilever."""
+    orders = np.array([cases[f"{n} steps"].iloc[0] for n in STEPS])
+    return [
+        Finding(
+            "order",
+            float((orders[:-1] / orders[1:]).min()),
+            f"The tractrix by {STEPS[0]} to {STEPS[-1]} steps.",
+            table=cases,
+        ),
+        Finding("linear", float(cases.loc[cases["piecewise linear"], "followed"].max())),
+        Finding("curved", float(cases.loc[~cases["piecewise linear"], "followed"].max())),
+        Finding("cantilever", float(np.abs(found - plain).max() / np.abs(exact).max())),
+        Finding(
+            "reversal",
+            float(abs(skipped[-1] - exact[-1]) / abs(exact[-1])),
+            f"The leaves keep a deflection of {exact[-1]:.3g} mm; gone straight to the same load they keep "
+            f"{skipped[-1]:.2g} mm.",
+        ),
+    ]
+
+
+def _of_both_routes(full, floor) -> list[Finding]:
+    """Reduced model against full finite elements, each on a fine path of its own method, and on equal increments."""
+    last_full = full[full["path"].str.startswith("extrapolated")]
+    last_reduced = full[full["path"] == f"followed to {floor:.0e} mm"]
+    compared = [name for name in full.columns if name not in ("route", "path") and not name.startswith("work")]
+    same = full[full["route"] == "one against the other"].dropna(axis=1)
+    return [
+        Finding(
+            "full",
+            float(last_reduced[compared].max().max()),
+            f"The full solve's own last refinement changes it by {last_full[compared].iloc[-2].max():.1e}.",
+            table=full,
+        ),
+        Finding("same", float(same[[name for name in same.columns if name not in ("route", "path")]].max().max())),
+    ]
+
+
 def run(context):
     counts = (64, 256) if context.quick else (64, 128, 256, 512)
     samples = 12 if context.quick else 40
@@ -322,66 +403,11 @@ def run(context):
     ]
     table, nearing = (pd.concat([part[i] for part in scenes], ignore_index=True) for i in (0, 3))
     true, estimate = (np.concatenate([part[i] for part in scenes]) for i in (1, 2))
-    followed = table[table["path"] == "followed"].set_index("scene")
-    worst = followed.loc[followed["slip / allowed"].idxmax()]
-    doubt = table[table["path"] == "25 times tighter"].set_index("scene")
-    doubt["either"] = doubt[["slip / allowed", "key characteristic / allowed"]].max(axis=1)
-    seen = true > ROUNDING
-    over = estimate[seen] / true[seen]
-    orders = np.array([cases[f"{n} steps"].iloc[0] for n in STEPS])
-    last_full = full[full["path"].str.startswith("extrapolated")]
-    last_reduced = full[full["path"] == f"followed to {floors[-1]:.0e} mm"]
-    compared = [name for name in full.columns if name not in ("route", "path") and not name.startswith("work")]
-    same = full[full["route"] == "one against the other"].dropna(axis=1)
     return [
-        Finding(
-            "slip",
-            float(followed["slip / allowed"].max()),
-            f"Worst: {worst.name}, {worst['worst slip']}. {samples} samples of each scene, coarse, the same for all "
-            "paths.",
-            picture(table),
-            table,
-        ),
-        Finding("key-characteristic", float(followed["key characteristic / allowed"].max())),
-        Finding(
-            "judge",
-            float(doubt["either"].max()),
-            "The path 25 times tighter than production's, against the tightest: "
-            + ", ".join(f"{name.replace('_', ' ')} {value:.2g}" for name, value in doubt["either"].items())
-            + ".",
-        ),
-        Finding("nearing", fall(nearing, counts), table=nearing),
-        *(Finding(f"cost-{name}", float(followed.loc[name, "times one increment"])) for name in SCENES),
-        Finding(
-            "coverage",
-            float((true <= estimate + ROUNDING).mean()),
-            f"{len(true)} ends of stages; where the error exceeds {1e6 * ROUNDING:g} nm, the estimate is "
-            f"{np.median(over):.3g} times as large in the median, {over.min():.2g} times at least."
-            if len(over)
-            else f"No error exceeds {1e6 * ROUNDING:g} nm.",
-        ),
-        Finding(
-            "order",
-            float((orders[:-1] / orders[1:]).min()),
-            f"The tractrix by {STEPS[0]} to {STEPS[-1]} steps.",
-            table=cases,
-        ),
-        Finding("linear", float(cases.loc[cases["piecewise linear"], "followed"].max())),
-        Finding("curved", float(cases.loc[~cases["piecewise linear"], "followed"].max())),
-        Finding("cantilever", float(np.abs(found - plain).max() / np.abs(exact).max())),
-        Finding(
-            "reversal",
-            float(abs(skipped[-1] - exact[-1]) / abs(exact[-1])),
-            f"The leaves keep a deflection of {exact[-1]:.3g} mm; gone straight to the same load they keep "
-            f"{skipped[-1]:.2g} mm.",
-        ),
-        Finding(
-            "full",
-            float(last_reduced[compared].max().max()),
-            f"The full solve's own last refinement changes it by {last_full[compared].iloc[-2].max():.1e}.",
-            table=full,
-        ),
-        Finding("same", float(same[[name for name in same.columns if name not in ("route", "path")]].max().max())),
+        *_on_scenes(table, nearing, counts, samples),
+        _coverage(true, estimate),
+        *_in_closed_form(cases, exact, plain, found, skipped),
+        *_of_both_routes(full, floors[-1]),
     ]
 
 

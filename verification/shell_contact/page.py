@@ -17,8 +17,8 @@ __all__ = ["page", "row"]
 RULES = "Conventions, contact law, stages and uncertainty: [all cases](../../README.md)."
 LEGEND = "Supports black, clamps red, welds violet, probes green, rigid bodies as circles."
 FILES = (
-    "`case.json` holds all positions, directions, radii and loads, `mesh.inp` the coarse mesh, `values.csv` the values on "
-    "three meshes, `problem.hdf5` the last contact problem (FCLIB)."
+    "`case.json` holds all positions, directions, radii and loads, `mesh.inp` the coarse mesh, `values.csv` the values "
+    "on three meshes, `problem.hdf5` the last contact problem (FCLIB)."
 )
 
 
