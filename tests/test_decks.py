@@ -76,11 +76,11 @@ def test_a_deck_tells_its_sets_and_the_sheet_of_each(tmp_path, name, text, sheet
     for part, sheet, area in zip(("left plate", "right"), sheets, (1, 0.5)):
         triangles = deck.element_sets[part]
         assert surface.areas[triangles].sum() == pytest.approx(area)
-        (told,) = deck.told(triangles)
+        (told,) = deck.distinct_sheets(triangles)
         assert (told.thickness, told.material) == (sheet.thickness, sheet.material)
         for key in ("offset", "young", "poisson"):
             assert getattr(told, key) == pytest.approx(getattr(sheet, key)) or getattr(sheet, key) is None
-    assert len(deck.told()) == 2
+    assert len(deck.distinct_sheets()) == 2
 
 
 def test_node_numbers_and_sets_are_those_of_the_deck(tmp_path):
@@ -99,10 +99,10 @@ def test_one_part_is_taken_out_of_a_deck_by_the_name_of_its_set(tmp_path):
         surface, deck = read_mesh(written(tmp_path, text, name), sets)
         assert surface.areas.tolist() == pytest.approx([0.5]) and len(surface.points) == 3
         assert len(deck.points_of(1)) == 0 and len(deck.points_of(10)) == 1
-        assert [sheet.thickness for sheet in deck.told()] == [0.8] and "left plate" not in deck.element_sets
+        assert [sheet.thickness for sheet in deck.distinct_sheets()] == [0.8] and "left plate" not in deck.element_sets
     _, deck = read_mesh(tmp_path / "a.inp", ["left plate"])
     assert len(deck.element_sets["left plate"]) == len(deck.element_sets["both"]) == 2 and deck.parts == ("left plate",)
-    with pytest.raises(FormatError, match="there is no element set 'middle'; it holds 'left plate', 'right'"):
+    with pytest.raises(FormatError, match="there is no element set 'middle'; the file holds 'left plate', 'right'"):
         read_mesh(tmp_path / "a.inp", ["middle"])
 
 
@@ -120,10 +120,10 @@ def test_parts_of_one_deck_that_touch_are_not_merged(tmp_path):
 
 def test_a_deck_in_another_unit_is_in_mm_and_mpa(tmp_path):
     surface, deck = read_mesh(written(tmp_path, ABAQUS.replace("210000.", "2.1e11")), ["left plate"], "m")
-    (sheet,) = deck.told()
+    (sheet,) = deck.distinct_sheets()
     assert surface.areas.sum() == pytest.approx(1e6) and sheet.thickness == pytest.approx(1500)
     assert sheet.young == pytest.approx(210e3) and sheet.offset == -0.5
-    (sheet,) = read_mesh(written(tmp_path, ABAQUS.replace("210000.", "3.0e7")), ["left plate"], "in")[1].told()
+    (sheet,) = read_mesh(written(tmp_path, ABAQUS.replace("210000.", "3.0e7")), ["left plate"], "in")[1].distinct_sheets()
     assert sheet.young == pytest.approx(206843, rel=1e-5) and sheet.thickness == pytest.approx(38.1)
 
 
@@ -131,7 +131,7 @@ def test_the_offset_of_a_triangle_that_is_turned_is_turned(tmp_path):
     turned = ABAQUS.replace("2, 2, 10, 3", "2, 3, 10, 2")
     _, deck = read_mesh(written(tmp_path, turned))
     assert deck.repair.triangles_turned == 1
-    assert [deck.told(deck.element_sets[name])[0].offset for name in ("left plate", "right")] == [-0.5, -0.2]
+    assert [deck.distinct_sheets(deck.element_sets[name])[0].offset for name in ("left plate", "right")] == [-0.5, -0.2]
 
 
 def test_instances_are_placed_and_their_sets_are_theirs(tmp_path):
@@ -153,7 +153,7 @@ def test_instances_are_placed_and_their_sets_are_theirs(tmp_path):
 """
     surface, deck = read_mesh(written(tmp_path, parts + assembly + "*Material" + sections.split("*Shell")[0]))
     assert deck.parts == ("first", "second") and deck.repair.pieces == 2
-    assert [sheet.young for sheet in deck.told()] == [210e3]
+    assert [sheet.young for sheet in deck.distinct_sheets()] == [210e3]
     # shifted along z, then turned about y: z goes to x, x to −z
     assert surface.points[deck.node_sets["pins"]] == pytest.approx(np.array([[7, 0, -2.0]]))
     assert len(deck.points_of(10)) == 2 and len(deck.node_sets["corner"]) == 3
@@ -174,20 +174,20 @@ def test_what_is_no_sheet_is_passed_over_and_counted(tmp_path):
 9, 1, 2, 3
 """
     surface, deck = read_mesh(written(tmp_path, ABAQUS + more))
-    assert deck.passed_over == {"M3D4R": 1, "MASS": 2, "CONN3D2": 1, "R3D3": 1} and not deck.repair.triangles_repeated
-    assert any("passed over, no sheet: 1 CONN3D2" in note for note in deck.notes())
+    assert deck.ignored_elements == {"M3D4R": 1, "MASS": 2, "CONN3D2": 1, "R3D3": 1} and not deck.repair.triangles_repeated
+    assert any("ignored elements other than shells: 1 CONN3D2" in note for note in deck.notes())
     with pytest.raises(FormatError, match="the set 'm' holds no triangles or quadrilaterals, only MASS"):
         read_mesh(tmp_path / "deck.inp", ["m"])
     more = "RBE2,90,1,123,2,3\nCONM2,91,1,,1.0\nCBUSH,92,1,1,2\nCELAS2,93,1.,1,1,2,1\nENDDATA"
     _, deck = read_mesh(written(tmp_path, NASTRAN.replace("ENDDATA", more), "a.bdf"))
-    assert deck.passed_over == {"RBE2": 1, "CONM2": 1, "CBUSH": 1, "CELAS2": 1}
+    assert deck.ignored_elements == {"RBE2": 1, "CONM2": 1, "CBUSH": 1, "CELAS2": 1}
 
 
 def test_what_was_mended_is_told_and_what_is_usual_is_not(tmp_path):
     assert read_mesh(written(tmp_path, ABAQUS), ["right"])[1].notes() == []
     torn = ABAQUS.replace("2, 2, 10, 3", "2, 3, 10, 12").replace(" 10, 2., 0., 0.", " 10, 2., 0., 0.\n 12, 1., 0., 0.")
     notes = "; ".join(read_mesh(written(tmp_path, torn))[1].notes())
-    assert notes == "1 points merged with coincident ones; 1 triangles turned to agree with their neighbours"
+    assert notes == "1 points merged with coincident ones; 1 triangles reversed to agree with their neighbours"
 
 
 def test_midside_nodes_are_dropped_and_counted(tmp_path):

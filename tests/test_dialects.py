@@ -146,11 +146,11 @@ def written(tmp_path, text, name):
 def test_ls_dyna_tells_parts_sections_materials_and_sets(tmp_path):
     surface, deck = read_mesh(written(tmp_path, DYNA, "a.k"))
     assert deck.parts == ("pocket", "rib") and surface.areas[deck.element_sets["pocket"]].sum() == pytest.approx(1)
-    (pocket,), (rib,) = (deck.told(deck.element_sets[name]) for name in deck.parts)
+    (pocket,), (rib,) = (deck.distinct_sheets(deck.element_sets[name]) for name in deck.parts)
     assert (pocket.thickness, pocket.offset, pocket.young, pocket.poisson) == (1.5, -0.5, 210e3, 0.29)
     assert (rib.thickness, rib.offset, rib.young) == (0.8, pytest.approx(0.5), 210e3)
     assert len(deck.node_sets["row"]) == 2 and len(deck.points_of(10)) == 1
-    assert deck.passed_over == {"MASS": 1, "CONSTRAINED_NODAL_RIGID_BODY": 1}
+    assert deck.ignored_elements == {"MASS": 1, "CONSTRAINED_NODAL_RIGID_BODY": 1}
     wide = "*KEYWORD LONG=Y\n*NODE\n" + "".join(
         f"{n:20d}{x:20.1f}{y:20.1f}{0:20.1f}\n" for n, x, y in ((1, 0, 0), (2, 1, 0), (3, 1, 1))
     )
@@ -164,17 +164,17 @@ def test_ls_dyna_tells_parts_sections_materials_and_sets(tmp_path):
 def test_an_ansys_deck_tells_sections_materials_and_components(tmp_path):
     surface, deck = read_mesh(written(tmp_path, ANSYS, "a.cdb"))
     assert deck.parts == ("PID 3", "PID 4") and surface.areas[deck.element_sets["POCKET"]].sum() == pytest.approx(1)
-    (thick,), (thin,) = (deck.told(deck.element_sets[name]) for name in deck.parts)
+    (thick,), (thin,) = (deck.distinct_sheets(deck.element_sets[name]) for name in deck.parts)
     assert (thick.thickness, thick.offset, thick.young, thick.poisson) == (1.5, -0.5, 210e3, 0.29)
     assert (thin.thickness, thin.offset, thin.material) == (0.8, None, "1")
-    assert len(deck.node_sets["ROW"]) == 3 and len(deck.points_of(10)) == 1 and deck.passed_over == {"type 21": 1}
+    assert len(deck.node_sets["ROW"]) == 3 and len(deck.points_of(10)) == 1 and deck.ignored_elements == {"type 21": 1}
     assert read_mesh(tmp_path / "a.cdb", ["4"])[0].areas.sum() == pytest.approx(0.5)
 
 
 def test_a_universal_file_tells_groups(tmp_path):
     surface, deck = read_mesh(written(tmp_path, UNIVERSAL, "a.unv"), ["pocket"])
     assert surface.areas.sum() == pytest.approx(1) and len(deck.node_sets["pocket"]) == 2
-    assert deck.passed_over == {"kind 11": 1}
+    assert deck.ignored_elements == {"kind 11": 1}
 
 
 @pytest.mark.fem
@@ -200,7 +200,7 @@ def test_a_cad_sheet_is_meshed_with_the_size_that_is_asked_for_and_a_solid_refus
     assert counts[1] > counts[0]
     with pytest.raises(FormatError, match="it holds a solid, and the skin of a solid is no mid-surface"):
         read_mesh(tmp_path / "solid.step", size=5.0)
-    with pytest.raises(FormatError, match="needs a size of elements"):
+    with pytest.raises(FormatError, match="needs an element size"):
         read_mesh(tmp_path / "sheet.step")
     (tmp_path / "cut.step").write_bytes((tmp_path / "sheet.step").read_bytes()[:900])
     with pytest.raises(FormatError, match=r"gmsh cannot read this CAD file|no triangles"):
@@ -210,7 +210,7 @@ def test_a_cad_sheet_is_meshed_with_the_size_that_is_asked_for_and_a_solid_refus
 def test_a_part_from_cad_needs_a_size_in_mm():
     assert Part(name="a", mesh="a.STEP", size=2, thickness=1.0).size == 2.0
     for keys in ({}, {"size": "coarse"}, {"size": 2, "accuracy": 0.01}):
-        with pytest.raises(ValidationError, match="a CAD file is meshed here and needs size|accuracy applies"):
+        with pytest.raises(ValidationError, match="a CAD file needs an element size|accuracy applies"):
             Part(name="a", mesh="a.step", thickness=1.0, **keys)
     with pytest.raises(ValidationError, match="size applies to geometry sources only"):
         Part(name="a", mesh="a.inp", size=2, thickness=1.0)
@@ -264,24 +264,24 @@ MALFORMED = {
     "inp": (
         ABAQUS,
         [
-            ("2, 1., 0., 0.", "2, 1., zero, 0.", r"line 1: the data of \*NODE are no numbers"),
-            ("3, 1., 1., 0.", "2, 1., 1., 0.", r"line 1: node 2 is given twice"),
-            ("2, 2, 10, 3", "1, 2, 10, 3", "line 9: element 1 is given twice"),
+            ("2, 1., 0., 0.", "2, 1., zero, 0.", r"line 1: a field of this \*NODE is no number"),
+            ("3, 1., 1., 0.", "2, 1., 1., 0.", r"line 1: node 2 is defined twice"),
+            ("2, 2, 10, 3", "1, 2, 10, 3", "line 9: element 1 is defined twice"),
             ("1, 1, 2, 3, 4", "1, 1, 2, 3", "element 1: a S4R has 4 nodes, not 3"),
             ("1, 1, 2, 3, 4", "1, 1, 2, 3, 4, 10", "element 1: a S4R has 4 nodes, not 5"),
-            ("type=S3", "type=S7", "S7 is not known as a shell"),
+            ("type=S3", "type=S7", "S7 is no known shell"),
             ("type=S4R", "type=SC8R", r"solid elements \(SC8R\)"),
-            ("*Node\n", "*Node, system=Q\n", "SYSTEM=Q; known are R, C and S"),
+            ("*Node\n", "*Node, system=Q\n", "SYSTEM=Q is unknown; use R, C or S"),
             ("*Node\n", "*Include, input=none.inp\n*Node\n", "line 1: it includes none.inp, and there is no file"),
             ("*Node\n", "*Include, input=a.inp\n*Node\n", "includes a.inp, which includes it in turn"),
-            ("*Element, type=S3", "*Ngen\n1, 10\n*Element, type=S3", r"\*NGEN makes mesh by a rule"),
-            ("*Element, type=S3", "*Elgen\n1, 10\n*Element, type=S3", r"\*ELGEN makes mesh by a rule"),
+            ("*Element, type=S3", "*Ngen\n1, 10\n*Element, type=S3", r"\*NGEN generates the mesh by a rule"),
+            ("*Element, type=S3", "*Elgen\n1, 10\n*Element, type=S3", r"\*ELGEN generates the mesh by a rule"),
             ("*Element, type=S3", "*Nset, nset=a, generate\n3, 1\n*Element, type=S3", "generates no numbers"),
-            ("*Element, type=S3", "*Nset\n3, 1\n*Element, type=S3", r"a \*NSET has no name"),
-            ("*Node\n", "*Assembly\n*Instance, name=i, part=q\n*End Instance\n*Node\n", "of a part 'Q', which is not"),
-            ("*Node\n", "*System\n0,0,0,1,0,0\n2,0,0\n*Node\n", "lie on a line"),
+            ("*Element, type=S3", "*Nset\n3, 1\n*Element, type=S3", r"this \*NSET has no name"),
+            ("*Node\n", "*Assembly\n*Instance, name=i, part=q\n*End Instance\n*Node\n", "refers to the part 'Q', which is missing"),
+            ("*Node\n", "*System\n0,0,0,1,0,0\n2,0,0\n*Node\n", "are collinear"),
             ("*Element, type=S3", "*Shell section, elset=rib, offset=field\n1.\n*Element, type=S3", "OFFSET = FIELD"),
-            ("*Element, type=S3", "*Material, name=a\n*Elastic\nsoft, 0.3\n*Element, type=S3", r"\*ELASTIC are no num"),
+            ("*Element, type=S3", "*Material, name=a\n*Elastic\nsoft, 0.3\n*Element, type=S3", r"\*ELASTIC is no num"),
             ("*Node\n", "1, 2, 3\n*Node\n", "data before the first keyword"),
         ],
     ),
@@ -289,18 +289,18 @@ MALFORMED = {
         NASTRAN,
         [
             ("GRID,2,,1.,0.", "GRID,2,,1.,zero", "line 3: a field of this GRID is no number"),
-            ("GRID,3,", "GRID,2,", "line 4: grid point 2 is given twice"),
-            ("CTRIA3,2,", "CTRIA3,1,", "line 8: element 1 is given twice"),
+            ("GRID,3,", "GRID,2,", "line 4: grid point 2 is defined twice"),
+            ("CTRIA3,2,", "CTRIA3,1,", "line 8: element 1 is defined twice"),
             ("CTRIA3,2,8,2,10,3", "CTRIA3,2,8,2,10", "line 8: a field of this CTRIA3 is no number, or is missing"),
-            ("CTRIA3,2,8", "CTRIB3,2,8", "line 8: CTRIB3 is not known as a shell"),
+            ("CTRIA3,2,8", "CTRIB3,2,8", "line 8: CTRIB3 is no known shell"),
             ("BEGIN BULK", "INCLUDE 'none.bdf'\nBEGIN BULK", "line 1: it includes none.bdf, and there is no file"),
             ("BEGIN BULK", "INCLUDE 'a.bdf'\nBEGIN BULK", "includes a.bdf, which includes it in turn"),
-            ("BEGIN BULK", "INCLUDE 'a", "line 1: the name of the included file has no end|there is no file"),
-            ("GRID,4,,", "GRID,4,basic,", "a coordinate system is called 'basic', and it must be a number"),
-            ("GRID,4,,", "GRID,4,9,", "coordinate system 9, which is not there"),
-            ("GRID,4,,", "CORD2R,9,9,0.,0.,0.,0.,0.,1.\n,1.,0.,0.\nGRID,4,9,", "system 9 is given in terms of itself"),
-            ("GRID,4,,", "CORD2R,9,,0.,0.,0.,0.,0.,1.\n,0.,0.,2.\nGRID,4,9,", "system 9 lie on a line"),
-            ("GRID,4,,", "CORD1R,9,1,2,77\nGRID,4,9,", "names the grid point 77, which is not given"),
+            ("BEGIN BULK", "INCLUDE 'a", "line 1: the name of the included file has no closing quote|there is no file"),
+            ("GRID,4,,", "GRID,4,basic,", "the coordinate system 'basic' must be a number"),
+            ("GRID,4,,", "GRID,4,9,", "coordinate system 9, which does not exist"),
+            ("GRID,4,,", "CORD2R,9,9,0.,0.,0.,0.,0.,1.\n,1.,0.,0.\nGRID,4,9,", "system 9 is defined by itself"),
+            ("GRID,4,,", "CORD2R,9,,0.,0.,0.,0.,0.,1.\n,0.,0.,2.\nGRID,4,9,", "system 9 are collinear"),
+            ("GRID,4,,", "CORD1R,9,1,2,77\nGRID,4,9,", "refers to grid point 77, which does not exist"),
             ("CTRIA3,2,8,2,10,3", "CTRIA3,2,8,2,10,3,,0.5", "has an offset .ZOFFS. and no thickness"),
             ("GRID,4,,0.,1.,0.", "GRID,4,,0.,1.,0.,,,,,7", "a line of free fields has more than 10"),
             ("CTRIA3,2,8", "CHEXA,5,9,1,2,3,4,1,2\nCTRIA3,2,8", r"solid elements \(CHEXA\)"),
@@ -310,18 +310,18 @@ MALFORMED = {
         DYNA,
         [
             ("1.0             1.0             0.0", "1.0            zero             0.0", "of this .NODE is no"),
-            ("       3             1.0", "       2             1.0", "node 2 is given twice"),
-            ("       2       8", "       1       8", "element 1 is given twice"),
-            ("      10       3       3", "      11       3       3", "names the node 11, which is not given"),
+            ("       3             1.0", "       2             1.0", "node 2 is defined twice"),
+            ("       2       8", "       1       8", "element 1 is defined twice"),
+            ("      10       3       3", "      11       3       3", "uses the node 11, which is not defined"),
             ("      10       3       3", "", "element 2 has fewer than three nodes"),
             ("*PART\n", "*INCLUDE\nnone.k\n*PART\n", "it includes none.k, and there is no file"),
             ("*PART\n", "*INCLUDE\na.k\n*PART\n", "includes a.k, which includes it in turn"),
-            ("*PART\n", "*INCLUDE_TRANSFORM\na.k\n*PART\n", r"\*INCLUDE_TRANSFORM makes or moves mesh"),
-            ("*PART\n", "*NODE_TRANSFORM\n1\n*PART\n", r"\*NODE_TRANSFORM makes or moves mesh"),
+            ("*PART\n", "*INCLUDE_TRANSFORM\na.k\n*PART\n", r"\*INCLUDE_TRANSFORM generates or moves the mesh"),
+            ("*PART\n", "*NODE_TRANSFORM\n1\n*PART\n", r"\*NODE_TRANSFORM generates or moves the mesh"),
             ("*KEYWORD\n", "*KEYWORD I10=Y\n", "fields of ten columns"),
             ("       0.8       0.8", "    &thick       0.8", "&thick is a parameter"),
             ("210000.0", "    soft", r"of this \*MAT_ELASTIC_TITLE is no number"),
-            ("*ELEMENT_SHELL\n", "*ELEMENT_SHELL_COMPOSITE\n", "layers by element are not read"),
+            ("*ELEMENT_SHELL\n", "*ELEMENT_SHELL_COMPOSITE\n", "layers by element are not supported"),
             ("*ELEMENT_MASS", "*ELEMENT_SOLID", r"solid elements \(SOLID\)"),
             ("4         2\n       0.8", "4         2\n*MAT_NULL\n       0.8", "SECTION_SHELL is no number"),
         ],
@@ -331,37 +331,37 @@ MALFORMED = {
         [
             ("ET,        1,181", "ET,        1,", "line 2: a field of this ET is no number"),
             ("ET,        1,181", "ET,        1,185", r"solid elements \(type 185\)"),
-            ("ET,        1,181\n", "", "element 1 is of a type 1 that no ET gives"),
+            ("ET,        1,181\n", "", "element 1 has the type 1, which no ET defines"),
             ("(3i9,6e21.13e3)", "3 and 6", "is not the format of a block"),
             ("(3i9,6e21.13e3)", "(3i9)", "has no coordinates"),
             ("       2        0        0 1.0", "       2        0        0 one", "this NBLOCK is no number"),
-            ("        3        0        0 1.0", "        2        0        0 1.5", "node 2 is given twice"),
-            ("      2      2     10", "      1      2     10", "element 1 is given twice"),
-            ("      2     10      3", "      2     11      3", "names the node 11, which is not given"),
+            ("        3        0        0 1.0", "        2        0        0 1.5", "node 2 is defined twice"),
+            ("      2      2     10", "      1      2     10", "element 1 is defined twice"),
+            ("      2     10      3", "      2     11      3", "uses the node 11, which is not defined"),
             ("EBLOCK,19,SOLID", "EBLOCK,19,", "in the format SOLID"),
-            ("SECOFFSET,TOP", "SECOFFSET,USER,0.3", "SECOFFSET USER is not read"),
+            ("SECOFFSET,TOP", "SECOFFSET,USER,0.3", "SECOFFSET USER is not supported"),
             ("SECDATA, 0.8", "SECDATA, thin", "a field of this SECDATA is no number"),
             (ANSYS[ANSYS.index("       -1\nCMB") :], "", "this block has no end"),
-            (ANSYS, "nothing\n", "holds no block of nodes"),
+            (ANSYS, "nothing\n", "there is no block of nodes"),
             ("         1        -3", "         1         x", "a field of this CMBLOCK is no number"),
         ],
     ),
     "unv": (
         UNIVERSAL,
         [
-            ("   1.0000000000000000D+00   0.", "   one   0.", r"line 2 .dataset 2411.: a field is no number"),
-            ("         3         1         1        11", "         2         1         1        11", "node 2 is given"),
-            ("         2        91", "         1        91", "element 1 is given twice"),
-            ("         2        10", "         2        11", "names the node 11, which is not given"),
-            ("         2        10         3\n", "", "element 2 has fewer nodes than the 3 that it announces"),
+            ("   1.0000000000000000D+00   0.", "   one   0.", r"line 2: a field of this dataset 2411 is no number"),
+            ("         3         1         1        11", "         2         1         1        11", "node 2 is defined"),
+            ("         2        91", "         1        91", "element 1 is defined twice"),
+            ("         2        10", "         2        11", "uses the node 11, which is not defined"),
+            ("         2        10         3\n", "", "element 2 has fewer than its 3 nodes"),
             ("94         7         1         7         4", "94         7         1         7         5", "5"),
             ("        94", "       115", r"solid elements \(kind 115\)"),
-            ("         7         1         0         0\n    -1", "    -1", "fewer members than the 3"),
+            ("         7         1         0         0\n    -1", "    -1", "fewer than its 3 members"),
             ("         7         1         0         0\n    -1", "", "this dataset has no end"),
-            ("  2412", "   780", "elements of this age are not read"),
+            ("  2412", "   780", "elements of this former format are not supported"),
             ("    -1\n  2412", SYSTEM.format(1) + "    -1\n  2412", "system 1, which is not the global"),
             ("    -1\n  2412", SYSTEM.format(0) + "    -1\n  2412", "system 1, which is not the global"),
-            (UNIVERSAL, "no file\n", "holds no dataset between lines of -1"),
+            (UNIVERSAL, "no file\n", "no dataset between lines of -1"),
         ],
     ),
 }  # fmt: skip

@@ -73,7 +73,7 @@ BUILD = "def build(part, size):\n    return "
 POINTS = "[[0, 0, 0], [1, 0, 0], [1, 1, 0]]"
 BAD = {
     "gmsh is missing": ("import gmsh_", "needs the package gmsh_; install it: pip install gmsh_"),
-    "a file beside it": ("import helper", "imports helper, a file beside it"),
+    "a file beside it": ("import helper", "imports helper, a file in its folder"),
     "a name is missing": ("from math import sine", "cannot import name 'sine'"),
     "it raises": ("x = {}[17]", r"KeyError: 17 \(line 1 of the script\)"),
     "it raises without words": ("def build(part, size):\n    assert size > 3", "AssertionError .*line 2"),
@@ -89,7 +89,7 @@ BAD = {
     ),
     "four returned": (BUILD + "1, 2, 3, 4", "must return two arrays"),
     "normals of vertices": (BUILD + POINTS + ", [[0, 1, 2]], " + POINTS, "one at each corner of each triangle"),
-    "strings": (BUILD + "'points', 'triangles'", "points that are no numbers"),
+    "strings": (BUILD + "'points', 'triangles'", "points that are not numbers"),
     "ragged": (BUILD + "[[0, 0, 0], [1, 0]], [[0, 1, 2]]", "differ in length"),
     "plane points": (BUILD + "[[0, 0], [1, 0], [1, 1]], [[0, 1, 2]]", r"shape \(n, 3\), not \(3, 2\)"),
     "quadrilaterals": (BUILD + POINTS + ", [[0, 1, 2, 0]]", r"shape \(k, 3\)"),
@@ -97,7 +97,7 @@ BAD = {
         BUILD + POINTS.replace("1]", "1]").replace("[1, 1, 0]", "[1, float('nan'), 0]") + ", [[0, 1, 2]]",
         "not finite",
     ),
-    "half a number": (BUILD + POINTS + ", [[0, 1, 1.5]]", "no whole numbers"),
+    "half a number": (BUILD + POINTS + ", [[0, 1, 1.5]]", "not integers"),
     "out of range": (BUILD + POINTS + ", [[0, 1, 3]]", "outside 0..2"),
     "no area": (BUILD + POINTS + ", [[0, 1, 1]]", "no area"),
     "SIZES is a list": ("SIZES = [1]\n" + BUILD + "1", "SIZES must be a dict"),
@@ -121,25 +121,25 @@ def test_without_gmsh_the_message_names_the_extra(tmp_path):
 
 
 HOSTILE = {
-    "it ends the program": ("import os\nos._exit(0)", r"ends the program \(exit status 0\).*take the exit out"),
+    "it ends the program": ("import os\nos._exit(0)", r"ends the program \(exit status 0\).*remove the exit"),
     "its build ends the program": ("import os\n" + BUILD + "os._exit(3)", r"ends the program \(exit status 3\)"),
     "its mesh finds no room": (  # as on a full disk, nothing more can be written
         "import resource\nresource.setrlimit(resource.RLIMIT_FSIZE, (0, 0))\n" + BUILD + POINTS + ", [[0, 1, 2]]",
-        "cannot be written into .*: make room on that disk, or let TMPDIR name",
+        "cannot be written into .*: free space on that disk, or set TMPDIR to",
     ),
     "it crashes": (
         f"import os\n{BUILD}os.kill(os.getpid(), {int(signal.SIGSEGV)})",
-        r"crashes \(signal 11\).*run it by itself",
+        r"crashes \(signal 11\).*run it on its own",
     ),
-    "it interrupts": ("raise KeyboardInterrupt", "KeyboardInterrupt.*mend the script"),
+    "it interrupts": ("raise KeyboardInterrupt", "KeyboardInterrupt.*correct the script"),
     "it raises what is no exception": (
         "class Odd(BaseException):\n    pass\nraise Odd('odd')",
-        "Odd: odd.*mend the script",
+        "Odd: odd.*correct the script",
     ),
     "it raises many lines": ("raise RuntimeError('one\\ntwo\\n\\nthree')", "RuntimeError: one two three"),
     "it recurses": ("def build(part, size):\n    return build(part, size)", "RecursionError"),
     "it returns a generator": (BUILD + "(x for x in range(3))", "must return two arrays.*not generator"),
-    "it returns objects": (BUILD + "[[object()] * 3] * 3, [[0, 1, 2]]", "points that are no numbers"),
+    "it returns objects": (BUILD + "[[object()] * 3] * 3, [[0, 1, 2]]", "points that are not numbers"),
     "it returns infinity": (BUILD + "[[0, 0, 0], [1, 0, 0], [1, float('inf'), 0]], [[0, 1, 2]]", "not finite"),
     "it returns nothing in arrays": (BUILD + "[], []", "shape"),
 }
@@ -167,7 +167,7 @@ HANGS = {
 def test_a_script_that_never_ends_is_not_waited_for(tmp_path, case, monkeypatch):
     monkeypatch.setenv("MIC_SCRIPT_LIMIT", "1.5")
     begin = time.monotonic()
-    with pytest.raises(SceneError, match=r"does not end within 1.5 s; mend its loop, .*MIC_SCRIPT_LIMIT"):
+    with pytest.raises(SceneError, match=r"does not end within 1.5 s; correct its loop, .*MIC_SCRIPT_LIMIT"):
         script(tmp_path, HANGS[case])
     assert time.monotonic() - begin < 20
 

@@ -172,7 +172,7 @@ BAD = {
     "a bulk without sheets.bdf": ("BEGIN BULK\nGRID,1,,0.,0.,0.\nCBAR,1,1,1,1\nENDDATA\n", "only CBAR"),
     "a coordinate system.bdf": (
         NASTRAN_FREE.replace("GRID,2,,", "GRID,2,7,"),
-        "system 7, which is not there",
+        "system 7, which does not exist",
     ),
     "another default system.bdf": ("BEGIN BULK\nGRDSET,,7\n" + NASTRAN_FREE[11:], "coordinate system 7"),
     "an include.bdf": (
@@ -181,17 +181,17 @@ BAD = {
     ),
     "a point that is not there.bdf": (
         NASTRAN_FREE.replace("2,10,3", "2,11,3"),
-        "grid point 11, which is not given",
+        "grid point 11, which is not defined",
     ),
     "a cut card.bdf": (NASTRAN_FREE[:-5], "line 9: .* CTRIA3 is no number, or is missing"),
     "bricks.bdf": ("BEGIN BULK\nGRID,1,,0.,0.,0.\nCTETRA,1,1,1,1,1,1\n", r"solid elements \(CTETRA\)"),
     "a node that is not there.inp": (
         re.sub(r"\*(End )?Part.*\n", "", ABAQUS).replace("2, 2, 10, 3", "2, 2, 17, 3"),
-        "the node 17, which is not given",
+        "the node 17, which is not defined",
     ),
     "normals in a system.bdf": (
         NASTRAN_FREE.replace("CTRIA3", "SNORM,2,7,0.,.6,.8\nCTRIA3"),
-        "system 7, which is not there",
+        "system 7, which does not exist",
     ),
     "bricks.inp": (ABAQUS.replace("S3", "C3D4").replace("2, 10, 3", "2, 10, 3, 1"), r"solid elements \(C3D4"),
     "continuum shells.inp": (ABAQUS.replace("S3", "SC6R"), r"solid elements \(SC6R"),

@@ -99,7 +99,7 @@ def test_a_mesh_finer_than_its_offset_is_moved_without_folding_up():
 
 def test_a_junction_has_no_upper_side_and_is_refused():
     points = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1]], dtype=float)
-    with pytest.raises(ValueError, match=r"three or more of its triangles meet in the edge at \(0\.5, 0\.0, 0\.0\)"):
+    with pytest.raises(ValueError, match=r"three or more of its triangles share the edge at \(0\.5, 0\.0, 0\.0\)"):
         moved(Surface(points, [[0, 1, 2], [1, 0, 3], [0, 1, 4]]), 0.1)
 
 
@@ -121,7 +121,7 @@ def test_parts_drawn_on_the_faying_surface_are_those_drawn_in_their_middle_once_
 
 @pytest.mark.parametrize("noise", [0.0, 1e-12, -1e-9, 1e-6, -1e-3, 0.1, -0.1])
 def test_sheets_drawn_onto_each_other_are_refused_whatever_rounding_does(tmp_path, cache, noise):
-    with pytest.raises(SceneError, match=r"zones\[0\] \(lap\): lower and upper are drawn onto each other .* offset = "):
+    with pytest.raises(SceneError, match=r"zones\[0\] \(lap\): lower and upper coincide .* offset = "):
         assemble(lap(tmp_path, (0.5, 0.5 + noise)), cache)
 
 
@@ -141,7 +141,7 @@ def test_the_offsets_that_are_proposed_are_those_that_help(tmp_path, cache):
         box = bare.zones[0].model_copy(update={"box": None, "path": None, "within": None})
         bare = bare.model_copy(update={"zones": [box]})
         words = " and ".join(f"offset = {value:+g} for {name}" for name, value in wanted.items())
-        with pytest.raises(SceneError, match=words.replace("+", r"\+") + ", as the rest of the sheets lies"):
+        with pytest.raises(SceneError, match=words.replace("+", r"\+") + ", which follows from the rest of the sheets"):
             assemble(bare, cache)
         parts = [part.model_copy(update={"offset": wanted[part.name]}) for part in bare.parts]
         found = assemble(bare.model_copy(update={"parts": parts}), cache)
@@ -165,16 +165,16 @@ def test_the_scene_wins_over_the_deck_and_what_nobody_tells_is_asked_for(tmp_pat
     lower, upper = assemble(scene, cache).parts
     assert (lower.thickness, lower.young, lower.poisson) == (0.7, 205e3, 0.28)
     assert (upper.thickness, upper.young, upper.poisson) == (1.0, 70e3, 0.33)
-    with pytest.raises(SceneError, match=r"part 'lower': thickness: neither the scene nor lower.inp tells it; add"):
+    with pytest.raises(SceneError, match=r"part 'lower': thickness: neither the scene nor lower.inp gives it; add"):
         assemble(lap(tmp_path, parts=({"thickness": None}, {})), cache)
 
 
 @pytest.mark.parametrize(
     "section, words",
     [
-        (STEEL.replace("205000", "205"), "young: lower.inp tells 205 if its unit is 'mm'"),
-        (STEEL.replace("205000.", "2.05e11"), r"young: lower.inp tells 2\.05e\+11 if its unit is 'mm'"),
-        ("*Elset, elset=half, generate\n1, 100, 1\n*Shell Section, elset=half\n0.7\n", "thickness: .* tells several"),
+        (STEEL.replace("205000", "205"), "young: lower.inp gives 205 if its unit is 'mm'"),
+        (STEEL.replace("205000.", "2.05e11"), r"young: lower.inp gives 2\.05e\+11 if its unit is 'mm'"),
+        ("*Elset, elset=half, generate\n1, 100, 1\n*Shell Section, elset=half\n0.7\n", "thickness: .* gives several"),
     ],
 )
 def test_what_a_deck_tells_is_doubted_where_it_cannot_be(tmp_path, cache, section, words):
@@ -188,7 +188,7 @@ def test_a_part_in_two_pieces_is_refused_before_anything_is_solved(tmp_path, cac
     twice = np.concatenate([points, points + [0, 0, 40]]), np.concatenate([triangles, triangles[:6] + len(points)])
     deck(tmp_path / "a.inp", *twice)
     part = Part(name="a", mesh="a.inp", thickness=1.0)
-    with pytest.raises(SceneError, match=r"part 'a': mesh: it is in 2 pieces .*48 triangles about .*; 6 triangles"):
+    with pytest.raises(SceneError, match=r"part 'a': mesh: the mesh consists of 2 pieces .*48 triangles about .*; 6 triangles"):
         load_part(part, tmp_path, cache)
 
 
@@ -210,9 +210,9 @@ def test_check_tells_where_values_come_from_and_what_was_mended(tmp_path, cache,
         .output
     )
     assert "lower: t = 0.7 mm (lower.inp), offset = -0.5 t (lower.inp), E = 205000 MPa (lower.inp)" in told
-    assert "upper: t = 1 mm (scene; upper.inp tells 0.7), offset = 0.5 t (upper.inp)" in told
-    assert "lower: moved 0.35 mm off the mesh, on the whole towards (" in told
-    assert "upper: upper.inp: passed over, no sheet: 1 MASS" in told and "valid" in told
+    assert "upper: t = 1 mm (scene; upper.inp gives 0.7), offset = 0.5 t (upper.inp)" in told
+    assert "lower: moved 0.35 mm from the mesh, mostly in the direction (" in told
+    assert "upper: upper.inp: ignored elements other than shells: 1 MASS" in told and "valid" in told
 
 
 @pytest.mark.parametrize("fused", [True, False])

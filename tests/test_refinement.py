@@ -171,7 +171,7 @@ def test_points_of_the_mesh_are_carried_to_the_pieces_that_hold_them():
     triangle = rng.integers(0, len(triangles), 500)
     barycentric = rng.dirichlet([1, 1, 1], 500)
     barycentric[:9] = np.tile(np.eye(3), (3, 1))
-    piece, inside = found.carried(triangle, barycentric)
+    piece, inside = found.locate(triangle, barycentric)
     assert inside.min() > -1e-12 and inside.sum(axis=1) == pytest.approx(1)
     assert new.at(piece, inside) == pytest.approx(old.at(triangle, barycentric), abs=1e-10)
     assert (found.of[piece] == triangle).all()

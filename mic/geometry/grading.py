@@ -1,4 +1,4 @@
-"""An element size that is finer around some places."""
+"""Element size that varies over a part."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ GROWTH = 0.3  # mm of size per mm of distance
 
 
 class GradedSize(float):
-    """Largest element size, mm, with smaller ones around places.
+    """Largest element size, mm, with smaller sizes around some places.
 
-    A geometry script that meshes evenly takes it as the number that it is; one that can do better asks
+    It is a float, so a geometry script with a uniform mesh can use it as a number; other scripts evaluate
 
         h(x) = min(largest size, minᵢ (sizeᵢ + GROWTH ‖x − placeᵢ‖)).
 
@@ -45,5 +45,5 @@ class GradedSize(float):
         return found
 
     def times(self, share: float) -> GradedSize:
-        """All sizes multiplied by a share."""
+        """All sizes multiplied by a factor."""
         return GradedSize(share * self, self.places, share * self.sizes)

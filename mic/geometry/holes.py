@@ -1,32 +1,32 @@
-"""Holes of a sheet: rims that the sheet lies around, where a pin may stand."""
+"""Holes of a sheet, in which a pin may stand."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import connected_components
 
 from mic.geometry.surface import Patch, Surface
+from mic.geometry.triangles import components
 
 __all__ = ["Hole", "find_holes"]
 
 
 @dataclass(frozen=True)
 class Hole:
-    """A closed rim with the sheet around it.
+    """A closed rim surrounded by the sheet.
 
     Attributes
     ----------
     centre : (3,) array
-        Mean of the rim, by length, mm: what the mean displacement of the rim under a rigid motion is that of.
+        Mean of the rim by length, mm. The mean displacement of the rim under a rigid motion is that of this point.
     normal : (3,) array
-        Unit normal of the plane through the rim, on the side of the sheet's own normals there.
+        Unit normal of the plane through the rim, on the side of the sheet's normals there.
     size : tuple of two float
-        Largest extent of the rim in its plane, and the extent across it, mm: of a round hole its diameter, twice.
+        Largest extent of the rim in its plane, and the extent perpendicular to it, mm; both the diameter of a round
+        hole.
     uneven : float
-        How far the rim leaves its plane, mm.
+        Largest distance of the rim from its plane, mm.
     rim : Patch
         The rim with equal weight per length.
     """
@@ -39,18 +39,18 @@ class Hole:
 
     @property
     def round(self) -> bool:
-        """Whether the extents agree to a tenth: a polygon of eight corners about a circle does."""
+        """Whether the extents agree to 10 %, as for an octagon about a circle."""
         return self.size[0] <= 1.1 * self.size[1]
 
 
 def find_holes(surface: Surface) -> list[Hole]:
     """The holes of a surface, in the order of their lowest vertex.
 
-    Each set of border edges that hang together is a rim. It is that of a hole where the sheet lies on its outer side,
+    Each connected set of border edges is a rim. It is the rim of a hole if the sheet lies outside of it,
 
         Σ l (s · (x − c)) > 0,        s from an edge of length l and middle x into its triangle, c the rim's centre;
 
-    the sheet's own outline has it on the inner side. A rim that meets another one in a vertex is one with it.
+    the sheet's outline has the sheet inside. Rims that share a vertex count as one.
     """
     triangle, opposite = np.nonzero(surface.border)
     if not len(triangle):
@@ -60,18 +60,14 @@ def find_holes(surface: Surface) -> list[Hole]:
     ends = np.column_stack([corners[rows, (opposite + 1) % 3], corners[rows, (opposite + 2) % 3]])
     vertex, local = np.unique(ends, return_inverse=True)
     a, b = local.reshape(-1, 2).T
-    links = coo_matrix((np.ones(len(a)), (a, b)), shape=(len(vertex), len(vertex)))
-    label = connected_components(links, directed=False)[1]
-    found = []
-    for rim in range(label.max() + 1):  # numbered by their first vertex
-        own = np.flatnonzero(label[a] == rim)
-        hole = _hole(surface, triangle[own], opposite[own], ends[own])
-        if hole is not None:
-            found.append(hole)
-    return found
+    count, label = components(a, b, len(vertex))
+    rims = [np.flatnonzero(label[a] == rim) for rim in range(count)]  # ordered by their lowest vertex
+    holes = [_hole(surface, triangle[rim], opposite[rim], ends[rim]) for rim in rims]
+    return [hole for hole in holes if hole is not None]
 
 
 def _hole(surface: Surface, triangle, opposite, ends) -> Hole | None:
+    """The hole of a set of border edges; None for an outline."""
     x = surface.points[ends]
     middle, length = x.mean(1), np.linalg.norm(x[:, 1] - x[:, 0], axis=1)
     centre = length @ middle / length.sum()
@@ -82,8 +78,8 @@ def _hole(surface: Surface, triangle, opposite, ends) -> Hole | None:
     corners = x.reshape(-1, 3) - centre
     axes = np.linalg.svd(corners, full_matrices=False)[2]
     axes[2] *= np.sign(axes[2] @ (length @ surface.normals[triangle])) or 1.0
-    # Two extents that are alike leave the axes open: take them in many directions of the plane, and towards the
-    # corners, which tell those of a round hole whatever axes rounding has chosen.
+    # Equal extents leave the axes undetermined, so extents are measured in many directions of the plane and towards
+    # the corners.
     across = corners @ axes[:2].T
     turn = np.concatenate([np.radians(np.arange(0, 180, 5)), np.arctan2(across[:, 1], across[:, 0])])
     extents, widths = (

@@ -1,9 +1,9 @@
-"""Measured points of a part: read from files, fitted to the nominal surface, told as deviations along its normals.
+"""Measured points of a part: read from files, best fitted to the nominal surface, and converted to deviations.
 
-A *deviation* of a sheet at a point x of its nominal surface is how far the measured sheet lies off x along the normal
-n of the mesh there. Of a cloud of points p it is ``(p − x)·n``, x the point of the surface nearest to p. Beside a fold
-that need not be the face that was measured: where the other face lies d off, its sheet ends d beside the fold, and what
-is within d may be either's.
+The *deviation* of a sheet at a point x of its nominal surface is the distance of the measured sheet from x along the
+normal n of the mesh there. For points p of a cloud it is ``(p − x)·n`` with x the nearest point of the surface. Beside
+a fold x may lie on the wrong face: if the other face deviates by d, its sheet ends up to d beside the fold, and points
+within d may belong to either.
 """
 
 from __future__ import annotations
@@ -24,24 +24,24 @@ __all__ = ["FACING", "Cloud", "Deviations", "Fit", "deviations", "read_cloud", "
 
 TEXT = (".csv", ".txt", ".xyz", ".asc")
 AXES = ("x", "y", "z")
-SEPARATORS = (";", "\t", ",")  # of cells; else blanks
-FITS = 50  # repetitions of the best fit: each finds the nearest points anew
-STILL = 1e-9  # of the part's size: a fit that moves by less is found
-OFF = 0.05  # share of the points that may be left out
-FACING = 0.85  # cosine between normals of one side of a fold
-ROUND = 24  # points about one that tell how far off the faces of a fold lie there
-OTHER = 20.0  # times as small, or as large: no part that was measured all over
-LIKELY = 0.5  # logarithm of the ratio of two spans: what is nearer may be one part
+SEPARATORS = (";", "\t", ",")  # between cells; otherwise blanks
+FITS = 50  # iterations of the best fit, each with new nearest points
+CONVERGED = 1e-9  # of the part's size: motion below which the best fit has converged
+EXCLUDED = 0.05  # largest share of excluded points
+FACING = 0.85  # least cosine between the normals of one face of a fold
+NEIGHBOURS = 24  # points from which the deviation of the faces of a fold is estimated
+IMPLAUSIBLE = 20.0  # ratio of sizes above which the points cannot cover the part
+LIKELY = 0.5  # |ln| of the ratio of sizes below which a unit is plausible
 
 
 @dataclass(frozen=True)
 class Cloud:
-    """Points of one measured piece.
+    """Measured points of one piece.
 
     Attributes
     ----------
     points : (n, 3) array
-        Where they were measured, mm; or where on the nominal part, if `deviation` is given.
+        Measured positions, mm; nominal positions if `deviation` is given.
     deviation : (n,) array or None
         Along the normals, mm.
     """
@@ -52,16 +52,16 @@ class Cloud:
 
 @dataclass(frozen=True)
 class Fit:
-    """The rigid motion by which a cloud was moved to where it fits the nominal part best.
+    """The rigid motion of the best fit.
 
     Attributes
     ----------
     shift : float
-        How far the middle of the cloud was moved, mm.
+        Displacement of the cloud's centre, mm.
     turn : float
-        By how much the cloud was turned, degrees.
+        Rotation angle, degrees.
     left_out : int
-        Points that lie too far off the part.
+        Number of excluded points, too far from the part.
     """
 
     shift: float
@@ -71,7 +71,7 @@ class Fit:
 
 @dataclass(frozen=True)
 class Deviations:
-    """How far a piece is off its nominal surface.
+    """Deviations of a piece from its nominal surface.
 
     Attributes
     ----------
@@ -81,7 +81,7 @@ class Deviations:
         Along the normals of the mesh, mm.
     fit : Fit
     sure : (n,) bool array
-        Whether the point is on the face that was measured, whatever the other face of a fold beside it deviates by.
+        Whether the point certainly lies on the face that was measured, and not on the other face of a fold.
     """
 
     points: np.ndarray
@@ -97,38 +97,38 @@ def read_cloud(path: Path, unit: str, surface: Surface, deck: Deck | None) -> Cl
     Parameters
     ----------
     path : Path
-        Text with a header of columns, or a mesh file, whose points are taken.
+        Text with a header of columns, or a mesh file, whose points are used.
     unit : str
-        Of length in the file, one of `UNITS`.
+        Unit of length in the file, one of `UNITS`.
     surface : Surface
-        Nominal, for nodes.
+        Nominal surface, for nodal deviations.
     deck : Deck or None
-        The numbers of its nodes.
+        Provides the node numbers.
 
     Raises
     ------
     FormatError
-        Naming the file, and the line where one is wrong.
+        Naming the file, and the line of an error.
     """
     scale = UNITS[unit][0]
     if path.suffix.lower() not in TEXT:
         if path.suffix.lower() not in READERS:
             raise FormatError(
-                f"{path}: there is no reader of {path.suffix or 'files without a suffix'} for measured points; save "
+                f"{path}: measured points cannot be read from {path.suffix or 'files without a suffix'}; save "
                 f"them as {', '.join(TEXT)} with a header x, y, z, or as one of {', '.join(READERS)}"
             )
         points = scale * read_raw(path).points
         if not len(points):
-            raise FormatError(f"{path}: there are no points in it; export the measured points")
+            raise FormatError(f"{path}: the file has no points; export the measured points")
         return Cloud(_finite(path, points, AXES), None)
     frame = _table(path)
     columns = set(frame.columns)
     if {"node", "deviation"} <= columns and not columns & {*AXES}:
-        return _of_nodes(path, frame, scale, surface, deck)
+        return _nodal_deviations(path, frame, scale, surface, deck)
     missing = [axis for axis in AXES if axis not in columns]
     if missing:
         raise FormatError(
-            f"{path}: row 1: there is no column {', '.join(missing)}; give x, y, z, or x, y, z, deviation, or node, "
+            f"{path}: row 1: column {', '.join(missing)} is missing; give x, y, z, or x, y, z, deviation, or node, "
             "deviation"
         )
     points = _finite(path, scale * frame[list(AXES)].to_numpy(), AXES)
@@ -138,25 +138,25 @@ def read_cloud(path: Path, unit: str, surface: Surface, deck: Deck | None) -> Cl
 
 
 def _table(path: Path) -> pd.DataFrame:
-    """A text file as numbers by column; numbered by the rows of the file."""
+    """A text file as numbers by column; the index is the row number in the file."""
     try:
         text = path.read_text(encoding="utf-8-sig")
     except FileNotFoundError:
-        raise FormatError(f"{path}: there is no such file of measured points; correct the name") from None
+        raise FormatError(f"{path}: the file of measured points does not exist; correct the name") from None
     except (OSError, UnicodeDecodeError) as problem:
-        raise FormatError(f"{path}: this is no text of measured points ({problem}); export it as CSV") from None
+        raise FormatError(f"{path}: the file is no text file ({problem}); export the measured points as CSV") from None
     lines = text.splitlines()
     if not lines or not lines[0].strip():
-        raise FormatError(f"{path}: row 1: there is no header of columns; give x, y, z")
+        raise FormatError(f"{path}: row 1: the header is missing; name the columns x, y, z")
     separator = max(SEPARATORS, key=lines[0].count)
     split = lambda line: [cell.strip() for cell in (line.split(separator) if separator in lines[0] else line.split())]
     columns = [column.lower().strip('"') for column in split(lines[0])]
     twice = sorted({column for column in columns if columns.count(column) > 1})
     if twice:
-        raise FormatError(f"{path}: row 1: the column {twice[0]!r} stands twice; give it once")
+        raise FormatError(f"{path}: row 1: the column {twice[0]!r} appears twice; rename or remove one")
     rows = {number: split(line) for number, line in enumerate(lines[1:], 2) if line.strip()}
     if not rows:
-        raise FormatError(f"{path}: there is no row below the header; export the measured points")
+        raise FormatError(f"{path}: there are no rows below the header; export the measured points")
     for number, cells in rows.items():
         if len(cells) != len(columns):
             raise FormatError(
@@ -164,7 +164,7 @@ def _table(path: Path) -> pd.DataFrame:
             )
     found = pd.DataFrame.from_dict(rows, orient="index", columns=columns)
     found = found[[column for column in columns if column in (*AXES, "deviation", "node")]]
-    if separator == ";":  # where a comma may be that of decimals
+    if separator == ";":  # the comma may be a decimal separator
         found = found.apply(lambda column: column.str.replace(",", "."))
     numbers = found.apply(pd.to_numeric, errors="coerce")
     wrong = np.argwhere(numbers.isna().to_numpy())
@@ -178,6 +178,7 @@ def _table(path: Path) -> pd.DataFrame:
 
 
 def _finite(path: Path, values: np.ndarray, names) -> np.ndarray:
+    """The values as floats; refuses values that are not finite."""
     bad = np.argwhere(~np.isfinite(values))
     if len(bad):
         row, column = bad[0]
@@ -185,8 +186,8 @@ def _finite(path: Path, values: np.ndarray, names) -> np.ndarray:
     return np.asarray(values, dtype=float)
 
 
-def _of_nodes(path: Path, frame: pd.DataFrame, scale: float, surface: Surface, deck: Deck | None) -> Cloud:
-    """Deviations at numbered nodes of the part's own mesh."""
+def _nodal_deviations(path: Path, frame: pd.DataFrame, scale: float, surface: Surface, deck: Deck | None) -> Cloud:
+    """Deviations at numbered nodes of the part's mesh."""
     if deck is None or not len(deck.nodes):
         raise FormatError(f"{path}: the mesh of the part has no node numbers; give x, y, z, deviation")
     place = dict(zip(deck.nodes.tolist(), deck.node_points.tolist()))
@@ -209,34 +210,34 @@ def sheet_normals(surface: Surface, points: np.ndarray) -> tuple[np.ndarray, np.
 def deviations(
     path: Path, cloud: Cloud, surface: Surface, skin: float, align: bool, within: float, unit: str = "mm"
 ) -> Deviations:
-    """How far a measured piece is off its nominal surface.
+    """Deviations of a measured piece from its nominal surface.
 
     Parameters
     ----------
     path : Path
-        Whose points they are, for messages.
+        File of the points, for messages.
     cloud : Cloud
     surface : Surface
         Nominal.
     skin : float
-        How far off the surface the points lie nominally, along its normals, mm.
+        Nominal distance of the points from the surface along its normals, mm.
     align : bool
-        Whether the points are first moved as a rigid body: least squares of ``(p − x)·n − skin``.
+        Whether to best fit the points first: the rigid motion that minimises the squares of ``(p − x)·n − skin``.
     within : float
-        Points farther off than this, mm, are left out.
+        Points farther than this from the surface are excluded, mm.
     unit : str
-        In which the file was read, for messages.
+        Unit of the file, for messages.
 
     Raises
     ------
     FormatError
-        If more than one point in twenty is left out: another part, or another unit.
+        If more than one point in twenty is excluded: wrong part or unit.
     """
     _refuse_unit(path, cloud.points, surface, unit)
     if cloud.deviation is not None:
         foot, n = sheet_normals(surface, cloud.points)
         near = np.linalg.norm(foot - cloud.points, axis=1) <= within
-        _refuse(path, near, cloud.points, foot, within, surface, unit)
+        _refuse_excluded(path, near, cloud.points, foot, within, surface, unit)
         fit, sure = Fit(0.0, 0.0, int((~near).sum())), np.ones(int(near.sum()), dtype=bool)
         return Deviations(foot[near], n[near], cloud.deviation[near], fit, sure)
     points, turn = cloud.points, np.eye(3)
@@ -247,24 +248,26 @@ def deviations(
         near = np.abs(off) <= max(within, 3 * np.median(np.abs(off)))
         rows = np.hstack([n, np.cross(points - middle, n) / surface.diameter])[near]
         motion = -np.linalg.lstsq(rows, off[near], rcond=1e-6)[0]
-        step = _turned(motion[3:] / surface.diameter)
+        step = _rotation(motion[3:] / surface.diameter)
         points, turn = middle + motion[:3] + (points - middle) @ step.T, step @ turn
-        if np.abs(motion).max() < STILL * surface.diameter:
+        if np.abs(motion).max() < CONVERGED * surface.diameter:
             break
     foot, n = sheet_normals(surface, points)
     off = ((points - foot) * n).sum(axis=1) - skin
     beside = np.linalg.norm(points - foot - ((points - foot) * n).sum(axis=1)[:, None] * n, axis=1)
     near = (np.abs(off) <= within) & (beside <= within)
-    _refuse(path, near, points, foot, within, surface, unit)
+    _refuse_excluded(path, near, points, foot, within, surface, unit)
     angle = np.degrees(np.arccos(np.clip((np.trace(turn) - 1) / 2, -1.0, 1.0)))
     moved = float(np.linalg.norm(points.mean(axis=0) - cloud.points.mean(axis=0)))
     fit = Fit(moved, float(angle), int((~near).sum()))
-    return Deviations(foot[near], n[near], off[near], fit, _of_their_face(surface, foot[near], off[near] + skin))
+    return Deviations(foot[near], n[near], off[near], fit, _on_measured_face(surface, foot[near], off[near] + skin))
 
 
-def _of_their_face(surface: Surface, foot: np.ndarray, off: np.ndarray) -> np.ndarray:
-    """(n,) bool: which measured points lie on the face on which their nearest points (n, 3) do, whatever the other face
-    of a fold beside them lies off by, as far as the points about them tell: `off` (n,), mm."""
+def _on_measured_face(surface: Surface, foot: np.ndarray, off: np.ndarray) -> np.ndarray:
+    """(n,) bool: whether the nearest point (n, 3) of a measured point certainly lies on the face that was measured.
+
+    It does if its distance to the nearest fold exceeds the deviations `off` (n,), mm, of the points around it.
+    """
     triangle, opposite = surface.edges(np.arccos(FACING))
     inner = ~surface.border[triangle, opposite]
     if not inner.any():
@@ -272,44 +275,44 @@ def _of_their_face(surface: Surface, foot: np.ndarray, off: np.ndarray) -> np.nd
     spacing = float(np.median(surface.edge_lengths)) / 4
     fold = surface.at(*surface.sample_edges(triangle[inner], opposite[inner], spacing)[:2])
     away = np.sqrt(np.maximum(cKDTree(fold).query(foot)[0] ** 2 - (spacing / 2) ** 2, 0.0))
-    about = cKDTree(foot).query(foot, min(ROUND, len(foot)))[1].reshape(len(foot), -1)
+    about = cKDTree(foot).query(foot, min(NEIGHBOURS, len(foot)))[1].reshape(len(foot), -1)
     return away >= np.abs(off)[about].max(axis=1)
 
 
 def _refuse_unit(path: Path, points: np.ndarray, surface: Surface, unit: str) -> None:
-    """Refuse a cloud that is so much smaller or larger than the part that a best fit would lay it down anywhere."""
+    """Refuse a cloud whose size differs from the part so much that any best fit would be meaningless."""
     span, size = _spans(points, surface)
     likely = _likely_unit(span, size, unit)
-    if likely is not None and max(size / span, span / size) > OTHER:
+    if likely is not None and max(size / span, span / size) > IMPLAUSIBLE:
         raise FormatError(
-            f"{path}: these points are none of all the part: they span {span:.3g} mm and the part {size:.3g} mm: give "
+            f"{path}: the points cannot be those of the part: they span {span:.3g} mm and the part {size:.3g} mm; give "
             f'unit = "{likely}"'
         )
 
 
-def _refuse(path: Path, near, points, foot, within: float, surface: Surface, unit: str) -> None:
-    if (~near).mean() <= OFF:
+def _refuse_excluded(path: Path, near, points, foot, within: float, surface: Surface, unit: str) -> None:
+    """Refuse a cloud with too many excluded points."""
+    if (~near).mean() <= EXCLUDED:
         return
     typical = float(np.median(np.linalg.norm(points - foot, axis=1)))
-    where = "correct the part, the unit, or where the points were measured from; or raise within"
+    remedy = "correct the part, the unit or the datum of the points, or raise within"
     span, size = _spans(points, surface)
     likely = _likely_unit(span, size, unit)
     if likely is not None:
-        where = f'they span {span:.3g} mm and the part {size:.3g} mm: give unit = "{likely}"'
+        remedy = f'they span {span:.3g} mm and the part {size:.3g} mm; give unit = "{likely}"'
     raise FormatError(
-        f"{path}: {int((~near).sum())} of {len(near)} points lie more than {within:g} mm off the part (the median "
-        f"is {typical:.3g} mm): {where}"
+        f"{path}: {int((~near).sum())} of {len(near)} points lie more than {within:g} mm from the part (median "
+        f"{typical:.3g} mm): {remedy}"
     )
 
 
 def _spans(points: np.ndarray, surface: Surface) -> tuple[float, float]:
-    """Diagonals of the boxes about points and about the part, mm."""
-    span, size = (float(np.linalg.norm(np.ptp(each, axis=0))) for each in (points, surface.points))
-    return span, size
+    """Diagonals of the bounding boxes of points and of the part, mm."""
+    return float(np.linalg.norm(np.ptp(points, axis=0))), surface.diameter
 
 
 def _likely_unit(span: float, size: float, unit: str) -> str | None:
-    """Another unit in which points would span what the part does, if one is near."""
+    """Another unit in which the points would be as large as the part; None if there is none."""
     if span == 0.0:
         return None
     away = {name: abs(np.log(size / span * UNITS[unit][0] / UNITS[name][0])) for name in UNITS}
@@ -317,8 +320,8 @@ def _likely_unit(span: float, size: float, unit: str) -> str | None:
     return likely if likely != unit and away[likely] < LIKELY < away[unit] else None
 
 
-def _turned(turn: np.ndarray) -> np.ndarray:
-    """(3, 3) rotation by a vector (Rodrigues)."""
+def _rotation(turn: np.ndarray) -> np.ndarray:
+    """(3, 3) rotation matrix of a rotation vector (Rodrigues)."""
     angle = float(np.linalg.norm(turn))
     if angle == 0.0:
         return np.eye(3)
@@ -328,10 +331,10 @@ def _turned(turn: np.ndarray) -> np.ndarray:
 
 
 def spread(surface: Surface, spacing: float, box=None) -> np.ndarray:
-    """(c,) vertices of a surface spread over it evenly: none is farther than `spacing` from one that is chosen.
+    """(c,) vertices of a surface spread evenly: no vertex is farther than `spacing` from a chosen one.
 
-    Each is the one farthest from those chosen before; the first the one farthest from the middle. With a `box` (2, 3)
-    of its lower and upper corner only vertices within it; there may be none.
+    Farthest-point sampling, beginning with the vertex farthest from the centroid. With a `box` (2, 3) of its lower and
+    upper corner only vertices within it; there may be none.
     """
     used = np.unique(surface.triangles)
     if box is not None:

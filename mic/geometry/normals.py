@@ -1,34 +1,34 @@
-"""Normals of a curved sheet at the corners of its triangles, estimated where nobody gives them.
+"""Normals of a curved sheet at the corners of its triangles, estimated where none are given.
 
-The mesh of a sheet with bends does not show the line where a bend begins: curvature jumps there, and a mean or a fit of
-the triangles around bends the flat beside it. But bends begin along edges, and across them the normal goes on. Along an
-edge of one smooth piece, L = x_j − x_i, the sheet bends alike towards both ends, L · n_i = −L · n_j: exactly where the
-edge is an arc, to leading order on every quadratic surface. The normals are therefore the least squares
+The mesh of a sheet with bends does not show where a bend begins: the curvature jumps there, and a mean or a fit over
+the adjacent triangles would bend the flat beside it. But bends begin along edges, and the normal is continuous across
+them. Along an edge of one smooth piece, L = x_j − x_i, the sheet bends equally towards both ends, L · n_i = −L · n_j:
+exactly if the edge is the chord of an arc, to leading order on every quadratic surface. The normals are therefore the
+least-squares solution of
 
     Σ_edges (L · (n_i + n_j)/|L|)² + `_PULL`² Σ |n_i − n_i⁰|² → min,
 
-which finds flats, cylinders and balls that meet tangentially along edges, in one row of triangles or many. The first
-sum is blind to normals that tip to and fro from row to row; there the second decides. `_ROUNDS` times it begins where
-the last round ended. At first n⁰ is the mean of the triangles around by their angles; at borders, where that leans
-inwards, it is what arcs from the points inside lead to. Flats of three rows or more are seen at once, and have one
-normal to their ends.
+which is exact for flats, cylinders and spheres that meet tangentially along edges, in one row of triangles or many. The
+first sum is insensitive to normals that alternate from row to row; the second decides there. The minimisation is
+repeated `_ROUNDS` times from the last result. At first n⁰ is the mean of the adjacent triangles weighted by their
+angles. At borders, where this mean leans inwards, it is extrapolated along arcs from interior points. Flats of three or
+more rows are recognised first and have one normal up to their ends.
 
-One normal is sought for the triangles around a point that hang together by edges that are no folds. By d, the dihedral
-angle of an edge, and b, the largest dihedral angle of what the sheet does on its sides, an edge is
+There is one normal for the triangles around a point that are connected by smooth edges. With d the dihedral angle of an
+edge, and b the largest dihedral angle of the sheet on its sides, an edge is
 
 ======  =============================================================================================================
-smooth  d is small, or no more than three times b
-fold    the rest: both sides are flat, or d is beyond any bend; so are edges whose two triangles disagree which side
-        is up, and edges where more than two sheets meet
+smooth  if d is small, or at most three times b fold    otherwise: both sides are flat, or d is larger than in any bend;
+also edges whose two triangles have inconsistent
+        orientation, and edges of more than two triangles
 ======  =============================================================================================================
 
-On each side that is the largest dihedral angle of the edges that meet in the opposite corner of the triangle there, and
-of those of that triangle's neighbours that do not go on along the edge; folds are left out. Where the sheet ends in
-that corner along the edge, by a border or a junction of more than two sheets, nobody knows what it would be, and the
-other side alone decides.
+On each side b is the largest dihedral angle of the edges at the opposite corner of the triangle and of those of its
+neighbours that do not continue the edge; folds are excluded. If the sheet ends in that corner along the edge, at a
+border or a junction, b is unknown there and the other side alone decides.
 
-Where the outcome, or what is given, lies farther than `GUARD` from the triangle's own normal, the triangle's own is
-taken: a wrong normal does more harm than none.
+A given or estimated normal farther than `GUARD` from the triangle's own is replaced by the triangle's own, because a
+wrong normal does more harm than none.
 """
 
 from __future__ import annotations
@@ -37,35 +37,36 @@ from dataclasses import dataclass
 from enum import IntEnum
 
 import numpy as np
-from scipy.sparse import coo_matrix, csr_matrix, identity, vstack
-from scipy.sparse.csgraph import connected_components
+from scipy.sparse import csr_matrix, identity, vstack
 from scipy.sparse.linalg import lsmr
+
+from mic.geometry.triangles import components
 
 __all__ = ["COARSE", "GUARD", "CornerNormals", "Rule", "corner_normals"]
 
-GUARD = 60.0  # degrees between a normal and the triangle's own; beyond, it belongs to another sheet
-COARSE = 40.0  # degrees from triangle to triangle beyond which a bend is too coarse to be told from a fold
+GUARD = 60.0  # degrees: largest angle between a normal and the triangle's own
+COARSE = 40.0  # degrees between triangles above which a bend is hard to distinguish from a fold
 
-_SMALL = 2.0  # degrees: any sheet of this dihedral is smooth
-_FOLD = 60.0  # degrees: any sheet of that one is folded
-_UNTOLD = 20.0  # degrees: likewise where both triangles end at a border, and neither side tells
-_ALIKE = 3.0  # dihedral angles within this ratio are of one curve
-_WIDE = 2.0  # triangles whose heights over their edge differ by more belong to a bend and to what it ends in
-_ALONG = np.cos(np.radians(45)) * (1 - 1e-6)  # a border at a smaller angle runs along an edge
-_ON = np.cos(np.radians(25)) * (1 - 1e-6)  # edges at a smaller angle are pieces of one line
-_EQUAL = 1e-6  # ratios that differ by less are equal: rounding decides nothing
-_PULL, _ROUNDS = 0.1, 8  # after few rounds jittered sheets keep a stretch; pulled by 0.02 at once, arched bends tip
-_STEPS, _STILL = 8, 1e-9  # of Gauss and Newton in each round at most; radians, a step that ends it
-_ROUGH = 1e-10  # relative error of a step: rounding is not to show in what follows
+_SMALL = 2.0  # degrees: smaller dihedral angles are always smooth
+_FOLD = 60.0  # degrees: larger dihedral angles are always folds
+_UNKNOWN_FOLD = 20.0  # degrees: the same if b is unknown on both sides
+_ALIKE = 3.0  # largest ratio of the dihedral angles of one bend
+_WIDE = 2.0  # ratio of heights above which a bend may end at the edge
+_ALONG = np.cos(np.radians(45)) * (1 - 1e-6)  # cosine: a border at a smaller angle continues an edge
+_ON = np.cos(np.radians(25)) * (1 - 1e-6)  # cosine: edges at a smaller angle form one line
+_EQUAL = 1e-6  # relative difference below which ratios are equal
+_PULL, _ROUNDS = 0.1, 8  # fewer rounds distort jittered meshes; a single round with 0.02 tilts normals of curved bends
+_STEPS, _STILL = 8, 1e-9  # most Gauss-Newton steps per round; radians, step at convergence
+_ROUGH = 1e-10  # relative tolerance of the linear solver
 
 
 class Rule(IntEnum):
-    """What decided a normal."""
+    """Origin of a normal."""
 
-    GIVEN = 0  #: the geometry or the deck
-    ESTIMATED = 1  #: the edges around
-    TRIANGLE = 2  #: the triangle's own: the sheet is flat there
-    GUARDED = 3  #: the triangle's own: what was given or estimated lies too far from it
+    GIVEN = 0  #: by the geometry script or the deck
+    ESTIMATED = 1  #: from the adjacent edges
+    TRIANGLE = 2  #: the triangle's own, on a flat
+    GUARDED = 3  #: the triangle's own; the given or estimated one is farther than `GUARD`
 
 
 @dataclass(frozen=True)
@@ -75,14 +76,13 @@ class CornerNormals:
     Attributes
     ----------
     normal : (k, 3, 3) array
-        Unit normals on the side of the triangle's own, corner by corner.
+        Unit normals on the side of the triangle's own, by corner.
     rule : (k, 3) int array
-        The `Rule` that decided each.
+        `Rule` of each.
     coarse : (m, 3) array
-        Middles of the edges, mm, that count as curved though the sheet turns by more than `COARSE` there.
+        Midpoints of smooth edges, mm, at which the sheet turns by more than `COARSE`.
     single : (m, 3) array
-        Middles of the edges, mm, where a bend meets a much wider row of triangles: whether that row is flat, or goes on
-        as the bend does, one row cannot tell.
+        Midpoints of edges, mm, at which a bend meets a single much wider row of triangles, which may be flat or bent.
     """
 
     normal: np.ndarray
@@ -92,16 +92,16 @@ class CornerNormals:
 
 
 def corner_normals(points: np.ndarray, triangles: np.ndarray, given: np.ndarray | None = None) -> CornerNormals:
-    """The normals that are given, and estimates for the others.
+    """Given normals, and estimates for the others.
 
     Parameters
     ----------
     points : (n, 3) array
         mm.
     triangles : (k, 3) int array
-        Consistently oriented, as `mic.geometry.repair` leaves them.
+        Consistently oriented, as by `mic.geometry.repair`.
     given : (k, 3, 3) array, optional
-        On either side and of any length; NaN or zero where nothing is told.
+        Either sense, any length; NaN or zero where unknown.
     """
     corners = points[triangles]
     own = _unit(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]))[:, None]
@@ -110,10 +110,10 @@ def corner_normals(points: np.ndarray, triangles: np.ndarray, given: np.ndarray 
     decided = np.zeros(triangles.shape, dtype=bool)
     if given is not None:
         length = np.linalg.norm(given, axis=2, keepdims=True)
-        told = np.divide(given, length, out=np.zeros_like(corners), where=length > 0)
-        cosine = (told * own).sum(axis=2)
+        unit = np.divide(given, length, out=np.zeros_like(corners), where=length > 0)
+        cosine = (unit * own).sum(axis=2)
         use = np.abs(cosine) > np.cos(np.radians(GUARD))
-        normal[use] = (np.sign(cosine)[..., None] * told)[use]
+        normal[use] = (np.sign(cosine)[..., None] * unit)[use]
         decided = (length > 0)[..., 0]
         rule[decided] = np.where(use, Rule.GIVEN, Rule.GUARDED)[decided]
         if decided.all():
@@ -131,19 +131,19 @@ def corner_normals(points: np.ndarray, triangles: np.ndarray, given: np.ndarray 
 
 
 class _Edges:
-    """Edges of triangles; entry [f, c] is that of triangle f opposite to its corner c.
+    """Edges of triangles; entry [f, c] is the edge of triangle f opposite to its corner c.
 
     Attributes
     ----------
+    across : (3 k,) int array
+        Entry 3 f + c of the same edge in the triangle on the other side; -1 if none.
     neighbour : (k, 3) int array
-        Triangle on the other side; -1 at borders and junctions, and where the two disagree which side is up.
+        Triangle on the other side; -1 at borders, junctions and inconsistent orientation.
     dihedral : (k, 3) array
         Degrees.
-    beyond : (k, 3) array
-        What the sheet does on the triangle's side of the edge, degrees; infinite where nobody knows.
     smooth, alike, first : (k, 3) bool array
-        Whether the edge is no fold; whether the sheet bends on either side of it, and within `_ALIKE` of it; and
-        whether this triangle's entry stands for both.
+        Whether the edge is no fold; whether the sheet bends on both sides within the ratio `_ALIKE`; and whether this
+        entry represents both triangles.
     widths : (k, 3) array
         Ratio of the two triangles' heights over the edge, at least 1.
     """
@@ -169,12 +169,12 @@ class _Edges:
         height = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)[:, None]
         height = (height / np.linalg.norm(points[start] - points[end], axis=2)).ravel()
         widths = np.where(has, np.maximum(height / height[across], height[across] / height), 1.0)
-        self.across = across  # number 3 f + c of the same edge in the triangle on the other side
+        self.across = across
         self.neighbour = np.where(has, triangle, -1).reshape(k, 3)
         self.dihedral, self.widths = dihedral.reshape(k, 3), widths.reshape(k, 3)
         self.first = (has & (np.arange(3 * k) < across)).reshape(k, 3)
 
-        # What the sheet does on the edge's side. The line that the edge may be a piece of says nothing of that.
+        # b: the largest dihedral angle on the edge's side, without edges that continue the edge
         bent, inside = np.zeros(len(points)), has.reshape(k, 3)
         bend = np.where(self.dihedral < _FOLD, self.dihedral, 0.0)
         for end_of_edge in (start, end):
@@ -196,17 +196,17 @@ class _Edges:
         corner, which = touch.nonzero()
         along = np.abs((direction.reshape(-1, 3)[rim[which]] * direction.reshape(-1, 3)[corner]).sum(axis=1)) > _ALONG
         beyond[corner[along]] = np.inf
-        # A corner in which one edge at most has two sides (each counts twice) tells little, and is heard only where the
-        # other side tells no more.
+        # A corner with at most one edge of two triangles (each counts twice) provides little information; it is used
+        # only if the other side provides no more.
         rich = np.bincount(np.concatenate([start[inside], end[inside]]), minlength=len(points)) > 2
         rich = rich[triangles].ravel()
         beyond[has & ~rich & rich[across]] = np.inf
         here, there = beyond, np.where(has, beyond[across], 0.0)
         low, high = np.minimum(here, there), np.maximum(here, there)
-        told = np.where(np.isinf(high), low, high)
+        bend_angle = np.where(np.isinf(high), low, high)
         small = dihedral < _SMALL * (1 + _EQUAL)
-        able = dihedral < np.where(np.isinf(low), _UNTOLD, _FOLD) * (1 - _EQUAL)
-        smooth = has & (small | (able & (dihedral * (1 - _EQUAL) <= _ALIKE * told)))
+        able = dihedral < np.where(np.isinf(low), _UNKNOWN_FOLD, _FOLD) * (1 - _EQUAL)
+        smooth = has & (small | (able & (dihedral * (1 - _EQUAL) <= _ALIKE * bend_angle)))
         self.smooth = smooth.reshape(k, 3)
         self.alike = (smooth & (dihedral * (1 - _EQUAL) <= _ALIKE * low)).reshape(k, 3)
 
@@ -215,11 +215,10 @@ def _estimate(points, triangles, own, edges):
     """(k, 3, 3) estimated normals."""
     k = len(triangles)
     same = _pairs(triangles, edges)
-    graph = coo_matrix((np.ones(len(same)), (same[:, 0], same[:, 1])), shape=(3 * k, 3 * k))
-    count, joined = connected_components(graph, directed=False)
+    count, joined = components(*same.T, 3 * k)
     fan = joined.reshape(k, 3)
 
-    # both ends of each edge, once for the triangles on either side of a smooth edge, by the fans there
+    # the fans at both ends of each edge; a smooth edge appears once
     ends = np.concatenate([fan[:, [a, b]] for a, b in ((0, 1), (1, 2), (2, 0))])
     chord = np.concatenate([points[triangles[:, b]] - points[triangles[:, a]] for a, b in ((0, 1), (1, 2), (2, 0))])
     ends, first = np.unique(np.sort(ends, axis=1), axis=0, return_index=True)
@@ -231,8 +230,8 @@ def _estimate(points, triangles, own, edges):
     angle = np.arctan2(np.linalg.norm(np.cross(a, b), axis=2), (a * b).sum(axis=2)).ravel()
     start = _mean(joined, angle[:, None] * own[corner], count)
     whole = np.bincount(joined[same[:, 0]], minlength=count) == np.bincount(joined, minlength=count)
-    # A flat is seen where three points of a triangle have all their triangles in one plane; two rows in one plane may
-    # be the inflection between two bends. Its normal goes on to all corners in it, unless two flats end in one point.
+    # A triangle belongs to a flat if all triangles at its three points are coplanar; two coplanar rows may be an
+    # inflection between two bends. The flat's normal extends to all corners in it, unless two flats share a point.
     plane = whole & ~_differ(joined, own[corner], start)
     known = np.zeros(count, dtype=bool)
     known[fan[plane[fan].all(axis=1)]] = True
@@ -244,7 +243,7 @@ def _estimate(points, triangles, own, edges):
         if not len(new):
             break
         known[new], start[new] = True, led[new]
-    # All around a point the mean of triangles is a good start. At borders it is not; arcs lead there from inside.
+    # The mean of the adjacent triangles is a good start in the interior; at borders arcs extrapolate from the interior.
     at, to = (np.concatenate([ends[:, i], ends[:, 1 - i]]) for i in (0, 1))
     arc = np.flatnonzero((whole | known)[at] & ~(whole | known)[to])
     along = np.concatenate([chord, chord])[arc]
@@ -276,17 +275,17 @@ def _estimate(points, triangles, own, edges):
 
 
 def _pairs(triangles, edges):
-    """(p, 2) corners, 3 f + c, that are the same point on either side of smooth edges."""
+    """(p, 2) corners, 3 f + c, that are the same point on both sides of smooth edges."""
     f, c = np.nonzero(edges.smooth & edges.first)
     g, e = np.divmod(edges.across[3 * f + c], 3)
-    # the neighbour runs along the edge the other way
+    # the neighbour traverses the edge in the opposite direction
     one = np.column_stack([3 * f + (c + 1) % 3, 3 * g + (e + 2) % 3])
     other = np.column_stack([3 * f + (c + 2) % 3, 3 * g + (e + 1) % 3])
     return np.concatenate([one, other])
 
 
 def _mean(group, vector, count):
-    """(count, 3) unit vectors along the sums of those (q, 3) that belong to each group; NaN where none does."""
+    """(count, 3) unit vectors along the sums of the vectors (q, 3) of each group; NaN for an empty group."""
     total = np.column_stack([np.bincount(group, vector[:, c], count) for c in range(3)])
     with np.errstate(invalid="ignore"):
         return _unit(total)
@@ -299,4 +298,5 @@ def _differ(group, vector, mean):
 
 
 def _unit(vector):
+    """Vectors divided by their lengths."""
     return vector / np.linalg.norm(vector, axis=-1, keepdims=True)

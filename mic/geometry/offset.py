@@ -1,31 +1,30 @@
-"""Surfaces moved along their normals: meshes that are drawn on a skin of the sheet, made its middle.
+"""Surfaces offset along their normals: from a mesh on a skin of the sheet to its mid-surface.
 
-A point goes where the sheets that meet in it, each moved by h along its own normal, meet again,
+A point moves to where the sheets that meet in it, each offset by h along its own normal, meet again:
 
-    n_i · d = h        for the normal n_i of every triangle about the point,
+    n_i · d = h        for the normal n_i of every triangle at the point,
 
-in the sense of least squares, the shortest d of all. On a smooth sheet that is d = h n, across a fold with the angle φ
-between its normals the mitre of length h / cos(φ/2), and in the corner of a box the corner of the box about it.
+in the least-squares sense, with the shortest d. This is d = h n on a smooth sheet, the mitre of length h / cos(φ/2)
+across a fold with the angle φ between its normals, and the corner of the offset box at the corner of a box.
 """
 
 from __future__ import annotations
 
 import numpy as np
-from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import connected_components
 
 from mic.geometry.surface import Surface
+from mic.geometry.triangles import components
 
 __all__ = ["moved"]
 
-ONE = 0.004  # of the largest eigenvalue: normals within some 7° count as one, for a mitre between them is none
-LONGEST = 2.0  # a mitre's length in offsets, that of a fold by 120°; sharper ones are cut off there
-ROUNDS = 10  # in which points that fold a triangle up are joined
-THIN = 0.05  # a triangle that keeps less of its height has been folded up in a bend
+ONE = 0.004  # of the largest eigenvalue: normals within about 7° count as one, without a mitre
+LONGEST = 2.0  # offsets: longest mitre, that of a fold by 120°; sharper ones are truncated
+ROUNDS = 10  # attempts to resolve inverted triangles by moving their points together
+THIN = 0.05  # share of its height below which a moved triangle counts as inverted
 
 
 def moved(surface: Surface, distance: float) -> Surface:
-    """A surface moved along its normals, its triangles, their numbers and given normals as they are.
+    """The surface moved along its normals, with the same triangles and given normals.
 
     Parameters
     ----------
@@ -36,35 +35,34 @@ def moved(surface: Surface, distance: float) -> Surface:
     Raises
     ------
     ValueError
-        If three or more triangles meet in an edge, where no side is the upper one, or a bend is tighter than the
+        If three or more triangles share an edge, where no side is the upper one, or a bend is tighter than the
         distance.
     """
     if not distance:
         return surface
     triangles, points = surface.triangles, surface.points
-    edges = np.sort(triangles[:, [[1, 2], [2, 0], [0, 1]]].reshape(-1, 2), axis=1)
-    edge, count = np.unique(edges, axis=0, return_counts=True)
+    edge, _, count = surface.sides
     if (count > 2).any():
         raise ValueError(
-            f"it cannot be moved by its offset: three or more of its triangles meet in the edge at "
-            f"{_place(points[edge[count > 2][0]].mean(axis=0))}, where no side is the upper one; draw its mid-surface"
+            f"its offset cannot be applied: three or more of its triangles share the edge at "
+            f"{_place(points[edge[count > 2][0]].mean(axis=0))}, and no side is the upper one; mesh the mid-surface"
         )
     together = np.arange(len(points))
     for _ in range(ROUNDS):
         moving = points + distance * _steps(surface, together)
-        folded = _folded(surface, moving)
+        folded = _inverted(surface, moving)
         if not len(folded):
             return Surface(moving, triangles, surface.given_normals)
-        together = _joined(surface, folded, together)
+        together = _merged(surface, folded, together)
     raise ValueError(
-        f"{len(folded)} of its triangles fold up when it is moved by its offset of {distance:.3g} mm, such as that at "
-        f"{_place(surface.corners[folded[0]].mean(axis=0))}: the bend is tighter; draw its mid-surface, or turn the "
-        "sign of the offset if the sheet lies on the other side"
+        f"its offset of {distance:.3g} mm inverts {len(folded)} of its triangles, such as that at "
+        f"{_place(surface.corners[folded[0]].mean(axis=0))}: the bend is tighter than the offset; mesh its "
+        "mid-surface, or change the sign of offset if the sheet lies on the other side"
     )
 
 
 def _steps(surface: Surface, together: np.ndarray) -> np.ndarray:
-    """(n, 3) where the points go, for an offset of 1; those with one number in `together` (n,) go as one."""
+    """(n, 3) displacement of the points for a unit offset; points with equal numbers `together` (n,) move as one."""
     corner, normal = together[surface.triangles.ravel()], np.repeat(surface.normals, 3, axis=0)
     sides = surface.corners
     a, b = (np.roll(sides, -turn, axis=1) - sides for turn in (1, 2))
@@ -81,8 +79,8 @@ def _steps(surface: Surface, together: np.ndarray) -> np.ndarray:
     return (step / np.maximum(length / LONGEST, 1.0))[together]
 
 
-def _folded(surface: Surface, points: np.ndarray) -> np.ndarray:
-    """Triangles that turn over, or are left without height, where the points move."""
+def _inverted(surface: Surface, points: np.ndarray) -> np.ndarray:
+    """Triangles that are inverted or lose their height at the moved points."""
     corners = points[surface.triangles]
     across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     longest = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1)
@@ -90,17 +88,17 @@ def _folded(surface: Surface, points: np.ndarray) -> np.ndarray:
     return np.flatnonzero(height < THIN * 2 * surface.areas / surface.edge_lengths.max(axis=1))
 
 
-def _joined(surface: Surface, folded: np.ndarray, together: np.ndarray) -> np.ndarray:
-    """Numbers (n,) of points that go as one, the ends of the shortest side of each folded triangle joined too.
+def _merged(surface: Surface, folded: np.ndarray, together: np.ndarray) -> np.ndarray:
+    """Groups (n,) of points that move together, after joining the ends of the shortest side of each inverted triangle.
 
-    A mesh that is finer than the offset has triangles across which the steps of two neighbours differ by more than the
-    triangle is wide; features of that size are lost a half thickness away.
+    On a mesh finer than the offset the displacements of two neighbours can differ by more than the triangle's width;
+    features of that size vanish half a thickness away.
     """
     shortest = np.argmin(surface.edge_lengths[folded], axis=1)
     ends = np.stack([surface.triangles[folded, (shortest + turn) % 3] for turn in (1, 2)])
     n = len(together)
-    links = np.concatenate([ends, np.stack([np.arange(n), together])], axis=1)
-    return connected_components(coo_matrix((np.ones(links.shape[1]), links), shape=(n, n)), directed=False)[1]
+    first, second = np.concatenate([ends, np.stack([np.arange(n), together])], axis=1)
+    return components(first, second, n)[1]
 
 
 def _place(x: np.ndarray) -> str:

@@ -1,16 +1,16 @@
-"""A triangle mesh of half the size on the curved surface that its normals tell of.
+"""Refinement of triangle meshes on the curved surface that their normals describe.
 
-The edge from x_i to x_j, L = x_j − x_i, is the Hermite cubic whose end tangents are L without its share across the
-surface, T = L − P L, where P projects on the normals at that end: one on a smooth surface, two at a fold, whose line is
-then tangent to both sheets. New vertices are the cubics' midpoints,
+The edge from x_i to x_j, L = x_j − x_i, becomes the Hermite cubic whose end tangents are the projections of L onto the
+surface, T = L − P L. P projects on the normals at that end: one on a smooth surface, two at a fold, whose line is then
+tangent to both sheets. New vertices are the midpoints of the cubics,
 
     x = ½ (x_i + x_j) + ⅛ (T_i − T_j),
 
-equal for all triangles at the edge, and the normals there are the means of the ends' made normal to the cubic, whose
-tangent is 3/2 L − ¼ (T_i + T_j). Normals that agree to `FOLD` count as one: P then takes their mean.
+equal for all triangles at the edge. The normals there are the means of the ends', made normal to the tangent of the
+cubic, 3/2 L − ¼ (T_i + T_j). Normals that agree within `FOLD` count as one: P then uses their mean.
 
-Where nothing is known beyond the mesh it stays as it is: in the sheet's own plane the border is a polygon, and a
-hole's rim does not become rounder.
+The border remains a polygon in the plane of the sheet, because the mesh does not describe its curvature: holes do not
+become rounder.
 """
 
 from __future__ import annotations
@@ -20,20 +20,20 @@ from functools import cached_property
 
 import numpy as np
 
-from mic.geometry.surface import closest_barycentric
+from mic.geometry.triangles import closest_barycentric
 
 __all__ = ["Division", "divided", "halved"]
 
-FOLD = np.radians(20.0)  # sheets that meet at a smaller angle are one smooth surface
+FOLD = np.radians(20.0)  # smaller angles between normals count as smooth
 EDGES = ((0, 1), (1, 2), (2, 0))
-FOUR = np.array([(0, 3, 5), (3, 1, 4), (5, 4, 2), (3, 4, 5)])  # pieces by corners 0 to 2 and middles 3 to 5 of EDGES
-TWO = np.array([[(0, 3, 2), (3, 1, 2)], [(1, 4, 0), (4, 2, 0)], [(2, 5, 1), (5, 0, 1)]])  # by the edge that is cut
-SHIFT = 32  # bits: an edge is the lower of its vertices, shifted by so many, and the higher
-EVEN = 1e-6  # sizes and distances that differ by less are equal
+FOUR = np.array([(0, 3, 5), (3, 1, 4), (5, 4, 2), (3, 4, 5)])  # children: corners 0 to 2, midpoints 3 to 5
+TWO = np.array([[(0, 3, 2), (3, 1, 2)], [(1, 4, 0), (4, 2, 0)], [(2, 5, 1), (5, 0, 1)]])  # by the edge that is divided
+SHIFT = 32  # bits: the key of an edge is its lower vertex, shifted, plus its higher vertex
+EVEN = 1e-6  # relative difference below which sizes and distances are equal
 
 
 def halved(points: np.ndarray, triangles: np.ndarray, normals: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Divide every triangle into four.
+    """Divide every triangle into four on the curved surface.
 
     Parameters
     ----------
@@ -48,7 +48,7 @@ def halved(points: np.ndarray, triangles: np.ndarray, normals: np.ndarray) -> tu
     points : (n + e, 3) array
         The given ones, then one on each of the e edges.
     triangles : (4 k, 3) int array
-        Oriented as those that they come from; triangle i becomes 4 i … 4 i + 3.
+        Oriented as their parents; triangle i becomes 4 i … 4 i + 3.
     normals : (4 k, 3, 3) array
     """
     triangles = np.asarray(triangles)
@@ -75,16 +75,16 @@ def halved(points: np.ndarray, triangles: np.ndarray, normals: np.ndarray) -> tu
 
 
 def _across(L, end, edges, sides, of_side, normals):
-    """(e, 3) share of the edges L (e, 3) in the span of the normals that the triangles at each edge have at one end."""
+    """(e, 3) projection of the edges L (e, 3) on the span of their triangles' normals at one end."""
     total = np.zeros((len(edges), 3, 3))
     for s, corners in enumerate(EDGES):
         first = sides[:, s, 0] == edges[of_side[:, s], end]
         n = np.where(first[:, None], normals[:, corners[0]], normals[:, corners[1]])
         np.add.at(total, of_side[:, s], n[:, :, None] * n[:, None, :])
-    size, direction = np.linalg.eigh(total)  # of two normals at an angle φ: 1 ± cos φ
-    kept = size > 1 - np.cos(FOLD)
-    kept[:, 2] = True
-    share = np.einsum("eic,ei->ec", direction, L) * kept
+    size, direction = np.linalg.eigh(total)  # for two normals at an angle φ: 1 ± cos φ
+    spanned = size > 1 - np.cos(FOLD)
+    spanned[:, 2] = True
+    share = np.einsum("eic,ei->ec", direction, L) * spanned
     return np.einsum("eic,ec->ei", direction, share)
 
 
@@ -95,15 +95,15 @@ class Division:
     Attributes
     ----------
     points : (n + e, 3) array
-        The given ones, then those that are new, mm.
+        The given ones, then the new ones, mm.
     triangles : (k, 3) int array
-        Oriented as those that they come from.
+        Oriented as their parents.
     normals : (k, 3, 3) array
-        At their corners, unit length.
+        Unit normals at their corners.
     of : (k,) int array
-        The triangle that each is a piece of.
+        Parent of each triangle.
     corners : (k, 3, 3) array
-        Barycentric coordinates, within that triangle, of the piece's corners.
+        Barycentric coordinates of the corners within the parent.
     """
 
     points: np.ndarray
@@ -114,12 +114,12 @@ class Division:
 
     @cached_property
     def _pieces(self) -> tuple[np.ndarray, np.ndarray]:
-        """The pieces, those of one triangle after the other, and the triangle that each is of."""
+        """Children sorted by parent, and their parents."""
         order = np.argsort(self.of, kind="stable")
         return order, self.of[order]
 
-    def carried(self, triangle: np.ndarray, barycentric: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """The piece (q,) that holds each point of the given triangles, and its barycentric coordinates there (q, 3)."""
+    def locate(self, triangle: np.ndarray, barycentric: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Child triangle (q,) that contains each point of the parents, and barycentric coordinates (q, 3) in it."""
         order, of = self._pieces
         first, last = (np.searchsorted(of, triangle, side) for side in ("left", "right"))
         owner = np.repeat(np.arange(len(triangle)), last - first)
@@ -139,26 +139,26 @@ def divided(
     reach: np.ndarray,
     size: np.ndarray,
 ) -> Division:
-    """Divide triangles that come near to places until none is larger there than a size.
+    """Divide triangles near places until none exceeds the size required there.
 
-    The size of a triangle of area A is √(2 A), the side of two squares' halves. Large ones are divided into four;
-    neighbours follow where two of their edges are divided, or one twice, and where one is they are cut in two. The
-    sheet stays what it was: new vertices lie in the middle of the edges, the normals there between the ends'.
+    The size of a triangle of area A is √(2 A). Large triangles are divided into four. Neighbours follow if two of their
+    edges are divided, or one twice; if one edge is, they are bisected. The shape stays: new vertices are midpoints of
+    edges, and the normals there are means of the ends'.
 
     Parameters
     ----------
     points, triangles, normals
-        As `halved` takes them.
+        As for `halved`.
     places : (p, 3) array
         mm.
     reach : (p,) array
-        How near to each a triangle counts, mm.
+        Distance from each within which triangles are refined, mm.
     size : (p,) array
-        The largest that is wanted there, mm.
+        Largest size there, mm.
     """
-    mesh = _Leaves(points, triangles)
+    mesh = _AdaptiveMesh(points, triangles)
     while True:
-        large = mesh.large(places, reach, size)
+        large = mesh.too_large(places, reach, size)
         if not large.any():
             mesh.close()
             between = np.einsum("kij,kjl->kil", mesh.corners, normals[mesh.of])
@@ -166,21 +166,21 @@ def divided(
             return Division(mesh.points, mesh.triangles, between, mesh.of, mesh.corners)
         while large.any():
             mesh.divide(large)
-            large = mesh.uneven()
+            large = mesh.unbalanced()
 
 
-class _Leaves:
-    """Triangles that were divided into four, again and again; vertices may hang on the edges of larger ones."""
+class _AdaptiveMesh:
+    """Triangles after repeated division into four; vertices may lie on edges of larger triangles (hanging nodes)."""
 
     def __init__(self, points, triangles):
         self.points, self.triangles = np.asarray(points), np.asarray(triangles)
         self.of = np.arange(len(self.triangles))
         self.corners = np.tile(np.eye(3), (len(self.triangles), 1, 1))
-        self._edges = np.zeros(0, dtype=np.int64)  # those that have a middle, in order, and which vertex it is
+        self._edges = np.zeros(0, dtype=np.int64)  # keys of divided edges, sorted, and the vertices at their midpoints
         self._middle = np.zeros(0, dtype=np.int64)
 
-    def large(self, places, reach, size) -> np.ndarray:
-        """(k,) bool."""
+    def too_large(self, places, reach, size) -> np.ndarray:
+        """(k,) bool: which triangles near a place exceed its size."""
         corner = self.points[self.triangles]
         own = np.sqrt(np.linalg.norm(np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]), axis=1))
         found = np.zeros(len(own), dtype=bool)
@@ -197,19 +197,19 @@ class _Leaves:
             found[near[away <= far * (1 + EVEN)]] = True
         return found
 
-    def uneven(self) -> np.ndarray:
-        """(k,) bool: of which two edges have a middle, or one whose halves have one."""
+    def unbalanced(self) -> np.ndarray:
+        """(k,) bool: which triangles have two divided edges, or one that is divided twice."""
         sides = self.triangles[:, EDGES]
         middle = self._middles(sides)
-        hanging = middle >= 0
-        twice = np.zeros(hanging.shape, dtype=bool)
+        divided_edge = middle >= 0
+        twice = np.zeros(divided_edge.shape, dtype=bool)
         for end in (0, 1):
             half = np.stack([sides[:, :, end], np.maximum(middle, 0)], axis=2)
-            twice |= hanging & (self._middles(half) >= 0)
-        return (hanging.sum(axis=1) > 1) | twice.any(axis=1)
+            twice |= divided_edge & (self._middles(half) >= 0)
+        return (divided_edge.sum(axis=1) > 1) | twice.any(axis=1)
 
     def divide(self, chosen) -> None:
-        """Into four each."""
+        """Divide the chosen triangles into four each."""
         whole = self.triangles[chosen]
         edges = np.unique(self._keys(whole[:, EDGES]))
         new = edges[~np.isin(edges, self._edges)]
@@ -221,34 +221,34 @@ class _Leaves:
         self._middle = np.concatenate([self._middle, number])[order]
         middle = self._middles(whole[:, EDGES])
         vertex, corner = np.concatenate([whole, middle], axis=1), _with_middles(self.corners[chosen])
-        self._take(
+        self._replace(
             ~chosen, np.repeat(self.of[chosen], 4), vertex[:, FOUR].reshape(-1, 3), corner[:, FOUR].reshape(-1, 3, 3)
         )
 
     def close(self) -> None:
-        """Let no vertex hang: a triangle one of whose edges has a middle is cut in two."""
+        """Remove hanging nodes: bisect triangles with a divided edge."""
         middle = self._middles(self.triangles[:, EDGES])
         cut = (middle >= 0).any(axis=1)
         rows = np.flatnonzero(cut)
         two = TWO[(middle[rows] >= 0).argmax(axis=1)]
         vertex, corner = np.concatenate([self.triangles[rows], middle[rows]], axis=1), _with_middles(self.corners[rows])
         row = np.arange(len(rows))[:, None, None]
-        self._take(
+        self._replace(
             ~cut, np.repeat(self.of[rows], 2), vertex[row, two].reshape(-1, 3), corner[row, two].reshape(-1, 3, 3)
         )
 
-    def _take(self, kept, of, triangles, corners) -> None:
-        """Put pieces behind the triangles that are kept."""
-        self.of = np.concatenate([self.of[kept], of])
-        self.triangles = np.concatenate([self.triangles[kept], triangles])
-        self.corners = np.concatenate([self.corners[kept], corners])
+    def _replace(self, unchanged, of, triangles, corners) -> None:
+        """Keep some triangles and append others."""
+        self.of = np.concatenate([self.of[unchanged], of])
+        self.triangles = np.concatenate([self.triangles[unchanged], triangles])
+        self.corners = np.concatenate([self.corners[unchanged], corners])
 
     def _keys(self, sides) -> np.ndarray:
-        """One number for the two ends of each edge."""
+        """Key of each edge, from its two ends."""
         return (sides.min(axis=-1) << SHIFT) + sides.max(axis=-1)
 
     def _middles(self, sides) -> np.ndarray:
-        """The vertex in the middle of each edge; -1 where there is none."""
+        """Vertex at the midpoint of each edge; -1 for an undivided edge."""
         if not len(self._edges):
             return np.full(sides.shape[:-1], -1)
         keys = self._keys(sides)
@@ -257,5 +257,5 @@ class _Leaves:
 
 
 def _with_middles(corner) -> np.ndarray:
-    """(k, 6, 3) what stands at the corners (k, 3, 3), and its means over the edges."""
+    """(k, 6, 3) values at the corners (k, 3, 3), and their means over the edges."""
     return np.concatenate([corner, np.stack([corner[:, i] + corner[:, j] for i, j in EDGES], axis=1) / 2], axis=1)

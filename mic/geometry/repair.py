@@ -1,10 +1,10 @@
-"""Triangle meshes as they come, made fit for a `Surface`: what is wrong is repaired and reported, or refused.
+"""Repair of triangle meshes from files, so that they define a `Surface`.
 
-Repaired: quadrilaterals (split), coincident points (merged), triangles without area or given twice (dropped), points of
-one triangle on an edge of another (that triangle split), inconsistent orientation (turned), points without a triangle
+Repaired: quadrilaterals (split), coincident points (merged), triangles that are degenerate or repeated (dropped),
+points of one triangle on an edge of another (that triangle split), inconsistent orientation (reversed), unused points
 (dropped).
-Kept and reported: edges where three or more triangles meet, separate pieces.
-Refused: coordinates that are not finite, vertex numbers out of range, no triangle left, one-sided (Möbius) sheets.
+Reported: edges shared by three or more triangles, separate pieces.
+Refused: non-finite coordinates, point numbers out of range, meshes without triangles, one-sided (Möbius) sheets.
 """
 
 from __future__ import annotations
@@ -16,18 +16,20 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import breadth_first_order, connected_components
 from scipy.spatial import cKDTree
 
+from mic.geometry.triangles import components, linked_rows
+
 __all__ = ["MeshReport", "repair"]
 
-MERGE = 1e-7  # points closer than this share of the mesh's diagonal are one
-FLAT = 1e-6  # a triangle lower than this share of its longest side has no area
-ALIKE = 1.25  # a diagonal longer than the other by this factor makes worse triangles, whatever their neighbours do
-EQUAL = 1e-7  # lengths that differ by less than this share are equal
-ON_EDGE = 1e-4  # a point nearer to an edge than this share of its length lies on it
+MERGE = 1e-7  # share of the mesh's diagonal below which points coincide
+FLAT = 1e-6  # height over longest side below which a triangle has no area
+ALIKE = 1.25  # ratio of diagonals above which the shorter one is chosen
+EQUAL = 1e-7  # relative difference below which lengths are equal
+ON_EDGE = 1e-4  # distance over length below which a point lies on an edge
 
 
 @dataclass(frozen=True)
 class MeshReport:
-    """What `repair` found. Counts, except the maps.
+    """Changes made by `repair`. Counts, except the maps.
 
     Attributes
     ----------
@@ -37,20 +39,20 @@ class MeshReport:
     triangles_split : int
         At points of other triangles on their edges.
     triangles_turned : int
-        Their vertices now run the other way round.
+        Reversed.
     junction_edges : int
         Edges of three or more triangles. Orientation is consistent on each sheet that meets there, not across.
     pieces : int
-        Sets of triangles that hang together by edges.
+        Sets of triangles connected by edges.
     point_map : (n,) int array
-        New number of each original point, -1 where it was dropped.
+        New number of each original point, -1 if dropped.
     corner_map : (k, 3) int array
-        For each corner of the new triangles, which of the original elements' it was: 3 i + c of triangle i, after all
-        triangles 4 i + c of quadrilateral i; -1 for those that splitting made.
+        Original corner of each corner of the new triangles: 3 i + c of triangle i, numbered before 4 i + c of
+        quadrilateral i; -1 for corners created by splitting.
     element_map : (k,) int array
-        For each new triangle, which of the original elements it is of: triangle i, after all triangles quadrilateral i.
+        Original element of each new triangle: triangle i, numbered before quadrilateral i.
     turned : (k,) bool array
-        Which of the new triangles run the other way round than the original elements.
+        Whether the new triangle is reversed.
     """
 
     quadrilaterals_split: int
@@ -70,16 +72,8 @@ class MeshReport:
     @property
     def repaired(self) -> bool:
         """Whether anything but splitting quadrilaterals was needed."""
-        return any(
-            (
-                self.points_merged,
-                self.points_dropped,
-                self.triangles_without_area,
-                self.triangles_repeated,
-                self.triangles_split,
-                self.triangles_turned,
-            )
-        )
+        dropped = self.points_dropped or self.triangles_without_area or self.triangles_repeated
+        return bool(dropped or self.points_merged or self.triangles_split or self.triangles_turned)
 
     def __str__(self) -> str:
         lines = [
@@ -88,7 +82,7 @@ class MeshReport:
             (self.triangles_without_area, "triangles without area dropped"),
             (self.triangles_repeated, "repeated triangles dropped"),
             (self.triangles_split, "triangles split at points on their edges"),
-            (self.triangles_turned, "triangles turned to agree with their neighbours"),
+            (self.triangles_turned, "triangles reversed to agree with their neighbours"),
             (self.points_dropped, "points that no triangle uses dropped"),
             (self.junction_edges, "edges where three or more triangles meet"),
             (self.pieces if self.pieces > 1 else 0, "separate pieces"),
@@ -97,7 +91,7 @@ class MeshReport:
 
 
 def repair(points, triangles, quadrilaterals=None) -> tuple[np.ndarray, np.ndarray, MeshReport]:
-    """Points (n, 3), triangles (k, 3) fit for a `Surface`, and a report of what it took.
+    """Points (n, 3) and triangles (k, 3) fit for a `Surface`, and a report of the changes.
 
     Parameters
     ----------
@@ -105,14 +99,14 @@ def repair(points, triangles, quadrilaterals=None) -> tuple[np.ndarray, np.ndarr
         mm.
     triangles : (k, 3) int array
     quadrilaterals : (q, 4) int array, optional
-        Each becomes two triangles. It is divided along its shorter diagonal where that is shorter by far; diagonals of
-        about the same length meet at every other point, as in a union jack: a mesh whose diagonals all run one way is
-        stiffer, on curved sheets up to twice as far off.
+        Each becomes two triangles, split along the diagonal if one is much shorter. Diagonals of similar length meet at
+        every other point (union jack): a mesh with parallel diagonals is stiffer, with up to twice the error on curved
+        sheets.
 
     Raises
     ------
     ValueError
-        For arrays that do not describe a mesh, or a sheet with one side only.
+        For arrays that do not describe a mesh, or a one-sided sheet.
     """
     points = np.array(points, dtype=float)
     triangles = np.array(triangles, dtype=np.int64)
@@ -124,7 +118,7 @@ def repair(points, triangles, quadrilaterals=None) -> tuple[np.ndarray, np.ndarr
         raise ValueError(
             f"point {np.flatnonzero(~np.isfinite(points).all(axis=1))[0]} has a coordinate that is not finite"
         )
-    # where the corners of each triangle come from, and in the last column the triangle itself
+    # original corner of each corner of the triangles; last column: original element
     split, origin = 0, np.column_stack([np.arange(triangles.size).reshape(-1, 3), np.arange(len(triangles))])
     if quadrilaterals is not None:
         quadrilaterals = np.array(quadrilaterals, dtype=np.int64)
@@ -136,7 +130,7 @@ def repair(points, triangles, quadrilaterals=None) -> tuple[np.ndarray, np.ndarr
         corner = triangles.size - 6 * split + 4 * np.tile(np.arange(split), 2)[:, None] + halves.argmax(axis=2)
         origin = np.concatenate([origin, np.column_stack([corner, len(origin) + np.tile(np.arange(split), 2)])])
     if len(triangles) == 0:
-        raise ValueError("the mesh has no triangles")
+        raise ValueError("the mesh has no triangles; export its shell elements")
     _check_numbers(triangles, len(points))
 
     representative = _merge(points)
@@ -146,7 +140,7 @@ def repair(points, triangles, quadrilaterals=None) -> tuple[np.ndarray, np.ndarr
     first = np.sort(np.unique(np.sort(triangles, axis=1), axis=0, return_index=True)[1])
     repeated, triangles, origin = len(triangles) - len(first), triangles[first], origin[first]
     if len(triangles) == 0:
-        raise ValueError("no triangle of the mesh has an area")
+        raise ValueError("no triangle of the mesh has an area; export it again")
     triangles, origin, divided = _split_at_points_on_edges(points, triangles, origin)
     turn = _turned(points, triangles)
     triangles[turn], origin[turn, :3] = triangles[turn][:, ::-1], origin[turn, 2::-1]
@@ -175,8 +169,9 @@ def repair(points, triangles, quadrilaterals=None) -> tuple[np.ndarray, np.ndarr
 
 
 def _check_numbers(elements, n_points):
+    """Refuse elements with point numbers out of range."""
     if elements.size and (elements.min() < 0 or elements.max() >= n_points):
-        raise ValueError(f"elements name points outside 0..{n_points - 1}")
+        raise ValueError(f"elements refer to points outside 0..{n_points - 1}; export the mesh again")
 
 
 def _split_quadrilaterals(points, quadrilaterals):
@@ -184,10 +179,10 @@ def _split_quadrilaterals(points, quadrilaterals):
     ac, bd = (np.linalg.norm(points[i] - points[j], axis=1) for i, j in ((a, c), (b, d)))
     along_ac = ac <= (1 + EQUAL) * bd
     sheet, colour = (table[quadrilaterals].T for table in _checkerboard(len(points), quadrilaterals))
-    # corners that are no checkerboard, beside a triangle or where the board does not close, keep the shorter diagonal
+    # quadrilaterals without alternating colours get the shorter diagonal
     regular = (colour[0] == colour[2]) & (colour[1] == colour[3]) & (colour[0] != colour[1])
     regular &= (ac <= ALIKE * bd) & (bd <= ALIKE * ac)
-    # of the board's two colours the diagonals join the one that makes them shorter, else that of the first point
+    # diagonals join the colour that makes them shorter, else that of the first point
     longer = np.bincount(sheet[0], np.where(regular, np.where(colour[0] == 0, ac - bd, bd - ac), 0))
     total = np.bincount(sheet[0], np.where(regular, ac + bd, 0))
     joined = (longer > EQUAL * total).astype(int)
@@ -198,8 +193,10 @@ def _split_quadrilaterals(points, quadrilaterals):
 
 
 def _checkerboard(n, quadrilaterals):
-    """(n,) the sheet that each of n points belongs to, and its colour there, 0 or 1, so that sides join different
-    colours as far as that goes: the parity of the way from the sheet's first point."""
+    """(n,) sheet of each point, and its colour, 0 or 1, such that the ends of sides have different colours if possible.
+
+    The colour is the parity of the number of sides to the first point of the sheet.
+    """
     used, corner = np.unique(quadrilaterals, return_inverse=True)
     corner = corner.reshape(quadrilaterals.shape)
     start, end = corner.ravel(), np.roll(corner, -1, axis=1).ravel()
@@ -216,16 +213,12 @@ def _checkerboard(n, quadrilaterals):
 def _merge(points):
     """(n,) the lowest number among the points that coincide with each point."""
     pairs = cKDTree(points).query_pairs(MERGE * np.linalg.norm(np.ptp(points, axis=0)), output_type="ndarray")
-    n = len(points)
-    graph = coo_matrix((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(n, n))
-    _, lowest, cluster = np.unique(
-        connected_components(graph, directed=False)[1], return_index=True, return_inverse=True
-    )
-    return lowest[cluster]
+    cluster = components(*pairs.T, len(points))[1]
+    return np.unique(cluster, return_index=True)[1][cluster]
 
 
 def _with_area(points, triangles):
-    """(k,) bool."""
+    """(k,) bool: whether each triangle has an area."""
     corner = points[triangles]
     longest = np.linalg.norm(corner - np.roll(corner, 1, axis=1), axis=2).max(axis=1)
     double_area = np.linalg.norm(np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]), axis=1)
@@ -241,7 +234,6 @@ class _Edges:
         pairs = np.column_stack([np.minimum(start, end), np.maximum(start, end)])
         self.vertices, of_side, self.count = np.unique(pairs, axis=0, return_inverse=True, return_counts=True)
         self.of_side = of_side.ravel()
-        self.n_triangles = len(triangles)
 
     def shared_by_two(self):
         """(m, 2) the two sides of every edge that has two."""
@@ -249,15 +241,15 @@ class _Edges:
         return sides[np.argsort(self.of_side[sides], kind="stable")].reshape(-1, 2)
 
     def pieces(self):
-        triangle = np.repeat(np.arange(self.n_triangles), 3)
-        incidence = coo_matrix((np.ones(len(triangle)), (triangle, self.of_side))).tocsr()
-        return int(connected_components(incidence @ incidence.T, directed=False)[0])
+        """Number of sets of triangles connected by edges."""
+        return int(linked_rows(self.of_side.reshape(-1, 3))[0])
 
 
 def _split_at_points_on_edges(points, triangles, origin):
-    """Fan out every triangle with a point of another triangle's boundary on one of its free sides; pass by pass.
+    """Split every triangle with a point of another triangle's boundary on a free side into a fan, in passes.
 
-    Triangles, the origin of their corners, and how many were split."""
+    Returns triangles, the origin of their corners, and how many were split.
+    """
     divided = 0
     while True:
         edges = _Edges(triangles)
@@ -296,10 +288,11 @@ def _split_at_points_on_edges(points, triangles, origin):
 
 
 def _turned(points, triangles):
-    """(k,) bool: which triangles to turn so that neighbours run along every two-sided edge in opposite senses.
+    """(k,) bool: which triangles to reverse so that neighbours are oriented consistently.
 
-    Each triangle is taken twice, as given and turned. Linking what agrees across an edge leaves two connected sets per
-    sheet, mirror images of each other, unless the sheet is one-sided; the one with the greater area as given is kept.
+    Each triangle is a node twice, as given and reversed; links join consistent nodes across an edge. Each sheet then
+    has two components, mirror images of each other, unless it is one-sided. The one with the greater area as given is
+    chosen.
     """
     k = len(triangles)
     edges = _Edges(triangles)
@@ -308,13 +301,12 @@ def _turned(points, triangles):
     first, second = first // 3, second // 3
     as_given = np.concatenate([first, first + k])
     partner = np.concatenate([np.where(agree, second, second + k), np.where(agree, second + k, second)])
-    graph = coo_matrix((np.ones(2 * len(first)), (as_given, partner)), shape=(2 * k, 2 * k))
-    n_sets, label = connected_components(graph, directed=False)
+    n_sets, label = components(as_given, partner, 2 * k)
     given, turned = label[:k], label[k:]
     if (given == turned).any():
         where = points[triangles[np.flatnonzero(given == turned)[0]]].mean(axis=0)
         raise ValueError(
-            f"the sheet near {np.round(where, 3).tolist()} has one side only (a Möbius strip): it has no orientation"
+            f"the sheet near {np.round(where, 3).tolist()} has one side only (a Möbius strip), hence no normals; cut it"
         )
     corner = points[triangles]
     area = np.linalg.norm(np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]), axis=1)

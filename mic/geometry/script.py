@@ -1,14 +1,13 @@
-"""Geometry scripts: Python files of the user's that make the mesh of a part.
+"""Geometry scripts: Python files of the user that generate the mesh of a part.
 
 A script defines ``build(part, size) -> (points, triangles, normals)``: the mid-surface of one part as points (n, 3) in
-mm and triangles (k, 3), and the normals (k, 3, 3) of the sheet at the corners of each triangle, which may be left out
-and are then estimated. ``SIZES``, a dict, may give names to sizes in mm; ``DEPENDS``, a list, names files that it reads
-in ways that Python does not see (:mod:`mic.geometry.script_dependencies`). Where the scene states an accuracy, the size is a
-:class:`mic.geometry.grading.GradedSize`, a number that tells smaller ones too.
+mm and triangles (k, 3), and optionally the normals (k, 3, 3) of the sheet at the corners of each triangle, which are
+estimated if missing. ``SIZES``, a dict, may name sizes in mm. ``DEPENDS``, a list, names files that it reads by means
+other than Python's ``open`` (:mod:`mic.geometry.script_dependencies`). If the scene states an accuracy, the size is a
+:class:`mic.geometry.grading.GradedSize`, a float with smaller sizes around some places.
 
-It is somebody's program and may do anything: raise, exit, crash, never end, print what it likes. So it runs in a
-process of its own, which answers in a file: with a mesh, or with the sentence that is told. What it prints is dropped.
-Longer than ``$MIC_SCRIPT_LIMIT`` seconds (600) it is not waited for.
+A script may raise, exit, crash, loop forever or print. It therefore runs in a separate process, which returns a mesh or
+an error message in a file. Its output is discarded. It is stopped after ``$MIC_SCRIPT_LIMIT`` seconds (600).
 """
 
 from __future__ import annotations
@@ -37,41 +36,42 @@ from mic.geometry.surface import Surface
 __all__ = ["build", "load_script", "named_sizes"]
 
 LIMIT = 600.0  # s
-UNWRITTEN = 73  # exit status of a script's process that cannot write its answer
-RANKS = ("OMPI_", "PMIX_", "PMI_")  # by these variables a process that MPI has started is known: a script is none
-PACKAGES = {"gmsh": "'mic-contact[mesh]'"}  # what pip installs for a module that the shipped scripts import
+UNWRITABLE = 73  # exit status of a script's process that cannot write its result
+RANKS = ("OMPI_", "PMIX_", "PMI_")  # prefixes of variables that identify MPI processes; scripts must not inherit them
+PACKAGES = {"gmsh": "'mic-contact[mesh]'"}  # pip requirement for a module that the shipped scripts import
 
 
 def build(part: str, path: Path, size: float | str, share: float = 1.0) -> tuple[Surface, Dependencies]:
-    """The surface that a script makes of a part, at a share of a size; and what the script read.
+    """The surface that a script builds for a part at a multiple of a size, and the files that the script read.
 
     Parameters
     ----------
     part : str
-        Its name.
+        Name of the part.
     path : Path
     size : float or str
         Element size, mm, or one of the script's named sizes; may be a :class:`mic.geometry.grading.GradedSize`.
     share : float
+        Factor on the size.
 
     Raises
     ------
     SceneError
-        Naming part and file, where the script fails in whatever way.
+        Naming part and file, if the script fails in any way.
     """
     graded = [size.places.tolist(), size.sizes.tolist()] if isinstance(size, GradedSize) else None
-    answer, arrays = _asked(part, path, {"size": size, "graded": graded, "share": share})
+    result, arrays = _run(part, path, {"size": size, "graded": graded, "share": share})
     surface = Surface(arrays["points"], arrays["triangles"], arrays.get("normals"))
-    return surface, Dependencies(answer["files"], answer["place"])
+    return surface, Dependencies(result["files"], result["place"])
 
 
 def named_sizes(part: str, path: Path) -> dict[str, float]:
-    """The sizes that a script names, mm. Parameters and errors are those of :func:`build`."""
-    return _asked(part, path, {"size": None})[0]["sizes"]
+    """Named sizes of a script, mm. Parameters and errors are those of :func:`build`."""
+    return _run(part, path, {"size": None})[0]["sizes"]
 
 
 def load_script(path: Path) -> ModuleType:
-    """A geometry script as a module; whatever it raises is passed on.
+    """A geometry script as a module; its exceptions are passed on.
 
     Raises
     ------
@@ -94,27 +94,27 @@ def load_script(path: Path) -> ModuleType:
     return module
 
 
-def _asked(part: str, path: Path, request: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
-    """What a script answers in a process of its own."""
+def _run(part: str, path: Path, request: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
+    """Result of a script that runs in a separate process, and the arrays of its mesh."""
     with tempfile.TemporaryDirectory(prefix="mic-script-") as name:
         folder = Path(name)
         (folder / "request.json").write_text(json.dumps({"part": part, "path": str(path), **request}))
         status = _wait(folder)
-        answer = folder / "answer.json"
-        if not answer.is_file():
-            raise SceneError(f"part {part!r}: geometry: {path}: {_silence(status)}")
-        found = json.loads(answer.read_text())
-        if "reason" in found:
-            raise SceneError(f"part {part!r}: geometry: {path}: {found['reason']}")
+        result = folder / "result.json"
+        if not result.is_file():
+            raise SceneError(f"part {part!r}: geometry: {path}: {_failure(status)}")
+        content = json.loads(result.read_text())
+        if "reason" in content:
+            raise SceneError(f"part {part!r}: geometry: {path}: {content['reason']}")
         mesh = folder / "mesh.npz"
         if not mesh.is_file():
-            return found, {}
+            return content, {}
         with np.load(mesh) as arrays:
-            return found, dict(arrays)
+            return content, dict(arrays)
 
 
 def _wait(folder: Path) -> int | None:
-    """Exit status of the process that runs a script; None where it took too long."""
+    """Exit status of the process that runs a script; None on timeout."""
     environment = {key: value for key, value in os.environ.items() if not key.startswith(RANKS)}
     environment["PYTHONPATH"] = os.pathsep.join(place for place in sys.path if place)
     process = subprocess.Popen(
@@ -123,7 +123,7 @@ def _wait(folder: Path) -> int | None:
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,
         env=environment,
-        start_new_session=True,  # so that what it starts ends with it
+        start_new_session=True,  # so that its child processes end with it
     )
     try:
         return process.wait(_limit())
@@ -134,7 +134,7 @@ def _wait(folder: Path) -> int | None:
 
 
 def _limit() -> float:
-    """How long a script is waited for, s."""
+    """Time limit for a script, s."""
     try:
         return float(os.environ.get("MIC_SCRIPT_LIMIT") or LIMIT)
     except ValueError:
@@ -142,65 +142,66 @@ def _limit() -> float:
 
 
 def _end(process: subprocess.Popen) -> None:
-    """End a process, and on POSIX all that it has started."""
+    """End a process, and on POSIX all processes that it started."""
     try:
         if os.name == "posix":
             os.killpg(process.pid, signal.SIGKILL)
         else:
             process.kill()
     except ProcessLookupError:
-        pass  # ended by itself, with all that it had started
+        pass  # it has ended
     process.wait()
 
 
-def _silence(status: int | None) -> str:
-    """Why a script may have given no answer."""
+def _failure(status: int | None) -> str:
+    """Reason why a script returned no result, and the remedy."""
     if status is None:
         return (
-            f"the script does not end within {_limit():g} s; mend its loop, mesh coarser, or let MIC_SCRIPT_LIMIT be "
-            "more seconds"
+            f"the script does not end within {_limit():g} s; correct its loop, use a larger size, or set "
+            "MIC_SCRIPT_LIMIT to more seconds"
         )
     if status < 0:
-        return f"the script crashes (signal {-status}), likely in a library; run it by itself, and mend it"
-    if status == UNWRITTEN:
+        return f"the script crashes (signal {-status}), probably in a library; run it on its own and correct it"
+    if status == UNWRITABLE:
         return (
-            f"its mesh cannot be written into {tempfile.gettempdir()}: make room on that disk, or let TMPDIR name a "
-            "folder on another"
+            f"its mesh cannot be written into {tempfile.gettempdir()}: free space on that disk, or set TMPDIR to a "
+            "folder on another one"
         )
-    return f"the script ends the program (exit status {status}) instead of returning a mesh; take the exit out"
+    return f"the script ends the program (exit status {status}) instead of returning a mesh; remove the exit"
 
 
-def _answer(folder: Path) -> None:
-    """Run the script that a request names, and write the answer."""
+def _serve(folder: Path) -> None:
+    """Run the script of a request and write the result."""
     request = json.loads((folder / "request.json").read_text())
     path = Path(request["path"])
     try:
-        found, arrays = (_sizes(path), {}) if request["size"] is None else _mesh(path, request)
+        content, arrays = (_sizes(path), {}) if request["size"] is None else _mesh(path, request)
     except BaseException as problem:  # a script is the user's own program and may raise anything
-        found, arrays = {"reason": _reason(problem, path)}, {}
+        content, arrays = {"reason": _reason(problem, path)}, {}
     try:
         if arrays:
             np.savez(folder / "mesh.npz", **arrays)
-        (folder / "answer.part").write_text(json.dumps(found))
-        (folder / "answer.part").replace(folder / "answer.json")
-    except OSError:  # nor can it be told why
-        raise SystemExit(UNWRITTEN) from None
+        (folder / "result.part").write_text(json.dumps(content))
+        (folder / "result.part").replace(folder / "result.json")
+    except OSError:  # the reason cannot be written either
+        raise SystemExit(UNWRITABLE) from None
 
 
 def _sizes(path: Path) -> dict[str, Any]:
+    """Named sizes of a script."""
     script = load_script(path)
     return {"sizes": {str(name): float(_size(script, str(name), 1.0)) for name in getattr(script, "SIZES", {})}}
 
 
 def _mesh(path: Path, request: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
-    """What the script read, and the arrays of its mesh."""
+    """Files that the script read, and the arrays of its mesh."""
     size = request["size"]
     if request["graded"] is not None:
         size = GradedSize(size, *request["graded"])
-    with opened_files() as heard:
+    with opened_files() as opened:
         script = load_script(path)
         surface = _surface(script.build(request["part"], _size(script, size, request["share"])))
-    read = Dependencies.of(path, _declared(script), heard)
+    read = Dependencies.of(path, _declared(script), opened)
     arrays = {"points": surface.points, "triangles": surface.triangles}
     if surface.given_normals is not None:
         arrays["normals"] = surface.given_normals
@@ -208,31 +209,31 @@ def _mesh(path: Path, request: Mapping[str, Any]) -> tuple[dict[str, Any], dict[
 
 
 def _reason(problem: BaseException, path: Path) -> str:
-    """What went wrong in a script, and the remedy."""
+    """Reason of an error in a script, and the remedy."""
     if isinstance(problem, SystemExit):
-        return "the script exits instead of returning a mesh; take the exit out"
+        return "the script exits instead of returning a mesh; remove the exit"
     if not isinstance(problem, ImportError):
-        return _words(problem, path)
+        return _describe(problem, path)
     missing = (problem.name or "").split(".")[0]
     if (path.parent / f"{missing}.py").is_file():
-        return f"imports {missing}, a file beside it; write the script as one file"
+        return f"imports {missing}, a file in its folder; write the script as one file"
     if not isinstance(problem, ModuleNotFoundError) or not missing:
-        return f"{problem}; see that it is installed as the script needs it"
+        return f"{problem}; check the installed version"
     return f"needs the package {missing}; install it: pip install {PACKAGES.get(missing, missing)}"
 
 
-def _words(problem, path):
-    """What an error in a script says, with its kind and line unless it was raised on purpose."""
+def _describe(problem, path):
+    """Message of an error in a script, with its type and line unless it was raised on purpose."""
     text = " ".join(str(problem).split())
     lines = [frame.lineno for frame in traceback.extract_tb(problem.__traceback__) if frame.filename == str(path)]
     where = f" (line {lines[-1]} of the script)" if lines else ""
     if isinstance(problem, ValueError) and text:
-        return text + where + "; mend the script" * (";" not in text)
-    return f"{type(problem).__name__}{text and ': ' + text}{where}; mend the script"
+        return text + where + "; correct the script" * (";" not in text)
+    return f"{type(problem).__name__}{text and ': ' + text}{where}; correct the script"
 
 
 def _size(script, size, share):
-    """A share of an element size, in mm."""
+    """Element size times a factor, mm."""
     if isinstance(size, GradedSize):
         return size.times(share)
     if not isinstance(size, str):
@@ -248,18 +249,18 @@ def _size(script, size, share):
 
 
 def _declared(script):
-    """The files that a script declares to read."""
+    """Files that a script declares as dependencies."""
     names = getattr(script, "DEPENDS", [])
     if not isinstance(names, (list, tuple)) or not all(isinstance(name, str) for name in names):
         raise ValueError("DEPENDS must be a list of file names, relative to the script")
     for name in names:
         if not (Path(script.__file__).parent / name).is_file():
-            raise ValueError(f"DEPENDS names {name}, and there is no such file beside the script")
+            raise ValueError(f"DEPENDS names {name}, which is not in the folder of the script; correct it")
     return list(names)
 
 
 def _surface(built):
-    """The surface that ``build`` returned, its arrays checked: they come from anywhere."""
+    """The surface that ``build`` returned, after checking its arrays."""
     names = ("points", "triangles", "normals")
     if not isinstance(built, (tuple, list)) or len(built) not in (2, 3):
         raise ValueError(
@@ -272,15 +273,16 @@ def _surface(built):
         raise ValueError("build returned points or triangles whose rows differ in length") from None
     for name, array in zip(names, (points, triangles, *normals)):
         if array.dtype.kind not in "iuf":
-            raise ValueError(f"build returned {name} that are no numbers ({array.dtype})")
+            raise ValueError(f"build returned {name} that are not numbers ({array.dtype})")
     if triangles.dtype.kind == "f" and not (np.isfinite(triangles) & (triangles == np.rint(triangles))).all():
-        raise ValueError("build returned triangles that are no whole numbers")
+        raise ValueError("build returned triangles that are not integers")
     return Surface(points, triangles, *normals)
 
 
 def _main() -> NoReturn:
-    _answer(Path(sys.argv[1]))
-    os._exit(0)  # whatever the script has left running
+    """Serve the request in the folder that the command line names."""
+    _serve(Path(sys.argv[1]))
+    os._exit(0)  # even if threads of the script still run
 
 
 if __name__ == "__main__":

@@ -1,12 +1,11 @@
-"""The mid-surface of a part as triangles: normals, projection of points, patches to average over.
+"""Triangulated mid-surface of a part: normals, projection, and quadrature over discs, triangles and edges.
 
-Everything that the program knows of a part's shape goes through :class:`Surface`. It holds no finite-element
-unknowns, so the production path can place functionals and find contact pairs where no FE package is installed.
+:class:`Surface` holds no finite-element unknowns, so the production path can place functionals and find contact pairs
+where no finite-element package is installed.
 
-What is decided here (which triangle is closest, which point lies within a radius) must not hang on rounding: a scene
-that is turned, mirrored, renumbered or written in other units is the same scene. Lengths that differ by less than a
-small share of the surface's size count as equal, and a choice among equals is made by something that all these changes
-leave alone.
+Rounding must not decide which triangle is closest or which points lie within a radius: results are the same if a scene
+is rotated, mirrored, renumbered or written in other units. Lengths that differ by less than a small share of the
+surface's size count as equal, and ties are broken by quantities that are invariant under these changes.
 """
 
 from __future__ import annotations
@@ -16,18 +15,17 @@ from functools import cached_property
 from itertools import chain
 
 import numpy as np
-from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from mic.geometry.normals import CornerNormals, corner_normals
+from mic.geometry.triangles import closest_barycentric, dot, length, linked_rows, sides, subtriangles
 
-__all__ = ["EQUAL", "Patch", "Projection", "Surface", "closest_barycentric"]
+__all__ = ["EQUAL", "Patch", "Projection", "Surface"]
 
-INNER = np.array([[4, 1, 1], [1, 4, 1], [1, 1, 4]]) / 6  #: points of a triangle with equal weight, see Surface.whole
-EQUAL = 1e-7  #: lengths that differ by less than this share of the size of things are equal; so are cosines and ratios
-TOGETHER = 500_000  # triangles near points that are looked at together: they take some 300 bytes each
-LEAST = 3  # parts of an edge of a triangle that a disc's rim may cross; smaller ones within have three points each
+INNER = np.array([[4, 1, 1], [1, 4, 1], [1, 1, 4]]) / 6  #: quadrature points of a triangle, equal weights
+EQUAL = 1e-7  #: relative difference below which lengths, cosines and ratios count as equal
+BATCH = 500_000  # pairs of points and nearby triangles processed at once, about 300 bytes each
+DISC_DIVISIONS = 3  # least divisions of the edges of triangles that the rim of a disc may cross
 
 
 @dataclass(frozen=True)
@@ -37,11 +35,11 @@ class Patch:
     Attributes
     ----------
     triangle : (q,) int array
-        Triangle in which each point lies.
+        Triangle that contains each point.
     barycentric : (q, 3) array
         Barycentric coordinates of each point in its triangle.
     weight : (q,) array
-        Share of each point in the average; sums to one. First moments of a nugget are no averages: these sum to zero.
+        Weights of the points. They sum to one for an average, and to zero for a first moment over a nugget.
     """
 
     triangle: np.ndarray
@@ -84,8 +82,8 @@ class Surface:
     triangles : (k, 3) int array
         Vertex numbers, consistently oriented: the normal is ``(p1 - p0) x (p2 - p0)``.
     given_normals : (k, 3, 3) array, optional
-        Normals of the sheet at the corners of each triangle, as its geometry or its deck tells; NaN or zero where it
-        tells nothing. Of any length, on either side.
+        Normals of the sheet at the corners of each triangle, from its geometry or its deck; NaN or zero where unknown.
+        Any length and either sense.
 
     Raises
     ------
@@ -109,7 +107,7 @@ class Surface:
                 f"point {np.flatnonzero(~np.isfinite(points).all(1))[0]} has a coordinate that is not finite"
             )
         if triangles.min() < 0 or triangles.max() >= len(points):
-            raise ValueError(f"triangles name vertices outside 0..{len(points) - 1}")
+            raise ValueError(f"triangles refer to vertices outside 0..{len(points) - 1}")
         object.__setattr__(self, "points", points)
         object.__setattr__(self, "triangles", triangles)
         if self.given_normals is not None:
@@ -153,7 +151,7 @@ class Surface:
 
     @cached_property
     def curvature(self) -> CornerNormals:
-        """What is known of the curved sheet that the triangles stand for: given normals, and estimates elsewhere."""
+        """Normals of the curved sheet that the triangles approximate: given ones, and estimates elsewhere."""
         return corner_normals(self.points, self.triangles, self.given_normals)
 
     @property
@@ -171,40 +169,43 @@ class Surface:
         return np.divide(total, length, out=np.zeros_like(total), where=length > 0)
 
     @cached_property
+    def sides(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Edges as :func:`mic.geometry.triangles.sides` returns them."""
+        return sides(self.triangles)
+
+    @cached_property
     def border(self) -> np.ndarray:
         """(k, 3) bool: whether the edge opposite to each vertex belongs to this triangle alone."""
-        edges = np.sort(self.triangles[:, [[1, 2], [2, 0], [0, 1]]].reshape(-1, 2), axis=1)
-        _, index, count = np.unique(edges, axis=0, return_inverse=True, return_counts=True)
-        return (count[index.ravel()] == 1).reshape(-1, 3)
+        _, edge, count = self.sides
+        return count[edge] == 1
 
     def edges(self, max_angle: float) -> tuple[np.ndarray, np.ndarray]:
-        """Where the sheet ends or folds: edges of triangles on the border, or that no neighbour continues.
+        """Edges where the sheet ends or folds: border edges, and edges at which no neighbour continues the triangle.
 
         Parameters
         ----------
         max_angle : float
-            Radians: a neighbour that is turned by more does not continue a triangle.
+            Radians: a neighbour at a larger angle does not continue a triangle.
 
         Returns
         -------
         triangle : (e,) int array
-            An edge on which two triangles end is one of each.
+            An edge on which two triangles end appears once for each.
         opposite : (e,) int array
-            Corner of the triangle that the edge lies opposite to.
+            Corner of the triangle opposite to the edge.
         """
-        ends = np.sort(self.triangles[:, [[1, 2], [2, 0], [0, 1]]].reshape(-1, 2), axis=1)
         owner = np.repeat(np.arange(len(self.triangles)), 3)
-        _, edge, count = np.unique(ends, axis=0, return_inverse=True, return_counts=True)
+        _, edge, count = self.sides
         edge = edge.ravel()
         total = np.column_stack([np.bincount(edge, self.normals[owner, i], len(count)) for i in range(3)])
-        # Of two unit normals that enclose φ the sum measures 2 cos(φ/2).
+        # The sum of two unit normals at an angle φ has length 2 cos(φ/2).
         smooth = (count == 2) & (np.linalg.norm(total, axis=1) >= 2 * np.cos(max_angle / 2) - EQUAL)
         ending = np.flatnonzero(~smooth[edge])
         return owner[ending], ending % 3
 
     @cached_property
     def border_vertices(self) -> np.ndarray:
-        """(n,) bool: whether each vertex ends an edge of the border."""
+        """(n,) bool: whether each vertex is an end of a border edge."""
         mask = np.zeros(len(self.points), dtype=bool)
         for corner in range(3):
             mask[np.delete(self.triangles, corner, axis=1)[self.border[:, corner]]] = True
@@ -217,13 +218,13 @@ class Surface:
 
     @cached_property
     def tie(self) -> float:
-        """Lengths that differ by less count as equal, mm."""
+        """Lengths that differ by less than this count as equal, mm."""
         size = np.linalg.norm(self.points[np.unique(self.triangles)] - self.centroid, axis=1).max()
         return EQUAL * float(size)
 
     @cached_property
     def centroid(self) -> np.ndarray:
-        """(3,) mean of the surface, mm."""
+        """(3,) centroid of the surface, mm."""
         return np.average(self._centroids, axis=0, weights=self.areas)
 
     @cached_property
@@ -232,7 +233,7 @@ class Surface:
 
     @cached_property
     def reach(self) -> np.ndarray:
-        """(k,) radius about its centroid within which each triangle lies, mm."""
+        """(k,) radius about its centroid that contains each triangle, mm."""
         return np.linalg.norm(self.corners - self._centroids[:, None], axis=2).max(1)
 
     @cached_property
@@ -242,22 +243,22 @@ class Surface:
     def project(self, x, normal=None, max_angle: float = np.pi / 4, reach: float = np.inf, side=None) -> Projection:
         """Closest points on the surface, exact over all triangles that pass the filter.
 
-        Of triangles that share the closest point, the one whose normal line is nearest to `normal` holds it, then the
-        one whose centroid is nearest, then the first.
+        If several triangles share the closest point, the one whose normal is best aligned with `normal` is returned,
+        then the one with the nearest centroid, then the first.
 
         Parameters
         ----------
         x : (n, 3) array
             Points, mm.
         normal : (n, 3) array, optional
-            Only triangles whose normal line lies within `max_angle` of this direction (either sense) count; a row of
-            NaN switches the filter off for that point.
+            Only triangles whose normal lies within `max_angle` of this direction (either sense) count; a row of NaN
+            disables the filter for that point.
         max_angle : float
             Radians.
         reach : float
-            Closest points farther than this need not be found, mm. With `side` it must be finite.
+            Closest points farther than this need not be found, mm. Must be finite if `side` is given.
         side : (n,) array, optional
-            +1 or -1: of each triangle, its closest point counts only where it lies ahead along `normal`, or behind.
+            +1 or -1: the closest point of a triangle counts only if it lies ahead of x along `normal`, or behind.
         """
         x = np.atleast_2d(np.asarray(x, dtype=float))
         if normal is not None:
@@ -272,7 +273,7 @@ class Surface:
         )
         chosen = np.arange(len(owner))
         if normal is not None:
-            turned = 1 - np.abs(_dot(self.normals[triangle], normal[owner]))
+            turned = 1 - np.abs(dot(self.normals[triangle], normal[owner]))
             chosen = chosen[_least(turned, owner, EQUAL)]
         away = np.linalg.norm(self._centroids[triangle[chosen]] - x[owner[chosen]], axis=1)
         chosen = chosen[_least(away, owner[chosen], self.tie)]
@@ -289,7 +290,7 @@ class Surface:
         return best
 
     def behind(self, other: Surface, triangle, side, reach: float, max_angle: float) -> np.ndarray:
-        """(n,) bool: whether any of this surface may lie behind the plane of each of another's triangles.
+        """(n,) bool: whether any of this surface may lie behind the plane of each triangle of another surface.
 
         Parameters
         ----------
@@ -297,28 +298,28 @@ class Surface:
         triangle : (n,) int array
             Triangles of `other`.
         side : (n,) array
-            +1 where the front is along their normals, -1 where against.
+            +1 where the front is along their normals, -1 where it is opposite.
         reach : float
-            How far from them this surface is looked for, mm.
+            Distance from them within which this surface is searched, mm.
         max_angle : float
-            Radians: what is turned from them by more does not count.
+            Radians: triangles at a larger angle do not count.
         """
         front, use = np.unique(2 * np.asarray(triangle) + (np.asarray(side) > 0), return_inverse=True)
         one, sign = front // 2, np.where(front % 2, 1.0, -1.0)
         farthest = other.reach[one] + reach + self.reach.max() * (1 + 1e-9) + self.tie
         some = np.zeros(len(one), dtype=bool)
         for owner, found in self._centred_near(other._centroids[one], farthest):
-            kept = self._aligned(found, other.normals[one[owner]], np.cos(max_angle))
-            owner, found = owner[kept], found[kept]
+            aligned = self._aligned(found, other.normals[one[owner]], np.cos(max_angle))
+            owner, found = owner[aligned], found[aligned]
             step = self.corners[found] - other._centroids[one[owner]][:, None]
             ahead = np.einsum("qcj,qj->qc", step, other.normals[one[owner]] * sign[owner, None])
             some[owner[ahead.min(1) < -self.tie]] = True
         return some[use]
 
     def _closest(self, x, normal, max_angle, reach=np.inf, side=None):
-        """All triangles that hold the closest point of each x: owner, triangle, barycentric, closest point.
+        """All triangles that contain the closest point of each x: owner, triangle, barycentric, closest point.
 
-        Two closest points are one when they lie within `tie` of each other: the squares of their distances, d² and
+        Two closest points are the same if they lie within `tie` of each other. The squares of their distances, d² and
         d² + e² for an offset e along the surface, then differ by less than tie².
         """
         # A triangle can hold the closest point only if its centroid lies within (upper bound + its reach).
@@ -330,20 +331,22 @@ class Surface:
         return owner, triangle, barycentric, foot
 
     def _centred_near(self, x, radius):
-        """The triangles whose centroids lie within a radius (n,) of each x (n, 3): owner and triangle, some points at a
-        time, as on meshes finer than the sheets are thick there are thousands for each."""
+        """Triangles whose centroids lie within a radius (n,) of each x (n, 3), as owner and triangle, in batches.
+
+        On meshes with elements smaller than the sheet thickness there are thousands per point.
+        """
         pieces = [np.arange(len(x))]
-        if len(x) * len(self.triangles) > TOGETHER:  # else all of them are few enough, whatever the radius
+        if len(x) * len(self.triangles) > BATCH:
             count = np.cumsum(self._tree.query_ball_point(x, radius, return_length=True))
-            pieces = np.split(pieces[0], np.flatnonzero(np.diff(count // TOGETHER)) + 1)
+            pieces = np.split(pieces[0], np.flatnonzero(np.diff(count // BATCH)) + 1)
         for rows in pieces:
             owner, triangle = _listed(self._tree.query_ball_point(x[rows], radius[rows]))
             yield rows[owner], triangle
 
     def _nearest_of(self, x, normal, cosine, side, bound, owner, triangle):
-        """Those of the owners' triangles that hold their closest points, as :meth:`_closest` returns them."""
-        away = _length(self._centroids[triangle] - x[owner])
-        near = away <= bound[owner] + self.reach[triangle] * (1 + 1e-9) + self.tie
+        """The owners' triangles that contain their closest points, as `_closest` returns them."""
+        distance = length(self._centroids[triangle] - x[owner])
+        near = distance <= bound[owner] + self.reach[triangle] * (1 + 1e-9) + self.tie
         owner, triangle = owner[near], triangle[near]
         if normal is not None:
             keep = self._aligned(triangle, normal[owner], cosine)
@@ -351,18 +354,21 @@ class Surface:
         barycentric = closest_barycentric(self.corners[triangle], x[owner])
         foot = np.einsum("qi,qij->qj", barycentric, self.corners[triangle])
         if side is not None:
-            along = _dot(foot - x[owner], normal[owner])
+            along = dot(foot - x[owner], normal[owner])
             ahead = side[owner] * along > self.tie
             owner, triangle, barycentric, foot = (of[ahead] for of in (owner, triangle, barycentric, foot))
         closest = _least(((foot - x[owner]) ** 2).sum(1), owner, self.tie**2)
         return owner[closest], triangle[closest], barycentric[closest], foot[closest]
 
     def _aligned(self, triangle, normal, cosine):
-        return ~(np.abs(_dot(self.normals[triangle], normal)) < cosine - EQUAL)  # NaN passes
+        """Mask of the triangles whose normals lie within the angle of `normal`; NaN passes."""
+        return ~(np.abs(dot(self.normals[triangle], normal)) < cosine - EQUAL)
 
     def _near(self, x, normal, cosine, reach) -> np.ndarray:
-        """(n,) upper bounds of each point's distance to the triangles that pass the filter: that to the one whose
-        centroid is nearest, or `reach`; -inf where none passes that could hold a point within reach."""
+        """(n,) upper bounds of the distance from each point to the triangles that pass the filter, mm.
+
+        It is the distance to the triangle with the nearest centroid, or `reach`; -inf if none within reach passes.
+        """
         triangle = self._tree.query(x)[1] if normal is None else self._nearest_aligned(x, normal, cosine, reach)
         bound, found = np.full(len(x), -np.inf), np.flatnonzero(triangle >= 0)
         corners = self.corners[triangle[found]]
@@ -371,9 +377,9 @@ class Surface:
         return bound
 
     def _nearest_aligned(self, x, normal, cosine, reach) -> np.ndarray:
-        """(n,) the triangle that passes the normal filter whose centroid is nearest to each point.
+        """(n,) the triangle with the nearest centroid that passes the normal filter.
 
-        -1 where there is none that could hold a point within reach.
+        -1 if none passes that could lie within reach.
         """
         nearest, todo, count = np.full(len(x), -1), np.arange(len(x)), 4
         farthest = reach + self.reach.max() * (1 + 1e-9) + self.tie
@@ -397,15 +403,15 @@ class Surface:
         center : (3,) array
             mm; projected onto the surface first.
         radius : float
-            mm; zero gives the projected point alone (a nodal functional when the point is a vertex).
+            mm; zero gives the projected point alone (a nodal functional if the point is a vertex).
         normal : (3,) array, optional
-            Rough direction of the surface normal (either sense), to pick the right sheet where folds lie close.
+            Approximate surface normal (either sense), to choose the right sheet near folds.
 
         Returns
         -------
         Patch
-            Only triangles connected to the projected point, and turned from it by less than 60 degrees, take part. A
-            point on a fold belongs to both its sides.
+            Only triangles that are connected to the projected point and lie within 60 degrees of its triangle take
+            part. A point on a fold belongs to both sides.
 
         Raises
         ------
@@ -434,23 +440,23 @@ class Surface:
         return Patch(triangle, barycentric, area / area.sum())
 
     def _within(self, triangles, center, radius):
-        """Midpoint quadrature, as by :meth:`sample`, of what of the triangles lies within a ball.
+        """Midpoint quadrature, as by `sample`, over the part of the triangles within a ball.
 
-        Sub-triangles that the rim crosses are cut along the chord, exactly where its ends are. Taken whole or not at
-        all by their midpoints, they would shift the disc's centre by up to a hundredth of its radius, differently on
-        each mesh: more than a fine mesh leaves of error. Small triangles have several points all the same: one each
-        would be loads at points no nearer to each other than nodes, which move a nugget's compliance by up to 0.3 %.
+        Sub-triangles that the circle crosses are cut along the chord between its exact ends. Accepting or rejecting
+        them by their midpoints would shift the disc's centre by up to a hundredth of its radius, which exceeds the
+        error of a fine mesh. Small triangles still get three points each: one each would be point loads at the spacing
+        of the nodes, which change a nugget's compliance by up to 0.3 %.
         """
         reach = np.linalg.norm(self.corners[triangles] - center, axis=2).max(1)
-        small = self.edge_lengths[triangles].max(1) <= (LEAST - 1 + EQUAL) * radius / 8
+        small = self.edge_lengths[triangles].max(1) <= (DISC_DIVISIONS - 1 + EQUAL) * radius / 8
         small &= reach < (1 - EQUAL) * radius
         inner = triangles[small]
-        triangle, corners, area = self._divided(triangles[~small], radius / 8, LEAST)
+        triangle, corners, area = self._divided(triangles[~small], radius / 8, DISC_DIVISIONS)
         x = np.einsum("qvi,qij->qvj", corners, self.corners[triangle]) - center
         inside = np.linalg.norm(x, axis=2) <= radius
         found = inside.sum(axis=1)
         centroid, share = corners.mean(axis=1), (found == 3).astype(float)
-        # The corner that lies alone on its side of the rim is cut off: kept where it is inside, left out where not.
+        # The corner that is alone on its side of the circle is cut off; it counts if it lies inside.
         cut = np.flatnonzero((found == 1) | (found == 2))
         alone = np.argmax(inside[cut] == (found[cut] == 1)[:, None], axis=1)
         rows, sense = np.arange(len(cut)), np.where(found[cut] == 1, 1.0, -1.0)
@@ -467,15 +473,15 @@ class Surface:
         share[cut] = np.where(sense > 0, whole, 1 - whole)
         rest = (centroid[cut] - whole[:, None] * piece) / np.maximum(1 - whole, EQUAL)[:, None]
         centroid[cut] = np.where(sense[:, None] > 0, piece, rest)
-        kept = share > EQUAL
+        covered = share > EQUAL
         return (
-            np.concatenate([triangle[kept], np.repeat(inner, 3)]),
-            np.concatenate([centroid[kept], np.tile(INNER, (len(inner), 1))]),
-            np.concatenate([(share * area)[kept], np.repeat(self.areas[inner] / 3, 3)]),
+            np.concatenate([triangle[covered], np.repeat(inner, 3)]),
+            np.concatenate([centroid[covered], np.tile(INNER, (len(inner), 1))]),
+            np.concatenate([(share * area)[covered], np.repeat(self.areas[inner] / 3, 3)]),
         )
 
     def whole(self) -> Patch:
-        """All of the surface: three points of each triangle, which integrate what is quadratic on it exactly."""
+        """The whole surface: three points per triangle, exact for quadratic integrands."""
         count = len(self.triangles)
         weight = np.repeat(self.areas / (3 * self.areas.sum()), 3)
         return Patch(np.repeat(np.arange(count), 3), np.tile(INNER, (count, 1)), weight)
@@ -488,20 +494,22 @@ class Surface:
         triangle : (q,) int array
         barycentric : (q, 3) array
         area : (q,) array
-            Area that each point stands for, mm².
+            Tributary area of each point, mm².
         """
         triangle, corners, area = self._divided(triangles, spacing)
         return triangle, corners.mean(axis=1), area
 
     def _divided(self, triangles, spacing, least=1):
-        """Sub-triangles of :meth:`sample`, so many along an edge at least: the triangle that each belongs to, the
-        barycentric coordinates (q, 3, 3) of its corners, its area."""
+        """Congruent sub-triangles with edges up to `spacing`, at least `least` per edge.
+
+        Returns the triangle that contains each, the barycentric coordinates (q, 3, 3) of its corners, and its area.
+        """
         triangles = np.asarray(triangles, dtype=np.int64)
         divisions = np.clip(np.ceil(self.edge_lengths[triangles].max(1) / spacing - EQUAL), least, 32).astype(int)
         triangle, corners, area = [], [], []
         for n in np.unique(divisions):
             chosen = triangles[divisions == n]
-            local = _subtriangles(int(n))
+            local = subtriangles(int(n))
             triangle.append(np.repeat(chosen, len(local)))
             corners.append(np.tile(local, (len(chosen), 1, 1)))
             area.append(np.repeat(self.areas[chosen] / n**2, len(local)))
@@ -510,12 +518,12 @@ class Surface:
         return np.concatenate(triangle), np.concatenate(corners), np.concatenate(area)
 
     def sample_edges(self, triangle, opposite, spacing: float):
-        """Midpoint quadrature on edges of triangles, on equal parts no longer than `spacing`.
+        """Midpoint quadrature on edges of triangles, in equal parts no longer than `spacing`.
 
         Parameters
         ----------
         triangle, opposite : (e,) int array
-            As :meth:`edges` returns them.
+            As `edges` returns them.
         spacing : float
             mm.
 
@@ -524,7 +532,7 @@ class Surface:
         triangle : (q,) int array
         barycentric : (q, 3) array
         length : (q,) array
-            Length that each point stands for, mm.
+            Tributary length of each point, mm.
         """
         length = self.edge_lengths[triangle, opposite]
         parts = np.maximum(np.ceil(length / spacing - EQUAL), 1).astype(int)
@@ -537,7 +545,7 @@ class Surface:
         return triangle[owner], barycentric, (length / parts)[owner]
 
     def smooth_normals(self, triangle, barycentric) -> np.ndarray:
-        """(q, 3) unit normals of the sheet that the triangles stand for, between those at their corners."""
+        """(q, 3) unit normals of the curved sheet, interpolated between those at the corners of the triangles."""
         n = np.einsum("qi,qij->qj", barycentric, self.corner_normals[triangle])
         return n / np.linalg.norm(n, axis=1, keepdims=True)
 
@@ -546,69 +554,19 @@ class Surface:
         return np.einsum("qi,qij->qj", barycentric, self.corners[triangle])
 
     def _connected(self, triangles, seed):
-        """Mask of the `triangles` that hang together with `seed` through shared vertices."""
-        corner = self.triangles[triangles].ravel()
-        vertex, local = np.unique(corner, return_inverse=True)
-        owner = np.repeat(np.arange(len(triangles)), 3)
-        incidence = coo_matrix((np.ones(len(owner)), (owner, local)), shape=(len(triangles), len(vertex))).tocsr()
-        label = connected_components(incidence @ incidence.T, directed=False)[1]
+        """Mask of the `triangles` that are connected with `seed` through shared vertices."""
+        label = linked_rows(self.triangles[triangles])[1]
         return label == label[np.flatnonzero(triangles == seed)[0]]
 
 
 def _listed(found) -> tuple[np.ndarray, np.ndarray]:
-    """Whose each number is, and the numbers, of an array of lists of numbers."""
+    """Owner of each number and the numbers, concatenated from an array of lists."""
     count = np.fromiter(map(len, found), np.int64, len(found))
     return np.repeat(np.arange(len(count)), count), np.fromiter(chain.from_iterable(found), np.int64, count.sum())
 
 
 def _least(value, owner, tie):
-    """Mask of the values (q,) that are at most `tie` above the least of their owner's."""
+    """Mask of the values (q,) within `tie` of their owner's minimum; NaN passes."""
     least = np.full(owner.max(initial=-1) + 1, np.inf)
     np.minimum.at(least, owner, value)
-    return ~(value > least[owner] + tie)  # NaN, the direction that switches a filter off, passes
-
-
-def _subtriangles(n: int) -> np.ndarray:
-    """(n², 3, 3) barycentric coordinates of the corners of the n² congruent sub-triangles of a triangle."""
-    i, j = np.meshgrid(np.arange(n), np.arange(n), indexing="ij")
-    up, down = i + j <= n - 1, i + j <= n - 2
-    first = [i[up, None] + [0, 1, 0], i[down, None] + [1, 1, 0]]
-    second = [j[up, None] + [0, 0, 1], j[down, None] + [0, 1, 1]]
-    first, second = np.concatenate(first) / n, np.concatenate(second) / n
-    return np.stack([1 - first - second, first, second], axis=2)
-
-
-def _dot(a, b):
-    """(n,) inner products of the rows of two (n, 3) arrays: a third of the time of ``einsum``, whose sums these are."""
-    return a[:, 0] * b[:, 0] + a[:, 2] * b[:, 2] + a[:, 1] * b[:, 1]
-
-
-def _length(a):
-    """(n,) lengths of the rows of an (n, 3) array: half the time of ``norm``."""
-    return np.sqrt(a[:, 0] ** 2 + a[:, 1] ** 2 + a[:, 2] ** 2)
-
-
-def closest_barycentric(corners, x):
-    """(q, 3) barycentric coordinates of the point of each triangle (q, 3, 3) closest to x (q, 3)."""
-    a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
-    ab, ac, ax = b - a, c - a, x - a
-    d00, d01, d11 = _dot(ab, ab), _dot(ab, ac), _dot(ac, ac)
-    d20, d21 = _dot(ax, ab), _dot(ax, ac)
-    denominator = d00 * d11 - d01**2
-    v = (d11 * d20 - d01 * d21) / denominator
-    w = (d00 * d21 - d01 * d20) / denominator
-    result = np.column_stack([1 - v - w, v, w])
-    outside = np.flatnonzero((result < 0).any(1))
-    if len(outside):
-        corner, point = corners[outside], x[outside]
-        options, distances = [], []
-        for i, j in ((0, 1), (1, 2), (2, 0)):
-            edge = corner[:, j] - corner[:, i]
-            s = np.clip(_dot(point - corner[:, i], edge) / _dot(edge, edge), 0, 1)
-            option = np.zeros((len(outside), 3))
-            option[:, i], option[:, j] = 1 - s, s
-            options.append(option)
-            distances.append(_length(corner[:, i] + s[:, None] * edge - point))
-        nearest = np.argmin(distances, axis=0)
-        result[outside] = np.stack(options)[nearest, np.arange(len(outside))]
-    return result
+    return ~(value > least[owner] + tie)

@@ -1,13 +1,12 @@
-"""Mesh files: one module for each family of formats, registered here by suffix.
+"""Readers of mesh files: one module per family of formats, registered here by suffix.
 
-A reader takes a path and returns a `RawMesh`. It refuses nothing and repairs nothing: what all formats share (files
-that are missing, damaged, without sheets, with solids) is checked here once, and repaired in `mic.geometry.repair`.
+A reader takes a path and returns a `RawMesh`, without checks or repairs. Checks that all formats share (files that are
+missing, damaged, without shells, or with solids) are made here, repairs in `mic.geometry.repair`.
 
-Decks of Nastran, Abaqus, LS-DYNA and Ansys are read here, for all that they tell beside the mesh. Other formats are
-read by meshlane, the maintained descendant of meshio. meshio itself is given up by its author and fails with numpy 2.2
-and later. Of what else there is, meshio++ reads more dialects, but it is 64 MB of compiled code that went through eight
-major versions in four months; pyvista brings all of VTK. meshlane is 2.4 MB of Python, imports in 0.15 s, and read the
-same files alike with numpy 1.24 and 2.4.
+The decks of Nastran, Abaqus, LS-DYNA and Ansys have readers of their own, because libraries ignore sections, materials
+and offsets. meshlane, the maintained successor of meshio, reads the other formats. meshio is unmaintained and fails
+with numpy 2.2. meshio++ reads more dialects, but is 64 MB of compiled code with frequent incompatible releases; pyvista
+requires VTK.
 """
 
 from __future__ import annotations
@@ -23,15 +22,13 @@ import numpy as np
 
 from mic.errors import FormatError
 from mic.geometry.deck import UNITS, Deck, Sheet
-from mic.geometry.readers import abaqus, ansys, cad, dyna, exchange, gmsh, graphics, nastran, unv, vtk, vtu
+from mic.geometry.readers import abaqus, ansys, dyna, gmsh, gmsh_program, meshlane_formats, nastran, unv, vtu
 from mic.geometry.readers.raw_mesh import RawMesh
 from mic.geometry.repair import MeshReport, repair
 from mic.geometry.surface import Surface
 
-LIMIT = (
-    60.0  # s that a reader may take, and as much more for each MB of its file: libraries may look for an end forever
-)
-LIMIT_PER_MB = 30.0
+LIMIT = 60.0  # s that a reader may take; some libraries loop forever on damaged files
+LIMIT_PER_MB = 30.0  # additional s per MB
 
 __all__ = ["READERS", "UNITS", "Deck", "RawMesh", "Sheet", "read_mesh", "read_raw"]
 
@@ -44,52 +41,44 @@ READERS: dict[str, Callable[[Path], RawMesh]] = {
     ".inp": abaqus.read,
     ".k": dyna.read,
     ".key": dyna.read,
-    ".med": exchange.read_med,
-    ".mesh": exchange.read_medit,
-    ".meshb": exchange.read_medit,
+    ".med": gmsh_program.read_med,
     ".msh": gmsh.read,
     ".nas": nastran.read,
-    ".obj": graphics.read_obj,
-    ".off": graphics.read_off,
-    ".ply": graphics.read_ply,
-    ".stl": graphics.read_stl,
-    ".su2": exchange.read_su2,
     ".unv": unv.read,
-    ".vtk": vtk.read,
     ".vtu": vtu.read,
-    ".xdmf": exchange.read_xdmf,
+    **meshlane_formats.READERS,
 }
 
 
 def read_mesh(
     path: Path | str, sets: Iterable[str] = (), unit: str = "mm", size: float | None = None
 ) -> tuple[Surface, Deck]:
-    """The repaired surface of a mesh file in any of the formats in `READERS`, and what else the file tells.
+    """The repaired surface of a mesh file in one of the formats of `READERS` or CAD, and the file's other contents.
 
-    Of elements with mid-side nodes the corners are taken; beams, masses and rigid elements are passed over, and
-    counted. Normals that a deck tells (Abaqus ``*NORMAL``, Nastran ``SNORM``) are those of the surface's corners.
+    Elements with mid-side nodes are reduced to their corners; beams, masses and rigid elements are ignored and counted.
+    Normals in a deck (Abaqus ``*NORMAL``, Nastran ``SNORM``) become normals of the surface's corners.
 
     Parameters
     ----------
     path : Path or str
     sets : iterable of str
-        Take the elements of these sets alone, such as one part of several, before anything is repaired.
+        Use only the elements of these sets, such as one part of several; applied before the repair.
     unit : str
-        Of length in the file, one of `UNITS`. Surface and deck are in mm and MPa.
+        Unit of length in the file, one of `UNITS`. Surface and deck are in mm and MPa.
     size : float, optional
-        Of the elements that a CAD file is meshed with, mm.
+        Element size for the mesh of a CAD file, mm.
 
     Returns
     -------
     surface : Surface
     deck : mic.geometry.deck.Deck
-        Empty where the file tells nothing beside the mesh, but for its `repair`.
+        Has only its `repair` if the file holds nothing besides the mesh.
 
     Raises
     ------
     FormatError
-        If the file is missing or cannot be read, holds no surface elements or solid elements, or `repair` refuses them;
-        if a set is not there.
+        If the file is missing or cannot be read, holds no surface elements or solid elements, or cannot be repaired; if
+        a set does not exist.
     """
     path = Path(path)
     mesh = read_raw(path, size)
@@ -102,7 +91,7 @@ def read_mesh(
                 + (", or the sets that are sheets" if mesh.element_sets else "")
             )
         if any(kind.startswith("polygon") for kind in mesh.others):
-            raise FormatError("this mesh file holds polygons of more than four corners; split them into triangles")
+            raise FormatError("this mesh file holds polygons of more than four corners; export triangles")
         if not len(mesh.triangles) and not len(mesh.quadrilaterals):
             raise FormatError(
                 f"this mesh file holds no triangles or quadrilaterals, only {', '.join(mesh.others) or 'points'}; "
@@ -117,7 +106,7 @@ def read_mesh(
 
 
 def read_raw(path: Path | str, size: float | None = None) -> RawMesh:
-    """All that a mesh file holds, before anything is chosen or repaired: which sets there are, which of them are parts.
+    """Contents of a mesh file before selection and repair, such as its sets.
 
     Raises
     ------
@@ -128,17 +117,18 @@ def read_raw(path: Path | str, size: float | None = None) -> RawMesh:
     if not path.is_file():
         raise FormatError(f"{path}: this mesh file does not exist; correct the name")
     suffix = path.suffix.lower()
-    if suffix in cad.SUFFIXES and size is None:
-        raise FormatError(f"{path}: a CAD file is meshed here and needs a size of elements; add size, mm")
-    reader = READERS.get(suffix) if suffix not in cad.SUFFIXES else lambda path: cad.read(path, float(size or 0))
+    is_cad = suffix in gmsh_program.CAD_SUFFIXES
+    if is_cad and size is None:
+        raise FormatError(f"{path}: a CAD file needs an element size for its mesh; add size, mm")
+    reader = READERS.get(suffix) if not is_cad else lambda path: gmsh_program.read_cad(path, float(size or 0))
     if reader is None:
         raise FormatError(
             f"{path}: there is no reader of {path.suffix or 'files without a suffix'}; "
-            f"save the mesh as one of {', '.join((*READERS, *cad.SUFFIXES))}"
+            f"save the mesh as one of {', '.join((*sorted(READERS), *gmsh_program.CAD_SUFFIXES))}"
         )
-    seconds = LIMIT + LIMIT_PER_MB * path.stat().st_size / 1e6 + (cad.LIMIT if suffix in cad.SUFFIXES else 0.0)
+    seconds = LIMIT + LIMIT_PER_MB * path.stat().st_size / 1e6 + (gmsh_program.LIMIT if is_cad else 0.0)
     try:
-        with limited(seconds):
+        with time_limit(seconds):
             return reader(path)
     except TimeoutError:
         raise FormatError(
@@ -152,37 +142,37 @@ def read_raw(path: Path | str, size: float | None = None) -> RawMesh:
         ) from problem
     except FormatError as problem:
         raise FormatError(f"{path}: {problem}") from problem
-    except (Exception, SystemExit) as problem:  # libraries raise whatever their parsing trips over, some exit
+    except (Exception, SystemExit) as problem:  # libraries raise any exception, some exit
         raise FormatError(
             f"{path}: this mesh file cannot be read: it is cut short, damaged or not what its suffix says "
-            f"({_words(problem)}); export it again, or in another format"
+            f"({_describe(problem)}); export it again, or in another format"
         ) from problem
 
 
 @contextmanager
-def limited(seconds: float) -> Iterator[None]:
-    """A time limit: what runs longer ends in a TimeoutError. Only where signals reach, in the main thread."""
+def time_limit(seconds: float) -> Iterator[None]:
+    """Raise TimeoutError after a number of seconds; only in the main thread, where signals arrive."""
     if threading.current_thread() is not threading.main_thread() or not hasattr(signal, "setitimer"):
         yield
         return
 
-    def ring(number, frame):
+    def on_alarm(number, frame):
         raise TimeoutError
 
-    before = signal.signal(signal.SIGALRM, ring)
+    previous = signal.signal(signal.SIGALRM, on_alarm)
     signal.setitimer(signal.ITIMER_REAL, seconds)
     try:
         yield
     finally:
         signal.setitimer(signal.ITIMER_REAL, 0)
-        signal.signal(signal.SIGALRM, before)
+        signal.signal(signal.SIGALRM, previous)
 
 
 def _deck(mesh: RawMesh, report: MeshReport, unit: str) -> Deck:
-    """What a file tells, in terms of the repaired points and triangles."""
+    """Contents of a file in terms of the repaired points and triangles."""
     length, stress = UNITS[unit]
     number = lambda points: np.unique(report.point_map[points][report.point_map[points] >= 0])
-    kept = report.point_map >= 0
+    present = report.point_map >= 0
     sheets = [
         replace(
             sheet,
@@ -194,7 +184,7 @@ def _deck(mesh: RawMesh, report: MeshReport, unit: str) -> Deck:
     sheet_of = np.full(len(report.element_map), -1) if mesh.sheet_of is None else mesh.sheet_of[report.element_map]
     for triangle in np.flatnonzero(report.turned & (sheet_of >= 0)):
         sheet = sheets[sheet_of[triangle]]
-        if sheet.offset:  # the other side of a triangle that was turned
+        if sheet.offset:  # the sign changes with the normal of a reversed triangle
             other = replace(sheet, offset=-sheet.offset)
             sheets += [] if other in sheets else [other]
             sheet_of[triangle] = sheets.index(other)
@@ -202,8 +192,8 @@ def _deck(mesh: RawMesh, report: MeshReport, unit: str) -> Deck:
     within = {name: np.isin(report.element_map, elements) for name, elements in mesh.element_sets.items()}
     element_sets = {name: np.flatnonzero(triangles) for name, triangles in within.items() if triangles.any()}
     return Deck(
-        np.zeros(0, dtype=np.int64) if mesh.nodes is None else mesh.nodes[kept],
-        np.zeros(0, dtype=np.int64) if mesh.nodes is None else report.point_map[kept],
+        np.zeros(0, dtype=np.int64) if mesh.nodes is None else mesh.nodes[present],
+        np.zeros(0, dtype=np.int64) if mesh.nodes is None else report.point_map[present],
         {name: points for name, points in node_sets.items() if len(points)},
         element_sets,
         tuple(name for name in mesh.parts if name in element_sets),
@@ -216,23 +206,23 @@ def _deck(mesh: RawMesh, report: MeshReport, unit: str) -> Deck:
 
 
 def _normals(mesh: RawMesh, report: MeshReport) -> np.ndarray | None:
-    """(k, 3, 3) what the file tells of the normals at the corners of the repaired triangles."""
+    """(k, 3, 3) normals from the file at the corners of the repaired triangles; None if it has none."""
     if mesh.triangle_normals is None and mesh.quadrilateral_normals is None:
         return None
-    nothing = lambda elements: np.full((*elements.shape, 3), np.nan)
-    told = [
-        nothing(elements) if normals is None else normals
+    unknown = lambda elements: np.full((*elements.shape, 3), np.nan)
+    given = [
+        unknown(elements) if normals is None else normals
         for elements, normals in (
             (mesh.triangles, mesh.triangle_normals),
             (mesh.quadrilaterals, mesh.quadrilateral_normals),
         )
     ]
-    flat = np.concatenate([normals.reshape(-1, 3) for normals in told] + [np.full((1, 3), np.nan)])
-    return flat[report.corner_map]  # -1, a corner that splitting made, finds the row that tells nothing
+    flat = np.concatenate([normals.reshape(-1, 3) for normals in given] + [np.full((1, 3), np.nan)])
+    return flat[report.corner_map]  # -1, a corner created by splitting, selects the last row, NaN
 
 
-def _words(problem: BaseException) -> str:
-    """What a reader said, on one line; with the kind of error where its words alone would be none, such as ``17``."""
-    words = " ".join(str(problem).split())
+def _describe(problem: BaseException) -> str:
+    """Message of an exception on one line, with its type."""
+    text = " ".join(str(problem).split())
     kind = "exit" if isinstance(problem, SystemExit) else type(problem).__name__
-    return f"{kind}: {words}" if words else kind
+    return f"{kind}: {text}" if text else kind

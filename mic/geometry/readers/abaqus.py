@@ -1,8 +1,7 @@
-"""Abaqus and CalculiX input decks (``.inp``): the sheets of all parts, placed as their instances say, and what the deck
-tells of them.
+"""Abaqus and CalculiX input decks (``.inp``): shells of all parts in the positions of their instances, with properties.
 
-Read here and not by a library: what exists passes over element types that it does not know, in silence, and over
-sections, materials and shell offsets. A deck is keyword lines with parameters, and data lines of numbers and names.
+Existing libraries silently skip unknown element types, and ignore sections, materials and shell offsets. A deck
+consists of keyword lines with parameters, and data lines of numbers and names.
 """
 
 from __future__ import annotations
@@ -16,19 +15,19 @@ import numpy as np
 
 from mic.errors import FormatError
 from mic.geometry.deck import Sheet
+from mic.geometry.readers.deck_text import included_file, located, real, refuse_recursion
 from mic.geometry.readers.elements import Gathered
 from mic.geometry.readers.raw_mesh import RawMesh
 
 __all__ = ["read"]
 
 SHELL = re.compile(r"(?:S|STRI|DS)(\d)(?!D)\w*")
-# Membranes, surfaces, rigid and plane elements: sheets of their own where a deck has no shells, else they lie on these.
+# Membranes, surfaces, rigid and plane elements: used as sheets only if a deck has no shells.
 STAND_IN = re.compile(r"(?:M3D|SFM3D|R3D|CPS|CPE|DC2D|AC2D)(\d)\w*")
-SOLID = re.compile(r"(C3D|SC|CSS|AC3D|DC3D|GK3D|COH3D)\d")  # continuum shells have a top and a bottom, no mid-surface
-CORNERS = {3: 3, 4: 4, 6: 3, 8: 4, 9: 4}  # by number of nodes
-MADE = {"NGEN", "NFILL", "NCOPY", "NMAP", "ELGEN", "ELCOPY"}  # keywords that make mesh from mesh
-SIDES = {"SPOS": 0.5, "SNEG": -0.5}  # OFFSET by name
-DEPTH = 20  # files that include files
+SOLID = re.compile(r"(C3D|SC|CSS|AC3D|DC3D|GK3D|COH3D)\d")  # continuum shells have no mid-surface
+CORNERS = {3: 3, 4: 4, 6: 3, 8: 4, 9: 4}  # number of corners by number of nodes
+GENERATORS = {"NGEN", "NFILL", "NCOPY", "NMAP", "ELGEN", "ELCOPY"}  # keywords that generate nodes or elements
+SIDES = {"SPOS": 0.5, "SNEG": -0.5}  # named values of OFFSET
 
 
 @dataclass(frozen=True)
@@ -46,35 +45,34 @@ class _Block:
 
 @dataclass
 class _Scope:
-    """A part, an instance, or the model itself: what its numbers and names of sets refer to."""
+    """A part, an instance, or the model: the namespace of numbers and sets."""
 
     name: str = ""
     part: str = ""
     place: list[list[str]] = field(default_factory=list)
     nodes: dict[int, tuple[float, ...]] = field(default_factory=dict)
     elements: dict[int, tuple[str, tuple[int, ...]]] = field(default_factory=dict)
-    node_sets: dict[str, list[tuple[str, str]]] = field(default_factory=dict)  # instance, and a number or a name
+    node_sets: dict[str, list[tuple[str, str]]] = field(default_factory=dict)  # instance, and number or set name
     element_sets: dict[str, list[tuple[str, str]]] = field(default_factory=dict)
     sections: list[tuple[str, Sheet]] = field(default_factory=list)
     normals: list[tuple[str, str, tuple[float, ...]]] = field(default_factory=list)
-    groups: list[str] = field(default_factory=list)  # sets that elements are given in
+    groups: list[str] = field(default_factory=list)  # sets named by *ELEMENT
 
 
 def read(path: Path) -> RawMesh:
-    """Nodes, sheets, normals, sets, sections and materials of a deck; included files are followed.
+    """Nodes, shells, normals, sets, sections and materials of a deck; included files are read too.
 
     Raises
     ------
     FormatError
-        Naming the line, if the deck makes nodes or elements by rules, numbers something twice, or holds data that is
-        none.
+        Naming the line, if the deck generates nodes or elements by rules, defines a number twice, or has invalid data.
     """
     model, instances = _Scope(), list[_Scope]()
     scopes: dict[str, _Scope] = {}
     materials: dict[str, Sheet] = {}
     scope, system, material = model, None, ""
     for block in _blocks(path):
-        try:
+        with located(block.where, f"*{block.keyword}"):
             match block.keyword:
                 case "PART":
                     scope = scopes.setdefault(block["NAME"].upper(), _Scope(block["NAME"]))
@@ -101,14 +99,10 @@ def read(path: Path) -> RawMesh:
                     materials[material.upper()] = _elastic(block, material)
                 case "SHELL SECTION" | "SHELL GENERAL SECTION" | "MEMBRANE SECTION":
                     scope.sections.append((block["ELSET"], _section(block)))
-                case keyword if keyword in MADE:
-                    raise FormatError(f"*{keyword} makes mesh by a rule; export the nodes and elements themselves")
-        except FormatError as problem:
-            raise FormatError(f"{block.where}: {problem}") from None
-        except (ValueError, IndexError) as problem:
-            raise FormatError(f"{block.where}: the data of *{block.keyword} are no numbers, or too few") from problem
+                case keyword if keyword in GENERATORS:
+                    raise FormatError(f"*{keyword} generates the mesh by a rule; export the nodes and elements")
     gathered = Gathered()
-    placed = _placed(scopes, instances)
+    placed = _instances(scopes, instances)
     shells = any(
         SHELL.fullmatch(kind) for of in (model, *(part for part, _, _ in placed)) for kind, _ in of.elements.values()
     )
@@ -118,17 +112,17 @@ def read(path: Path) -> RawMesh:
     return gathered.mesh()
 
 
-# ---- the text of a deck
+# ---- lines and blocks
 
 
 def _blocks(path: Path, above: tuple[Path, ...] = ()) -> Iterator[_Block]:
-    if path in above or len(above) > DEPTH:
-        raise FormatError(f"{above[-1].name} includes {path.name}, which includes it in turn")
+    """Keyword blocks of a deck and of the files that it includes."""
+    refuse_recursion(path, above)
     block = None
     for line, text in _lines(path):
         if not text.startswith("*"):
             if block is None and not above:
-                raise FormatError(f"line {line}: it holds data before the first keyword; it is no deck of Abaqus")
+                raise FormatError(f"line {line}: there are data before the first keyword; the file is no Abaqus deck")
             if block is not None:
                 block.data.append([item.strip().strip('"') for item in text.split(",")])
             continue
@@ -141,25 +135,18 @@ def _blocks(path: Path, above: tuple[Path, ...] = ()) -> Iterator[_Block]:
         parameters = {" ".join(name.upper().split()): value.strip().strip('"') for name, _, value in pairs}
         where = f"line {line}" + (f" of {path.name}" if above else "")
         if keyword == "INCLUDE":
-            yield from _blocks(_beside(path, parameters.get("INPUT", ""), where), (*above, path))
+            yield from _blocks(included_file(path, parameters.get("INPUT", ""), where), (*above, path))
             continue
         block = _Block(keyword, parameters, [], where)
         if keyword in ("NODE", "ELEMENT", "NSET", "ELSET") and "INPUT" in parameters:
-            other = _beside(path, parameters["INPUT"], where)
+            other = included_file(path, parameters["INPUT"], where)
             block.data.extend([item.strip() for item in text.split(",")] for _, text in _lines(other))
     if block is not None:
         yield block
 
 
-def _beside(path: Path, name: str, where: str) -> Path:
-    other = path.parent / name.replace("\\", "/")
-    if not name or not other.is_file():
-        raise FormatError(f"{where}: it includes {name or 'a file without a name'}, and there is no file {other}")
-    return other
-
-
 def _lines(path: Path) -> Iterator[tuple[int, str]]:
-    """Number and text of every line that says something; a keyword line that ends in a comma goes on in the next."""
+    """Number and text of every line other than comments; a keyword line that ends in a comma is continued."""
     begun, first = "", 0
     raw = path.read_bytes()
     try:
@@ -180,8 +167,8 @@ def _lines(path: Path) -> Iterator[tuple[int, str]]:
         yield first, begun
 
 
-def _gathered_rows(data: list[list[str]]) -> Iterator[list[str]]:
-    """Data lines that end in a comma go on in the next."""
+def _joined_lines(data: list[list[str]]) -> Iterator[list[str]]:
+    """Data lines, joined if they end in a comma."""
     row: list[str] = []
     for fields in data:
         row += fields
@@ -194,28 +181,22 @@ def _gathered_rows(data: list[list[str]]) -> Iterator[list[str]]:
         yield row
 
 
-# ---- what its blocks say
+# ---- contents of blocks
 
 
-def _members_of(sets: dict[str, list[tuple[str, str]]], name: str) -> list[tuple[str, str]]:
-    """What a set holds so far, its name in any case of the letters."""
+def _set_named(sets: dict[str, list[tuple[str, str]]], name: str) -> list[tuple[str, str]]:
+    """Members so far of a set, whose name is not case-sensitive."""
     return sets.setdefault(next((key for key in sets if key.upper() == name.upper()), name), []) if name else []
 
 
-def _number(text: str) -> float:
-    try:
-        return float(text or 0)
-    except ValueError:
-        return float(text.upper().replace("D", "E"))
-
-
 def _add_nodes(block: _Block, scope: _Scope, system) -> None:
-    of_set = _members_of(scope.node_sets, block["NSET"])
+    """Nodes of *NODE, in the active coordinate system."""
+    of_set = _set_named(scope.node_sets, block["NSET"])
     curved = block["SYSTEM"].upper()
     if curved not in ("", "R", "C", "S"):
-        raise FormatError(f"there are no coordinates of *NODE, SYSTEM={curved}; known are R, C and S")
+        raise FormatError(f"*NODE, SYSTEM={curved} is unknown; use R, C or S")
     for fields in block.data:
-        number, values = int(fields[0]), [_number(text) for text in fields[1:7]]
+        number, values = int(fields[0]), [real(text) for text in fields[1:7]]
         values += [0.0] * (6 - len(values))
         point = np.array(values[:3])
         if curved in ("C", "S"):
@@ -228,23 +209,24 @@ def _add_nodes(block: _Block, scope: _Scope, system) -> None:
             point = origin + axes @ point
         place = tuple(point.tolist())
         if scope.nodes.setdefault(number, place) != place:
-            raise FormatError(f"node {number} is given twice, at different places; give each node once")
+            raise FormatError(f"node {number} is defined twice, at different positions; remove one definition")
         of_set.append(("", fields[0]))
         if any(values[3:]) and not curved and system is None:
             scope.normals.append(("", fields[0], tuple(values[3:])))
 
 
 def _add_elements(block: _Block, scope: _Scope) -> None:
+    """Elements of *ELEMENT; corners of shells only."""
     kind = block["TYPE"].upper()
     sheet = SHELL.fullmatch(kind) or STAND_IN.fullmatch(kind)
     count = int(sheet[1]) if sheet else 0
     name = block["ELSET"]
-    of_set = _members_of(scope.element_sets, name)
+    of_set = _set_named(scope.element_sets, name)
     scope.groups += [name] if name else []
     if sheet and count not in CORNERS:
-        raise FormatError(f"{kind} is not known as a shell; known are those of 3, 4, 6, 8 and 9 nodes")
+        raise FormatError(f"{kind} is no known shell; shells have 3, 4, 6, 8 or 9 nodes")
     row: list[str] = []
-    for fields in block.data if sheet else _gathered_rows(block.data):
+    for fields in block.data if sheet else _joined_lines(block.data):
         row += [text for text in fields if text]
         if sheet and len(row) < count + 1:
             continue
@@ -253,7 +235,7 @@ def _add_elements(block: _Block, scope: _Scope) -> None:
             raise FormatError(f"element {number}: a {kind} has {count} nodes, not {len(row) - 1}")
         element = (kind, tuple(map(int, row[1:])) if sheet else ())
         if scope.elements.setdefault(number, element) != element:
-            raise FormatError(f"element {number} is given twice, on different nodes; give each element once")
+            raise FormatError(f"element {number} is defined twice, on different nodes; remove one definition")
         of_set.append(("", row[0]))
         row = []
     if row:
@@ -261,113 +243,114 @@ def _add_elements(block: _Block, scope: _Scope) -> None:
 
 
 def _add_set(block: _Block, sets: dict[str, list[tuple[str, str]]], name: str) -> None:
+    """Members of *NSET or *ELSET."""
     if not name:
-        raise FormatError(f"a *{block.keyword} has no name")
-    into, instance = _members_of(sets, name), block["INSTANCE"]
+        raise FormatError(f"this *{block.keyword} has no name; add one")
+    into, instance = _set_named(sets, name), block["INSTANCE"]
     for fields in block.data:
         if "GENERATE" in block.parameters:
             numbers = [int(text) for text in fields if text]
             first, last, step = numbers if len(numbers) == 3 else (*numbers, 1)
             if step < 1 or last < first:
-                raise FormatError(f"{first}, {last}, {step} generates no numbers")
+                raise FormatError(f"{first}, {last}, {step} generates no numbers; correct it")
             into.extend((instance, str(number)) for number in range(first, last + 1, step))
         else:
             into.extend((instance, text) for text in fields if text)
 
 
 def _normal(fields: list[str]) -> tuple[str, str, tuple[float, ...]]:
-    x, y, z = (_number(text) for text in fields[2:5])
+    """Element, node and direction of a line of *NORMAL."""
+    x, y, z = (real(text) for text in fields[2:5])
     return fields[0], fields[1], (x, y, z)
 
 
 def _elastic(block: _Block, material: str) -> Sheet:
+    """Isotropic material of *ELASTIC."""
     kind = block["TYPE"].upper() or "ISOTROPIC"
     if kind not in ("ISOTROPIC", "ISO") or not block.data:
-        return Sheet(material=material)  # which is not told by two constants
-    return Sheet(young=_number(block.data[0][0]), poisson=_number(block.data[0][1]), material=material)
+        return Sheet(material=material)  # anisotropic: two constants do not describe it
+    return Sheet(young=real(block.data[0][0]), poisson=real(block.data[0][1]), material=material)
 
 
 def _section(block: _Block) -> Sheet:
-    """Thickness, offset and the name of the material; what is given by fields over nodes or elements is not told."""
+    """Thickness, offset and material name; the thickness is None if it varies over nodes or elements."""
     thickness, material = None, block["MATERIAL"] or None
     if "COMPOSITE" in block.parameters:
         layers = [fields for fields in block.data if fields[0]]
-        thickness = sum(_number(fields[0]) for fields in layers)
+        thickness = sum(real(fields[0]) for fields in layers)
         names = {fields[2] for fields in layers if len(fields) > 2}
         material = names.pop() if len(names) == 1 else None
     elif block.keyword == "SHELL GENERAL SECTION" and not material:
         pass  # its data are stiffnesses
     elif block.data and not {"NODAL THICKNESS", "SHELL THICKNESS", "MEMBRANE THICKNESS"}.intersection(block.parameters):
-        thickness = _number(block.data[0][0]) or None
+        thickness = real(block.data[0][0]) or None
     side = block["OFFSET"].upper()
     try:
         middle = SIDES[side] if side in SIDES else float(side or 0)
     except ValueError:
-        raise FormatError(f"OFFSET = {side} is a field over the elements; give one number") from None
-    return Sheet(thickness, -middle if side else None, material=material)  # Abaqus counts from the middle
+        raise FormatError(f"OFFSET = {side} varies over the elements; give one number") from None
+    return Sheet(thickness, -middle if side else None, material=material)  # Abaqus measures from the mid-surface
 
 
 def _system(block: _Block):
-    """Origin and axes of *SYSTEM; None for the global one."""
-    values = [_number(text) for fields in block.data for text in fields]
+    """Origin and axes of *SYSTEM; None for the global system."""
+    values = [real(text) for fields in block.data for text in fields]
     if not values:
         return None
     values += [0.0] * (-len(values) % 3)
     if len(values) == 3:
         return np.array(values), np.eye(3)
     if len(values) < 9:
-        raise FormatError("*SYSTEM needs three points: its origin, one on its x axis, one in its xy plane")
+        raise FormatError("*SYSTEM needs three points: the origin, one on the x axis, one in the xy plane")
     return _axes(np.reshape(values[:9], (3, 3)))
 
 
 def _axes(points):
-    """Origin, and axes as columns, by three points: the origin, one on the x axis, one in the xy plane."""
+    """Origin, and axes as columns, of three points: the origin, one on the x axis, one in the xy plane."""
     x = points[1] - points[0]
     z = np.cross(x, points[2] - points[0])
     if not np.linalg.norm(z) > 0:
-        raise FormatError("the three points of a coordinate system lie on a line")
+        raise FormatError("the three points of this coordinate system are collinear; correct them")
     x, z = x / np.linalg.norm(x), z / np.linalg.norm(z)
     return points[0], np.column_stack([x, np.cross(z, x), z])
 
 
-# ---- parts placed, their names found
+# ---- instances and sets
 
 
-def _placed(scopes: dict[str, _Scope], instances: list[_Scope]):
-    """(part, name of the instance, motion or None) of everything that stands in the assembly."""
+def _instances(scopes: dict[str, _Scope], instances: list[_Scope]):
+    """(part, name of the instance, motion or None) of everything in the assembly."""
     if not instances:
         return [(part, part.name, None) for part in scopes.values()]
     placed = []
     for instance in instances:
         if instance.part and instance.part not in scopes:
-            raise FormatError(f"the instance {instance.name!r} is of a part {instance.part!r}, which is not there")
+            raise FormatError(
+                f"the instance {instance.name!r} refers to the part {instance.part!r}, which is missing; correct it"
+            )
         motion = _motion(instance)
         if instance.part:
-            part = scopes[instance.part]
-            own = instance.nodes or instance.elements
-            placed.append((part, instance.name, motion))
-            if own:
-                placed.append((instance, instance.name, motion))
-        else:
+            placed.append((scopes[instance.part], instance.name, motion))
+        if not instance.part or instance.nodes or instance.elements:
             placed.append((instance, instance.name, motion))
     return placed
 
 
 def _motion(instance: _Scope):
-    """Rotation matrix and translation: an instance is shifted, then turned about an axis by two points."""
+    """Rotation matrix and translation of an instance: a shift, then a rotation about an axis through two points."""
     if not instance.place:
         return None
     try:
-        shift = np.array([_number(text) for text in (instance.place[0] + [""] * 3)[:3]])
+        shift = np.array([real(text) for text in (instance.place[0] + [""] * 3)[:3]])
         if len(instance.place) < 2:
             return np.eye(3), shift
-        values = [_number(text) for text in instance.place[1][:7]]
+        values = [real(text) for text in instance.place[1][:7]]
         start, axis, angle = np.array(values[:3]), np.array(values[3:6]) - values[:3], np.radians(values[6])
     except (ValueError, IndexError):
-        raise FormatError(f"the instance {instance.name!r} is placed by data that are no numbers, or too few") from None
+        raise FormatError(f"the instance {instance.name!r} has an invalid position; correct its data") from None
     length = np.linalg.norm(axis)
     if not length > 0:
-        raise FormatError(f"the instance {instance.name!r} is turned about an axis without length")
+        raise FormatError(f"the instance {instance.name!r} has a rotation axis without length; correct it")
     x, y, z = axis / length
     cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
     turn = np.eye(3) + np.sin(angle) * cross + (1 - np.cos(angle)) * cross @ cross
@@ -375,7 +358,7 @@ def _motion(instance: _Scope):
 
 
 def _members(sets, name: str, within=None, seen: tuple[str, ...] = ()) -> list[tuple[str, int]]:
-    """Instance and number of all that a set holds; it may name other sets, of an instance too (``within``)."""
+    """Instance and number of all members of a set, which may contain other sets, also of an instance (``within``)."""
     members: list[tuple[str, int]] = []
     for instance, text in (item for key in sets if key.upper() == name.upper() for item in sets[key]):
         head, _, tail = text.rpartition(".")
@@ -392,7 +375,7 @@ def _members(sets, name: str, within=None, seen: tuple[str, ...] = ()) -> list[t
 
 
 def _gather(gathered: Gathered, scope: _Scope, instance: str, motion, shells: bool, materials) -> None:
-    """Points and elements of one placed part; sections give their sheets, the last one counts."""
+    """Add points and elements of one instance; the last section of an element counts."""
     where = instance.upper()
     turn, shift = motion if motion is not None else (np.eye(3), np.zeros(3))
     for number, place in scope.nodes.items():
@@ -404,9 +387,7 @@ def _gather(gathered: Gathered, scope: _Scope, instance: str, motion, shells: bo
             points = [(where, node) for node in nodes]
             gathered.add_sheet(key, points[:ends], points[ends:])
         else:
-            gathered.kinds[key] = kind
-            if SOLID.match(kind):
-                gathered.solids.add(kind)
+            gathered.add_other(key, kind, bool(SOLID.match(kind)))
     for name, sheet in scope.sections:
         of = materials.get((sheet.material or "").upper(), Sheet())
         whole = replace(sheet, young=of.young, poisson=of.poisson)
@@ -423,7 +404,7 @@ def _gather(gathered: Gathered, scope: _Scope, instance: str, motion, shells: bo
 
 
 def _gather_sets(gathered: Gathered, model: _Scope, placed) -> None:
-    """Sets by their names, those of instances as ``INSTANCE.NAME`` and, all instances together, as ``NAME``."""
+    """Add sets by name; those of instances as ``INSTANCE.NAME`` and, for all instances together, as ``NAME``."""
     instances = list(dict.fromkeys(name for _, name, _ in placed if name))
     for scope, instance, _ in [(model, "", None), *placed]:
         for kind in ("node_sets", "element_sets"):
@@ -441,6 +422,6 @@ def _gather_sets(gathered: Gathered, model: _Scope, placed) -> None:
         return
     scopes = [model, *(scope for scope, _, _ in placed)]
     sections = [name for scope in scopes for name, _ in scope.sections]
-    whole = gathered.elements.keys() <= gathered.sheets.keys()  # else some part has no section
+    whole = gathered.elements.keys() <= gathered.sheets.keys()  # otherwise some element has no section
     wanted = {name.upper() for name in (sections if whole else [name for scope in scopes for name in scope.groups])}
     gathered.parts = [name for name in gathered.element_sets if name.upper() in wanted]

@@ -1,7 +1,6 @@
-"""Ansys Mechanical APDL decks (``.cdb``, as ``CDWRITE`` writes them): shells, components, sections, materials.
+"""Ansys Mechanical APDL decks (``.cdb``, written by ``CDWRITE``): shells, components, sections, materials.
 
-Read here and not by a library: meshlane reads nodes, elements and components of these files, and neither the sections
-nor the materials nor the numbers of nodes.
+meshlane reads only nodes, elements and components of these files, without sections, materials or node numbers.
 """
 
 from __future__ import annotations
@@ -13,6 +12,7 @@ from pathlib import Path
 
 from mic.errors import FormatError
 from mic.geometry.deck import Sheet
+from mic.geometry.readers.deck_text import located, text_lines
 from mic.geometry.readers.elements import Gathered
 from mic.geometry.readers.raw_mesh import RawMesh
 
@@ -22,7 +22,7 @@ SHELLS = {28, 41, 43, 63, 93, 131, 132, 143, 150, 157, 181, 281}
 SOLIDS = {5, 45, 46, 64, 65, 70, 73, 87, 90, 92, 95, 96, 97, 98, 117, 122, 123, 147, 148, 162, 164, 168, 185, 186, 187}
 SOLIDS |= {190, 191, 226, 227, 231, 232, 236, 237, 272, 273, 278, 279, 285}  # 190: a solid shell
 FORMAT = re.compile(r"\(\s*(\d+)i(\d+)\s*(?:,\s*(\d+)[efg](\d+))?", re.IGNORECASE)
-SIDES = {"TOP": -0.5, "BOT": 0.5, "MID": 0.0}  # SECOFFSET: the skin that the nodes lie on
+SIDES = {"TOP": -0.5, "BOT": 0.5, "MID": 0.0}  # offset by SECOFFSET, which names the skin of the nodes
 
 
 def read(path: Path) -> RawMesh:
@@ -31,20 +31,20 @@ def read(path: Path) -> RawMesh:
     Raises
     ------
     FormatError
-        Naming the line, if a block is cut short or holds what is no number, or an element's type is not given.
+        Naming the line, if a block is truncated, a number is invalid, or the type of an element is undefined.
     """
     gathered = Gathered()
     types: dict[int, int] = {}
     sections: dict[str, Sheet] = {}
     material_of: dict[str, str] = {}
     materials: dict[str, dict[str, float]] = {}
-    elements: dict[int, tuple[int, str, str]] = {}
+    elements: dict[int, tuple[int, str]] = {}  # material and section
     section = ""
     lines = _Lines(path)
     for where, line in lines:
         words = [word.strip() for word in line.split("!")[0].split(",")]
         command = words[0].upper()
-        try:
+        with located(where, command):
             if command == "ET":
                 types[int(words[1])] = int(re.sub(r"\D", "", words[2]))
             elif command == "ETBLOCK":
@@ -56,7 +56,7 @@ def read(path: Path) -> RawMesh:
                 _nodes(gathered, lines)
             elif command == "EBLOCK":
                 if "SOLID" not in (word.upper() for word in words):
-                    raise FormatError("elements are read from EBLOCK in the format SOLID; write the deck by CDWRITE")
+                    raise FormatError("only EBLOCK in the format SOLID is supported; write the deck with CDWRITE")
                 _elements(gathered, lines, types, elements)
             elif command == "CMBLOCK":
                 _component(gathered, lines, words)
@@ -73,21 +73,17 @@ def read(path: Path) -> RawMesh:
                 materials.setdefault(words[4], {}).setdefault(words[3].upper(), float(words[6]))
             elif command == "MP" and words[1].upper() in ("EX", "NUXY", "PRXY"):
                 materials.setdefault(words[2], {}).setdefault(words[1].upper(), float(words[3]))
-        except FormatError as problem:
-            raise FormatError(f"{where}: {problem}") from None
-        except (ValueError, IndexError):
-            raise FormatError(f"{where}: a field of this {command} is no number, or is missing") from None
     if not gathered.points:
-        raise FormatError("it holds no block of nodes (NBLOCK); it is no deck that CDWRITE wrote")
-    _tell(gathered, elements, sections, material_of, materials)
+        raise FormatError("there is no block of nodes (NBLOCK); write the deck with CDWRITE")
+    _assign_sheets(gathered, elements, sections, material_of, materials)
     return gathered.mesh()
 
 
 class _Lines:
-    """The lines of a deck, one by one or block by block."""
+    """The lines of a deck, one by one or by block."""
 
     def __init__(self, path: Path):
-        self.lines = path.read_text(encoding="utf-8-sig", errors="replace").splitlines()
+        self.lines = text_lines(path)
         self.at = 0
 
     def __iter__(self) -> Iterator[tuple[str, str]]:
@@ -103,7 +99,7 @@ class _Lines:
         return self.lines[self.at - 1]
 
     def block(self) -> Iterator[str]:
-        """Lines up to the one that says -1, or ends a block of nodes."""
+        """Lines up to the end of a block: -1, or N in a block of nodes."""
         while True:
             line = self.take()
             if line.split(",")[0].strip() == "-1" or line.upper().startswith("N,"):
@@ -112,11 +108,12 @@ class _Lines:
 
 
 def _columns(text: str, width: int) -> list[str]:
+    """Fields of fixed width."""
     return [text[i : i + width].strip() for i in range(0, len(text.rstrip()), width)]
 
 
 def _format(text: str) -> tuple[int, int, int]:
-    """Integers a line, their width, and the width of reals, of a line such as ``(3i9,6e21.13e3)``."""
+    """Integers per line, their width, and the width of reals, of a format such as ``(3i9,6e21.13e3)``."""
     found = FORMAT.match(text.strip())
     if found is None:
         raise FormatError(f"{text.strip()[:40]!r} is not the format of a block, such as (3i9,6e21.13)")
@@ -124,6 +121,7 @@ def _format(text: str) -> tuple[int, int, int]:
 
 
 def _nodes(gathered: Gathered, lines: _Lines) -> None:
+    """Nodes of an NBLOCK."""
     count, width, real = _format(lines.take())
     if not real:
         raise FormatError("the format of this block of nodes has no coordinates")
@@ -135,7 +133,7 @@ def _nodes(gathered: Gathered, lines: _Lines) -> None:
 
 
 def _elements(gathered: Gathered, lines: _Lines, types, elements) -> None:
-    """Material, type, real set, section, …, number of nodes, …, number, and the nodes, which may go on in a line."""
+    """Elements of an EBLOCK: material, type, real set, section, …, node count, …, number, nodes, perhaps continued."""
     _, width, _ = _format(lines.take())
     for line in lines.block():
         fields = [int(text) for text in _columns(line, width)]
@@ -144,19 +142,17 @@ def _elements(gathered: Gathered, lines: _Lines, types, elements) -> None:
             nodes += [int(text) for text in _columns(lines.take(), width)]
         kind = types.get(fields[1])
         if kind is None:
-            raise FormatError(f"element {number} is of a type {fields[1]} that no ET gives")
+            raise FormatError(f"element {number} has the type {fields[1]}, which no ET defines; export the deck again")
         if kind not in SHELLS:
             name = f"type {kind}"
-            gathered.kinds[name, number] = name
-            if kind in SOLIDS:
-                gathered.solids.add(name)
+            gathered.add_other((name, number), name, kind in SOLIDS)
             continue
         gathered.add_sheet((number,), [(node,) for node in nodes[:4]], [(node,) for node in nodes[4:count] if node])
-        elements[number] = (fields[0], str(fields[3]), str(fields[2]))
+        elements[number] = (fields[0], str(fields[3]))
 
 
 def _component(gathered: Gathered, lines: _Lines, words: list[str]) -> None:
-    """A named set: numbers, a negative one being the end of a row from the one before."""
+    """A named set of numbers; a negative number ends a range that begins at the number before it."""
     name, kind, count = words[1], words[2].upper(), int(words[3].split()[0])
     _, width, _ = _format(lines.take())
     numbers: list[int] = []
@@ -171,7 +167,7 @@ def _component(gathered: Gathered, lines: _Lines, words: list[str]) -> None:
 
 
 def _layer(sections: dict[str, Sheet], material_of: dict[str, str], section: str, words: list[str]) -> None:
-    """A layer of a shell section: thickness, material."""
+    """Add a layer of a shell section: thickness, material."""
     before = sections.get(section, Sheet())
     sections[section] = replace(before, thickness=(before.thickness or 0.0) + float(words[0]))
     material = words[1] if len(words) > 1 else ""
@@ -179,17 +175,17 @@ def _layer(sections: dict[str, Sheet], material_of: dict[str, str], section: str
 
 
 def _offset(sections: dict[str, Sheet], section: str, words: list[str]) -> None:
-    """Where the nodes lie in the section; it may stand before the layers."""
+    """Offset of a section, which may precede its layers."""
     place = words[1].upper()
     if place not in SIDES:
-        raise FormatError(f"SECOFFSET {place} is not read; use TOP, MID or BOT")
+        raise FormatError(f"SECOFFSET {place} is not supported; use TOP, MID or BOT")
     sections[section] = replace(sections.get(section, Sheet()), offset=SIDES[place])
 
 
-def _tell(gathered: Gathered, elements, sections, material_of, materials) -> None:
-    """Sections and materials of the shells; parts are the sections where the deck has them."""
-    for number, (material, section, _) in elements.items():
-        gathered.element_sets.setdefault(f"PID {section}", []).append((number,))
+def _assign_sheets(gathered: Gathered, elements, sections, material_of, materials) -> None:
+    """Sections and materials of the shells; sections are parts."""
+    for number, (material, section) in elements.items():
+        gathered.add_to_property(section, (number,))
         sheet = sections.get(section, Sheet())
         name = material_of.get(section) or str(material)
         of = materials.get(name, {})

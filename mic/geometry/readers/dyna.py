@@ -1,6 +1,6 @@
 """LS-DYNA keyword files (``.k``, ``.key``, ``.dyn``): shells with their parts, sections, materials and sets.
 
-Read here and not by a library: what there is reads nodes and elements alone, in fixed fields.
+Existing libraries read only nodes and elements, in fixed fields.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ from pathlib import Path
 
 from mic.errors import FormatError
 from mic.geometry.deck import Sheet
+from mic.geometry.readers.deck_text import included_file, located, real, refuse_recursion, text_lines
 from mic.geometry.readers.elements import Gathered
 from mic.geometry.readers.raw_mesh import RawMesh
 
@@ -23,34 +24,33 @@ ELASTIC = re.compile(
     r"|RIGID|3-PARAMETER_BARLAT|TRANSVERSELY_ANISOTROPIC_ELASTIC_PLASTIC|0?(01|03|18|20|24|36|37)|123)"
 )
 REFUSED = ("INCLUDE_TRANSFORM", "NODE_TRANSFORM", "NODE_SCALAR", "ELEMENT_GENERATE", "NODE_MERGE_TOLERANCE")
-DEPTH = 20  # files that include files
-WIDE, USUAL = 20, 10  # columns of a field on all cards but those of nodes and elements
+WIDE, NARROW = 20, 10  # columns of a field on cards other than nodes and elements
 
 
 def read(path: Path) -> RawMesh:
-    """Nodes and shells of a keyword file, and what it tells of them; included files are followed.
+    """Nodes and shells of a keyword file with their properties; included files are read too.
 
     Raises
     ------
     FormatError
-        Naming the line, if a field is no number, or a keyword moves or makes mesh by a rule.
+        Naming the line, if a number is invalid, or a keyword moves or generates the mesh by a rule.
     """
     gathered = Gathered()
     sections: dict[str, Sheet] = {}
     materials: dict[str, Sheet] = {}
     parts: dict[str, tuple[str, str, str]] = {}
-    own: list[tuple[tuple[int], str, Sheet | None, float | None]] = []
+    shells: list[tuple[tuple[int], str, Sheet | None, float | None]] = []
     for where, keyword, cards, wide in _blocks(path):
         base, *options = keyword.split("_")
-        try:
+        with located(where, f"*{keyword}"):
             if keyword.startswith(REFUSED):
-                raise FormatError(f"*{keyword} makes or moves mesh by a rule; export the mesh itself")
+                raise FormatError(f"*{keyword} generates or moves the mesh by a rule; export the nodes and elements")
             if keyword == "NODE":
                 for line in cards:
                     fields = _split(line, (20, 20, 20, 20) if wide else (8, 16, 16, 16))
                     gathered.add_point((int(fields[0]),), tuple(_real(text) for text in fields[1:4]))
             elif keyword.startswith("ELEMENT_SHELL"):
-                own += _shells(gathered, keyword, cards, wide)
+                shells += _shells(gathered, keyword, cards, wide)
             elif base == "ELEMENT":
                 _others(gathered, keyword, cards, wide)
             elif base == "PART" and keyword in ("PART", "PART_INERTIA", "PART_CONTACT", "PART_COMPOSITE"):
@@ -66,39 +66,29 @@ def read(path: Path) -> RawMesh:
             elif keyword.startswith(("SET_NODE_LIST", "SET_SHELL_LIST", "SET_NODE_TITLE")) or keyword == "SET_NODE":
                 _set(gathered, keyword, cards, wide)
             elif keyword.startswith("CONSTRAINED_"):
-                gathered.uncounted[keyword] = gathered.uncounted.get(keyword, 0) + 1
-        except FormatError as problem:
-            raise FormatError(f"{where}: {problem}") from None
-        except (ValueError, IndexError):
-            raise FormatError(f"{where}: a field of this *{keyword} is no number, or is missing") from None
-    for key, part, thickness, offset in own:
+                gathered.unnumbered[keyword] += 1
+    for key, part, thickness, offset in shells:
         title, section, material = parts.get(part, ("", "", ""))
         of = materials.get(material, Sheet(material=material or None))
         sheet = replace(sections.get(section, Sheet()), young=of.young, poisson=of.poisson, material=of.material)
         if thickness is not None:
-            sheet = replace(sheet, thickness=thickness.thickness)  # its own, which differs from node to node if None
+            sheet = replace(sheet, thickness=thickness.thickness)  # None if it differs between the nodes
         if offset is not None:
             if not sheet.thickness:
                 raise FormatError(f"element {key[0]} has an offset and no thickness; give its section a thickness")
             sheet = replace(sheet, offset=offset / sheet.thickness)
         if sheet != Sheet():
             gathered.sheets[key] = sheet
-    titles = [title for title, *_ in parts.values()]
-    for number in dict.fromkeys(part for _, part, *_ in own):
-        label, title = f"PID {number}", parts.get(number, ("",))[0]
-        alone = bool(title) and titles.count(title) == 1
-        gathered.parts.append(title if alone else label)
-        if title:
-            gathered.element_sets.setdefault(title, []).extend(gathered.element_sets[label])
+    gathered.name_parts((part for _, part, *_ in shells), {part: title for part, (title, *_) in parts.items()})
     return gathered.mesh()
 
 
 def _shells(gathered: Gathered, keyword: str, cards: list[str], wide: bool):
-    """Shells with what their own cards tell: key, part, thickness, offset."""
+    """Shells with the data on their own cards: key, part, thickness, offset."""
     extra = sum(option in keyword for option in ("_THICKNESS", "_BETA", "_MCID", "_DOF"))
     extra = min(extra, 1) + ("_OFFSET" in keyword)
     if "_COMPOSITE" in keyword:
-        raise FormatError(f"*{keyword}: layers by element are not read; use *SECTION_SHELL or *PART_COMPOSITE")
+        raise FormatError(f"*{keyword}: layers by element are not supported; use *SECTION_SHELL or *PART_COMPOSITE")
     cards = list(cards)
     while cards:
         fields = _split(cards.pop(0), (WIDE if wide else 8,) * 10)
@@ -107,9 +97,9 @@ def _shells(gathered: Gathered, keyword: str, cards: list[str], wide: bool):
         corners = [(node,) for node in nodes[:4] if node]
         midside = [(node,) for node in nodes[4:] if node]
         if len(corners) < 3:
-            raise FormatError(f"element {key[0]} has fewer than three nodes")
+            raise FormatError(f"element {key[0]} has fewer than three nodes; correct it")
         gathered.add_sheet(key, corners, midside)
-        gathered.element_sets.setdefault(f"PID {part}", []).append(key)
+        gathered.add_to_property(part, key)
         more = [cards.pop(0) for _ in range(extra)]
         thickness, offset = None, None
         if "_THICKNESS" in keyword and more:
@@ -123,19 +113,20 @@ def _shells(gathered: Gathered, keyword: str, cards: list[str], wide: bool):
 
 
 def _others(gathered: Gathered, keyword: str, cards: list[str], wide: bool) -> None:
-    """Elements that are no shells; thick shells are solids."""
+    """Elements other than shells; thick shells count as solids."""
     kind = "_".join(keyword.split("_")[1:2])
     step = 2 if kind == "SOLID" and len(cards) > 1 and len(cards[0].replace(",", " ").split()) == 2 else 1
-    if kind in ("SOLID", "TSHELL"):
-        gathered.solids.add(kind)
+    solid = kind in ("SOLID", "TSHELL")
     for line in cards[::step]:
         fields = _split(line, (WIDE if wide else 8,) * 2)
-        gathered.kinds[kind, int(fields[0])] = kind
-        if kind in gathered.solids:
-            gathered.element_sets.setdefault(f"PID {fields[1]}", []).append((kind, int(fields[0])))
+        key = kind, int(fields[0])
+        gathered.add_other(key, kind, solid)
+        if solid:
+            gathered.add_to_property(fields[1], key)
 
 
 def _sections(cards: list[str], wide: bool, titled: bool) -> dict[str, Sheet]:
+    """Shell sections by number."""
     found, cards = {}, list(cards)
     while cards:
         if titled:
@@ -152,6 +143,7 @@ def _sections(cards: list[str], wide: bool, titled: bool) -> dict[str, Sheet]:
 
 
 def _set(gathered: Gathered, keyword: str, cards: list[str], wide: bool) -> None:
+    """A set of nodes or shells."""
     title = cards[0].strip() if "TITLE" in keyword else ""
     rest = cards[1:] if "TITLE" in keyword else cards
     number = _fields(rest[0], wide)[0]
@@ -165,12 +157,11 @@ def _set(gathered: Gathered, keyword: str, cards: list[str], wide: bool) -> None
 
 def _blocks(path: Path, above: tuple[Path, ...] = ()) -> Iterator[tuple[str, str, list[str], bool]]:
     """Place, name and cards of every keyword, and whether its fields are wide."""
-    if path in above or len(above) > DEPTH:
-        raise FormatError(f"{above[-1].name} includes {path.name}, which includes it in turn")
+    refuse_recursion(path, above)
     wide, where, keyword, cards = False, "", "", list[str]()
-    lines = path.read_text(encoding="utf-8-sig", errors="replace").splitlines()
+    lines = text_lines(path)
     if not above and not any(line.startswith("*") for line in lines):
-        raise FormatError("it holds no keyword; it is no keyword file of LS-DYNA")
+        raise FormatError("there is no keyword; the file is no keyword file of LS-DYNA")
     for number, line in enumerate([*lines, "*END"], 1):
         if line.startswith("$") or (not line.strip() and keyword not in ("PART",)):
             continue
@@ -179,12 +170,9 @@ def _blocks(path: Path, above: tuple[Path, ...] = ()) -> Iterator[tuple[str, str
             continue
         if keyword == "INCLUDE":
             for name in cards:
-                other = path.parent / name.strip().replace("\\", "/")
-                if not other.is_file():
-                    raise FormatError(f"{where}: it includes {name.strip()}, and there is no file {other}")
-                yield from _blocks(other, (*above, path))
+                yield from _blocks(included_file(path, name.strip(), where), (*above, path))
         elif keyword.startswith("INCLUDE") and not keyword.startswith("INCLUDE_TRANSFORM"):
-            raise FormatError(f"{where}: *{keyword} is not followed; use *INCLUDE")
+            raise FormatError(f"{where}: *{keyword} is not supported; use *INCLUDE")
         elif keyword:
             yield where, keyword.removesuffix("%").strip(), cards, wide or keyword.endswith("%")
         where = f"line {number}" + (f" of {path.name}" if above else "")
@@ -192,14 +180,14 @@ def _blocks(path: Path, above: tuple[Path, ...] = ()) -> Iterator[tuple[str, str
         if keyword.startswith("KEYWORD"):
             wide = bool(re.search(r"LONG\s*=\s*Y", keyword))
             if re.search(r"I10\s*=\s*Y", keyword):
-                raise FormatError(f"{where}: fields of ten columns (I10=Y) are not read; write LONG=Y, or neither")
+                raise FormatError(f"{where}: fields of ten columns (I10=Y) are not supported; use LONG=Y, or neither")
             keyword = ""
         if keyword == "END":
             return
 
 
 def _split(line: str, widths: tuple[int, ...]) -> list[str]:
-    """Fields of a card, as many as widths, blank where nothing stands."""
+    """Fields of a card, as many as widths; blank if missing."""
     if "," in line:
         fields = [text.strip() for text in line.split(",")]
     else:
@@ -209,10 +197,12 @@ def _split(line: str, widths: tuple[int, ...]) -> list[str]:
 
 
 def _fields(line: str, wide: bool) -> list[str]:
-    return _split(line, (WIDE if wide else USUAL,) * 8)
+    """Eight fields of equal width."""
+    return _split(line, (WIDE if wide else NARROW,) * 8)
 
 
 def _real(text: str) -> float:
+    """The number of a field; refuses parameters."""
     if text.startswith("&"):
-        raise FormatError(f"{text} is a parameter; write the file with numbers")
-    return float(text.upper().replace("D", "E")) if text else 0.0
+        raise FormatError(f"{text} is a parameter, which is not supported; export the file with numbers")
+    return real(text)

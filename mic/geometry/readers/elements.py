@@ -1,8 +1,10 @@
-"""What the readers of decks share: elements gathered as they come, with their sets, sheets and normals."""
+"""Collection of the elements, sets, sheets and normals of a deck, used by the readers of decks."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections import Counter
+from collections.abc import Iterable, Mapping
+from typing import Any
 
 import numpy as np
 
@@ -14,60 +16,79 @@ __all__ = ["Gathered"]
 
 
 class Gathered:
-    """Points and elements of a deck under the numbers that it gives them, and at last a `RawMesh` of them.
+    """Points and elements of a deck by their numbers, from which a `RawMesh` is made.
 
-    Points are known by keys: a node's number, or its instance and number. So are elements.
+    The key of a point or element is its number, or its instance and number.
     """
 
     def __init__(self):
         self.points: dict[tuple, tuple[float, ...]] = {}
-        self.elements: dict[tuple, tuple[tuple, ...]] = {}  # the corners of sheets
+        self.elements: dict[tuple, tuple[tuple, ...]] = {}  # corners of shells
         self.normals: dict[tuple, tuple[float, ...]] = {}  # by point, or by element and point
         self.node_sets: dict[str, list[tuple]] = {}
         self.element_sets: dict[str, list[tuple]] = {}
         self.parts: list[str] = []
         self.sheets: dict[tuple, Sheet] = {}  # by element
-        self.kinds: dict[tuple, str] = {}  # of the elements that are no sheets
+        self.kinds: dict[tuple, str] = {}  # of elements other than shells
         self.solids: set[str] = set()
-        self.uncounted: dict[str, int] = {}  # kinds of elements that have no numbers
+        self.unnumbered: Counter[str] = Counter()  # elements without numbers by kind
         self.midside: set[tuple] = set()
 
     def add_point(self, key: tuple, place: tuple[float, ...]) -> None:
-        """A point.
+        """Add a point.
 
         Raises
         ------
         FormatError
-            If it stands elsewhere already.
+            If it is already defined at another position.
         """
         if self.points.setdefault(key, place) != place:
-            raise FormatError(f"node {key[-1]} is given twice, at different places; give each node once")
+            raise FormatError(f"node {key[-1]} is defined twice, at different positions; remove one definition")
 
     def add_sheet(self, key: tuple, corners: Iterable[tuple], midside: Iterable[tuple] = ()) -> None:
-        """A sheet element by its corners; those that repeat make a quadrilateral a triangle.
+        """Add a shell element by its corners; repeated corners make a quadrilateral a triangle.
 
         Raises
         ------
         FormatError
-            If the element is given already, on other nodes.
+            If it is already defined on other nodes.
         """
         corners = tuple(dict.fromkeys(corners))
         if self.elements.setdefault(key, corners) != corners:
-            raise FormatError(f"element {key[-1]} is given twice, on different nodes; give each element once")
+            raise FormatError(f"element {key[-1]} is defined twice, on different nodes; remove one definition")
         self.midside.update(midside)
 
+    def add_other(self, key: tuple, kind: str, solid: bool = False) -> None:
+        """Add an element that is no shell."""
+        self.kinds[key] = kind
+        if solid:
+            self.solids.add(kind)
+
+    def add_to_property(self, number: int | str, key: tuple) -> None:
+        """Add an element to the set of its property or part."""
+        self.element_sets.setdefault(f"PID {number}", []).append(key)
+
+    def name_parts(self, numbers: Iterable[int | str], names: Mapping[Any, str]) -> None:
+        """Make properties parts, under their names if these are unique; named ones get a set of that name too."""
+        every = list(names.values())
+        for number in dict.fromkeys(numbers):
+            label, name = f"PID {number}", names.get(number)
+            self.parts.append(name if name and every.count(name) == 1 else label)
+            if name:
+                self.element_sets.setdefault(name, []).extend(self.element_sets[label])
+
     def mesh(self, what: str = "node") -> RawMesh:
-        """All that was gathered.
+        """The collected mesh.
 
         Parameters
         ----------
         what : str
-            The format's word for a point.
+            The format's word for a point, for messages.
 
         Raises
         ------
         FormatError
-            If an element names a point that is not there.
+            If an element uses an undefined point.
         """
         index = {key: number for number, key in enumerate(self.points)}
         ordered = sorted(
@@ -77,22 +98,22 @@ class Gathered:
         try:
             corners = [[index[point] for point in self.elements[key]] for key in ordered]
         except KeyError as problem:
-            raise FormatError(f"an element names the {what} {problem.args[0][-1]}, which is not given") from None
+            raise FormatError(
+                f"an element uses the {what} {problem.args[0][-1]}, which is not defined; export the mesh again"
+            ) from None
         split = next((row for row, of in enumerate(corners) if len(of) == 4), len(corners))
-        nothing = (np.nan,) * 3
-        told = [
-            [self.normals.get((key, point), self.normals.get(point, nothing)) for point in self.elements[key]]
+        unknown = (np.nan,) * 3
+        normals = [
+            [self.normals.get((key, point), self.normals.get(point, unknown)) for point in self.elements[key]]
             for key in (ordered if self.normals else [])
         ]
         of_sheet: dict[Sheet, int] = {}
         sheet_of = [
             of_sheet.setdefault(self.sheets[key], len(of_sheet)) if key in self.sheets else -1 for key in ordered
         ]
-        others = dict(self.uncounted)
+        others = self.unnumbered + Counter(self.kinds.values())
         if len(ordered) < len(self.elements):
             others["elements on fewer than three nodes"] = len(self.elements) - len(ordered)
-        for kind in self.kinds.values():
-            others[kind] = others.get(kind, 0) + 1
         sets = {name: [number[key] for key in of if key in number] for name, of in self.element_sets.items()}
         without = {
             name: tuple(sorted({self.kinds[key] for key in of if key in self.kinds}))
@@ -105,8 +126,8 @@ class Gathered:
             array(corners[split:], 4, np.int64),
             tuple(sorted(self.solids)),
             {kind: count for kind, count in others.items() if kind not in self.solids},
-            array(told[:split], 9, float).reshape(-1, 3, 3) if self.normals else None,
-            array(told[split:], 12, float).reshape(-1, 4, 3) if self.normals else None,
+            array(normals[:split], 9, float).reshape(-1, 3, 3) if self.normals else None,
+            array(normals[split:], 12, float).reshape(-1, 4, 3) if self.normals else None,
             np.array([key[-1] for key in self.points], dtype=np.int64),
             {
                 name: np.array(sorted({index[key] for key in of if key in index}), dtype=np.int64)

@@ -1,4 +1,4 @@
-"""Meshes of gmsh, versions 2.2, 4.0 and 4.1 of its format, text or binary (``.msh``)."""
+"""gmsh meshes, versions 2.2, 4.0 and 4.1 of the format, text or binary (``.msh``)."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from mic.geometry.readers.raw_mesh import RawMesh, from_meshlane
 
 __all__ = ["read", "volumes"]
 
-# Geometry and physical groups: meshlane refuses a file in which some elements are in a group.
+# Sections of geometry and physical groups: meshlane rejects files in which only some elements are in a group.
 GROUPS = re.compile(rb"\$(Entities|PhysicalNames)\s.*?\$End\1\s*\n", re.DOTALL)
 NAME = re.compile(r'(\d+)\s+(\d+)\s+"([^"]*)"')
 SHEETS = ("triangle", "quad")
@@ -36,22 +36,24 @@ def read(path: Path) -> RawMesh:
     tags = mesh.cell_data.get("gmsh:physical" if groups is None else "gmsh:geometrical")
     if tags is None:
         return raw
-    of_elements = [
+    tags_of_blocks = [
         np.asarray(of) for kind in SHEETS for block, of in zip(mesh.cells, tags) if block.type.startswith(kind)
     ]
-    tag = np.concatenate([*of_elements, np.zeros(0, dtype=int)]).astype(np.int64)
-    held: dict[int, list[np.ndarray]] = {}
+    tag = np.concatenate([*tags_of_blocks, np.zeros(0, dtype=int)]).astype(np.int64)
+    members: dict[int, list[np.ndarray]] = {}
     for value in np.unique(tag):
         for group in [int(value)] if groups is None else groups.get(int(value), []):
             if group:
-                held.setdefault(group, []).append(np.flatnonzero(tag == value))
-    sets = {names.get(group, f"PID {group}"): np.sort(np.concatenate(of)) for group, of in held.items()}
+                members.setdefault(group, []).append(np.flatnonzero(tag == value))
+    sets = {names.get(group, f"PID {group}"): np.sort(np.concatenate(of)) for group, of in members.items()}
     return replace(raw, element_sets=sets, parts=tuple(sets))
 
 
 def _without_parameters(content: bytes) -> bytes:
-    """A text file of version 4.0, which gmsh calls 4 and meshlane takes for 4.1, called so, and without the places of
-    nodes on their curves and surfaces, which meshlane refuses."""
+    """A text file of version 4.0 in a form that meshlane reads; any other unchanged.
+
+    gmsh labels this version 4, which meshlane reads as 4.1, and adds parametric coordinates, which meshlane rejects.
+    """
     if _section(content, "MeshFormat").split()[:2] not in ([b"4", b"0"], [b"4.0", b"0"]):
         return content
     nodes = _section(content, "Nodes")
@@ -67,6 +69,7 @@ def _without_parameters(content: bytes) -> bytes:
 
 
 def _section(content: bytes, name: str) -> bytes:
+    """Content of a section; empty if there is none."""
     found = re.search(rb"\$%s[ \r]*\n(.*?)\$End%s" % (name.encode(), name.encode()), content, re.DOTALL)
     return found[1] if found else b""
 
@@ -99,7 +102,7 @@ def _node_numbers(content: bytes) -> np.ndarray:
 
 
 def volumes(path: Path) -> int:
-    """How many solids the geometry of a file of version 4.1 has."""
+    """Number of solids in the geometry of a file of version 4.1."""
     content = path.read_bytes()
     binary = _section(content, "MeshFormat").split()[1] != b"0"
     return _Numbers(_section(content, "Entities"), binary).sizes(4)[3]
@@ -108,8 +111,7 @@ def volumes(path: Path) -> int:
 def _groups_of_surfaces(content: bytes) -> dict[int, list[int]]:
     """Physical groups of each surface of a file of version 4."""
     head = _section(content, "MeshFormat").split()
-    old, binary = head[0] == b"4", head[1] != b"0"
-    old = old or head[0] == b"4.0"
+    old, binary = head[0] in (b"4", b"4.0"), head[1] != b"0"
     read = _Numbers(_section(content, "Entities"), binary)
     groups: dict[int, list[int]] = {}
     counts = read.sizes(4)
@@ -126,7 +128,7 @@ def _groups_of_surfaces(content: bytes) -> dict[int, list[int]]:
 
 
 class _Numbers:
-    """Numbers one after the other, as text or as bytes."""
+    """Sequential numbers of a section, as text or binary."""
 
     def __init__(self, content: bytes, binary: bool):
         self.content, self.binary, self.at = content if binary else content.split(), binary, 0
@@ -144,6 +146,6 @@ class _Numbers:
         start = self.at
         self.at += count * (kind.itemsize if self.binary else 1)
         if self.at > len(self.content):
-            raise ValueError("the section of entities ends early")
+            raise ValueError("the section of entities is cut short; export the file again")
         piece = self.content[start : self.at]
         return np.frombuffer(piece, kind) if isinstance(piece, bytes) else piece

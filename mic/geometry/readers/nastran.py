@@ -1,28 +1,28 @@
-"""Nastran bulk data (``.bdf``, ``.nas``, ``.fem``, ``.dat``): small, large and free fields, with or without sections
-above it.
+"""Nastran bulk data (``.bdf``, ``.nas``, ``.fem``, ``.dat``) in small, large and free fields.
 
-Read here and not by a library: meshlane stumbles over the material angles of shells (``THETA``), needs a ``BEGIN BULK``
-that many preprocessors leave out, and passes over coordinate systems in silence; pyNastran brings an own world of
-cards and refuses decks that are not whole. Of a deck only points, shells and what these say of themselves are wanted.
+meshlane fails on material angles of shells (``THETA``), requires ``BEGIN BULK``, which many preprocessors omit, and
+ignores coordinate systems. pyNastran is a large package and rejects incomplete decks. Only points, shells and their
+properties are needed.
 """
 
 from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 
 from mic.errors import FormatError
 from mic.geometry.deck import Sheet
+from mic.geometry.readers.deck_text import included_file, located, refuse_recursion, text_lines
 from mic.geometry.readers.elements import Gathered
 from mic.geometry.readers.raw_mesh import RawMesh
 
 __all__ = ["cards", "read"]
 
-#: Of each kind of shell: the fields of its corners, of its other nodes, of ZOFFS, of TFLAG, and of its thicknesses.
+#: Fields of each kind of shell: corners, mid-side nodes, ZOFFS, TFLAG, thicknesses.
 SHELLS: dict[str, tuple[Sequence[int], Sequence[int], int | None, int, Sequence[int]]] = {
     "CTRIA3": (range(3, 6), (), 7, 10, range(11, 14)),
     "CTRIAR": (range(3, 6), (), 7, 10, range(11, 14)),
@@ -34,7 +34,7 @@ SHELLS: dict[str, tuple[Sequence[int], Sequence[int], int | None, int, Sequence[
     "CQUAD": (range(3, 7), range(7, 12), None, 0, ()),
 }
 SOLIDS = ("CTETRA", "CHEXA", "CPENTA", "CPYRA", "CPYRAM")
-#: Elements that are no sheet, counted.
+#: Elements other than shells and solids.
 OTHERS = re.compile(
     r"C(BAR|BEAM3?|BEND|BUSH|BUSH[12]D|CONROD|ROD|TUBE|SHEAR|ELAS\d|DAMP\d|GAP|MASS\d|VISC|WELD|FAST|SEAM|HBDY.|RAC.D"
     r"|TRIAX6?|QUADX.?|ONM[12]|ONROD)|R(BE1|BE2|BE3|BAR1?|ROD|JOINT|TRPLT1?|SSCON|SPLINE)|PLOTEL"
@@ -44,105 +44,98 @@ CASE_SET = re.compile(r"\s*SET\s+(\d+)\s*=\s*(.*)", re.IGNORECASE)
 HYPERMESH = re.compile(r'\$HMNAME\s+(COMP|PROP|PROPERTY)\s+(\d+)\s*"([^"]*)"\s*(\d*)')
 HYPERMESH_SET = re.compile(r'\$HMSET\s+(\d+)\s+([12])\s*"([^"]*)"')
 ANSA = re.compile(r"\$ANSA_NAME(?:_COMMENT)?;(\d+);(PSHELL|PCOMP|SET);([^;]*);")
-DEPTH = 20  # files that include files
+
+
+@dataclass
+class _Content:
+    """Cards of a deck that are interpreted once all are read."""
+
+    systems: dict[int, tuple[str, list[str], str]] = field(default_factory=dict)
+    grids: dict[int, tuple[str, np.ndarray]] = field(default_factory=dict)
+    normals: dict[int, tuple[str, np.ndarray]] = field(default_factory=dict)
+    default_system: str = ""
+    properties: dict[int, tuple[Sheet, str]] = field(default_factory=dict)
+    materials: dict[int, Sheet] = field(default_factory=dict)
+    shells: list[tuple[str, list[str], str]] = field(default_factory=list)
+
+    def add(self, gathered: Gathered, card: list[str], where: str) -> None:
+        """Store a card, and add its elements to the mesh."""
+        name = card[0]
+        if name == "GRID":
+            grid = (card[2], np.array([_real(text) for text in card[3:6]]))
+            before = self.grids.setdefault(int(card[1]), grid)
+            if before[0] != grid[0] or (before[1] != grid[1]).any():
+                raise FormatError(
+                    f"grid point {card[1]} is defined twice, at different positions; remove one definition"
+                )
+        elif name == "GRDSET":
+            self.default_system = card[2]
+        elif name.startswith("CORD"):
+            self.systems[int(card[1])] = (name, card, where)
+            if name[4:5] == "1" and card[5]:
+                self.systems[int(card[5])] = (name, [name, *card[5:9], *[""] * 8], where)
+        elif name == "SNORM":
+            self.normals[int(card[1])] = (card[2], np.array([_real(text) for text in card[3:6]]))
+        elif name in SHELLS:
+            self.shells.append((name, card, where))
+            corners, midside, *_ = SHELLS[name]
+            nodes = [[(int(card[i]),) for i in corners], [(int(card[i]),) for i in midside if card[i]]]
+            gathered.add_sheet((int(card[1]),), *nodes)
+        elif name == "PSHELL":
+            self.properties[int(card[1])] = _shell_property(card)
+        elif name in ("PCOMP", "PCOMPG"):
+            self.properties[int(card[1])] = _composite(card)
+        elif name == "MAT1":
+            self.materials[int(card[1])] = _material(card)
+        elif name in SOLIDS or OTHERS.fullmatch(name):
+            _add_other(gathered, name, card)
+        elif name.startswith(("CTRI", "CQUAD")):
+            raise FormatError(f"{name} is no known shell; known shells are {', '.join(SHELLS)}")
 
 
 def read(path: Path) -> RawMesh:
-    """Grid points and shells of a deck, in the basic coordinate system, and what it tells of them.
+    """Grid points and shells of a deck in the basic coordinate system, with their properties.
 
     Raises
     ------
     FormatError
-        Naming the line, if a field is no number, a coordinate system or an included file is not there, or something is
-        numbered twice.
+        Naming the line, if a number is invalid, a coordinate system or an included file does not exist, or something is
+        defined twice.
     """
-    gathered, text = Gathered(), list(_lines(path))
-    systems: dict[int, tuple[str, list[str], str]] = {}
-    grids: dict[int, tuple[str, np.ndarray]] = {}
-    normals: dict[int, tuple[str, np.ndarray]] = {}
-    default = ""
-    properties: dict[int, tuple[Sheet, str]] = {}
-    materials: dict[int, Sheet] = {}
-    shells: list[tuple[str, list[str], str]] = []
+    gathered, text, content = Gathered(), list(_lines(path)), _Content()
     for where, card in _cards(text):
-        name = card[0]
-        try:
-            if name == "GRID":
-                grid = (card[2], np.array([_real(field) for field in card[3:6]]))
-                before = grids.setdefault(int(card[1]), grid)
-                if before[0] != grid[0] or (before[1] != grid[1]).any():
-                    raise FormatError(f"grid point {card[1]} is given twice, at different places; give each once")
-            elif name == "GRDSET":
-                default = card[2]
-            elif name.startswith("CORD"):
-                systems[int(card[1])] = (name, card, where)
-                if name[4:5] == "1" and card[5]:
-                    systems[int(card[5])] = (name, [name, *card[5:9], *[""] * 8], where)
-            elif name == "SNORM":
-                normals[int(card[1])] = (card[2], np.array([_real(field) for field in card[3:6]]))
-            elif name in SHELLS:
-                shells.append((name, card, where))
-                corners, midside, *_ = SHELLS[name]
-                gathered.add_sheet(
-                    (int(card[1]),),
-                    [(int(card[field]),) for field in corners],
-                    [(int(card[field]),) for field in midside if card[field]],
-                )
-            elif name == "PSHELL":
-                properties[int(card[1])] = _shell_property(card)
-            elif name in ("PCOMP", "PCOMPG"):
-                properties[int(card[1])] = _composite(card)
-            elif name == "MAT1":
-                materials[int(card[1])] = _material(card)
-            elif name in SOLIDS or OTHERS.fullmatch(name):
-                _pass_over(gathered, name, card)
-            elif name.startswith(("CTRI", "CQUAD")):
-                raise FormatError(f"{name} is not known as a shell; known are {', '.join(SHELLS)}")
-        except FormatError as problem:
-            raise FormatError(f"{where}: {problem}") from None
-        except ValueError:
-            raise FormatError(f"{where}: a field of this {name} is no number, or is missing") from None
-    frames = _Frames(systems, grids, default)
-    for number, (system, place) in grids.items():
-        gathered.add_point((number,), tuple(frames.point(system or default, place).tolist()))
-    for number, (system, direction) in normals.items():
+        with located(where, card[0]):
+            content.add(gathered, card, where)
+    frames = _Frames(content)
+    for number, (system, position) in content.grids.items():
+        gathered.add_point((number,), tuple(frames.point(system or content.default_system, position).tolist()))
+    for number, (system, direction) in content.normals.items():
         point = gathered.points.get((number,))
         if point is not None:
             gathered.normals[number,] = tuple(frames.direction(system, direction, np.array(point)).tolist())
+    for name, card, where in content.shells:
+        with located(where, name):
+            _assign_sheet(gathered, card, content)
     names, sets = _names(text)
-    for name, card, where in shells:
-        try:
-            _tell(gathered, name, card, properties, materials)
-        except FormatError as problem:
-            raise FormatError(f"{where}: {problem}") from None
-        except ValueError:
-            raise FormatError(f"{where}: a field of this {name} is no number") from None
-    for number in dict.fromkeys(int(card[2] or card[1]) for _, card, _ in shells):
-        label, called = f"PID {number}", names.get(number)
-        # a name that two properties share stands for neither
-        alone = list(names.values()).count(called or "") == 1
-        gathered.parts.append(called if called and alone else label)
-        if called:
-            gathered.element_sets.setdefault(called, []).extend(gathered.element_sets[label])
+    gathered.name_parts((int(card[2] or card[1]) for _, card, _ in content.shells), names)
     for name, (kind, numbers) in sets.items():
-        for into in {"1": (gathered.node_sets,), "2": (gathered.element_sets,)}.get(
-            kind, (gathered.node_sets, gathered.element_sets)
-        ):
-            into.setdefault(name, []).extend((number,) for number in numbers)
+        for wanted, into in (("1", gathered.node_sets), ("2", gathered.element_sets)):
+            if kind in (wanted, ""):
+                into.setdefault(name, []).extend((number,) for number in numbers)
     return gathered.mesh("grid point")
 
 
-# ---- what cards say
+# ---- contents of cards
 
 
-def _tell(gathered: Gathered, name: str, card: list[str], properties, materials) -> None:
-    """The sheet of a shell: its property's, its own thickness and offset where it gives them."""
-    _, _, zoffs, tflag, own = SHELLS[name]
+def _assign_sheet(gathered: Gathered, card: list[str], content: _Content) -> None:
+    """Assign the sheet of a shell: that of its property, with the shell's own thickness and offset if given."""
+    _, _, zoffs, tflag, own = SHELLS[card[0]]
     number, pid = int(card[1]), int(card[2] or card[1])
-    gathered.element_sets.setdefault(f"PID {pid}", []).append((number,))
-    sheet, mid = properties.get(pid, (Sheet(), ""))
+    gathered.add_to_property(pid, (number,))
+    sheet, mid = content.properties.get(pid, (Sheet(), ""))
     if mid.isdigit():
-        of = materials.get(int(mid), Sheet())
+        of = content.materials.get(int(mid), Sheet())
         sheet = replace(sheet, young=of.young, poisson=of.poisson, material=mid)
     thicknesses = {_real(card[field]) for field in own if card[field]} if own and len(card) > own[-1] else set()
     if len(thicknesses) > 1:
@@ -158,31 +151,32 @@ def _tell(gathered: Gathered, name: str, card: list[str], properties, materials)
 
 
 def _offset(text: str, thickness: float | None) -> float:
-    """ZOFFS as a share of the thickness."""
-    if text.upper() in ("TOP", "BOTTOM"):  # the skin that the grid points lie on
+    """ZOFFS over the thickness."""
+    if text.upper() in ("TOP", "BOTTOM"):  # the skin on which the grid points lie
         return -0.5 if text.upper() == "TOP" else 0.5
     distance = _real(text)
     if not distance:
         return 0.0
     if not thickness:
-        raise FormatError("a shell has an offset (ZOFFS) and no thickness; give its PSHELL a T, or take ZOFFS out")
+        raise FormatError("a shell has an offset (ZOFFS) and no thickness; give its PSHELL a T, or remove ZOFFS")
     return distance / thickness
 
 
 def _shell_property(card: list[str]) -> tuple[Sheet, str]:
+    """Sheet and material number of a PSHELL."""
     thickness = _real(card[3]) or None
-    text = card[13] if len(card) > 13 else ""  # as OptiStruct has it
+    text = card[13] if len(card) > 13 else ""  # OptiStruct
     return Sheet(thickness, _offset(text, thickness) if text else None), card[2]
 
 
 def _composite(card: list[str]) -> tuple[Sheet, str]:
-    """PCOMP: four fields each of plies from the ninth on; a blank thickness or material is that of the ply before."""
+    """Sheet and material number of a PCOMP; a blank thickness or material repeats that of the ply before."""
     each, skipped = (4, 0) if card[0] == "PCOMP" else (8, 1)  # PCOMPG numbers its plies
     plies, mid, thickness = [], "", 0.0
-    for field in range(9 + skipped, len(card) - 3, each):
-        if not any(card[field : field + 2]):
+    for i in range(9 + skipped, len(card) - 3, each):
+        if not any(card[i : i + 2]):
             continue
-        mid, thickness = card[field] or mid, _real(card[field + 1]) if card[field + 1] else thickness
+        mid, thickness = card[i] or mid, _real(card[i + 1]) if card[i + 1] else thickness
         plies.append((mid, thickness))
     total = sum(thickness for _, thickness in plies) * (2 if card[8].upper() == "SYM" else 1)
     mids = {mid for mid, _ in plies}
@@ -191,6 +185,7 @@ def _composite(card: list[str]) -> tuple[Sheet, str]:
 
 
 def _material(card: list[str]) -> Sheet:
+    """Isotropic material; E or ν may follow from G."""
     young, shear, poisson = (_real(field) if field else None for field in card[2:5])
     if poisson is None and young and shear:
         poisson = young / (2 * shear) - 1
@@ -199,24 +194,23 @@ def _material(card: list[str]) -> Sheet:
     return Sheet(young=young, poisson=poisson)
 
 
-def _pass_over(gathered: Gathered, name: str, card: list[str]) -> None:
-    """An element that is no sheet, by its number where it has one of its own."""
-    if name in SOLIDS:
-        gathered.solids.add(name)
+def _add_other(gathered: Gathered, name: str, card: list[str]) -> None:
+    """Add an element that is no shell; elements without numbers are only counted."""
     if not card[1].isdigit():
-        gathered.uncounted[name] = gathered.uncounted.get(name, 0) + 1
+        gathered.unnumbered[name] += 1
+        gathered.solids.update({name} & {*SOLIDS})
         return
-    number = (name, int(card[1]))
-    gathered.kinds[number] = name
+    key = (name, int(card[1]))
+    gathered.add_other(key, name, name in SOLIDS)
     if name in SOLIDS and card[2].isdigit():
-        gathered.element_sets.setdefault(f"PID {int(card[2])}", []).append(number)
+        gathered.add_to_property(int(card[2]), key)
 
 
 class _Frames:
-    """Coordinate systems, each given in another or by three grid points."""
+    """Coordinate systems, each defined in another one or by three grid points."""
 
-    def __init__(self, systems, grids, default):
-        self.systems, self.grids, self.default = systems, grids, default
+    def __init__(self, content: _Content):
+        self.content = content
         self.known: dict[int, tuple[str, np.ndarray, np.ndarray]] = {0: ("R", np.zeros(3), np.eye(3))}
 
     def point(self, system: str, place: np.ndarray) -> np.ndarray:
@@ -247,48 +241,47 @@ class _Frames:
         return axes @ (vector[0] * away + vector[1] * np.cross(around, away) + vector[2] * around)
 
     def _frame(self, text: str, above: tuple[int, ...] = ()) -> tuple[str, np.ndarray, np.ndarray]:
+        """Kind, origin and axes of a coordinate system."""
         if text and not text.isdigit():
-            raise FormatError(f"a coordinate system is called {text!r}, and it must be a number")
+            raise FormatError(f"the coordinate system {text!r} must be a number")
         number = int(text or 0)
         if number in self.known:
             return self.known[number]
-        if number not in self.systems:
-            raise FormatError(f"points are given in coordinate system {number}, which is not there")
-        name, card, where = self.systems[number]
+        if number not in self.content.systems:
+            raise FormatError(f"points refer to coordinate system {number}, which does not exist; add it")
+        name, card, where = self.content.systems[number]
         if number in above:
-            raise FormatError(f"{where}: coordinate system {number} is given in terms of itself")
-        try:
-            if name[4:5] == "1":
-                places = [self._grid(int(field), (*above, number)) for field in card[2:5]]
-            else:
-                values = np.array([_real(field) for field in card[3:12]]).reshape(3, 3)
-                places = [self._through(card[2], place, (*above, number)) for place in values]
-        except FormatError:
-            raise
-        except (ValueError, IndexError):
-            raise FormatError(f"{where}: a field of this {name} is no number, or is missing") from None
+            raise FormatError(f"{where}: coordinate system {number} is defined by itself; correct its reference")
+        by_points = name[4:5] == "1"
+        with located(where, name):
+            points = [int(text) for text in card[2:5]] if by_points else []
+            values = np.zeros((0, 3)) if by_points else np.reshape([_real(text) for text in card[3:12]], (3, 3))
+        places = [self._grid(point, (*above, number)) for point in points]
+        places += [self._through(card[2], place, (*above, number)) for place in values]
         origin, on_z, in_xz = places
         z = on_z - origin
         y = np.cross(z, in_xz - origin)
         if not np.linalg.norm(y) > 0:
-            raise FormatError(f"{where}: the three points of coordinate system {number} lie on a line")
+            raise FormatError(f"{where}: the three points of coordinate system {number} are collinear; correct them")
         y, z = y / np.linalg.norm(y), z / np.linalg.norm(z)
         self.known[number] = (name[5:6] or "R", origin, np.column_stack([np.cross(y, z), y, z]))
         return self.known[number]
 
     def _grid(self, number: int, above: tuple[int, ...]) -> np.ndarray:
-        if number not in self.grids:
-            raise FormatError(f"a coordinate system names the grid point {number}, which is not given")
-        system, place = self.grids[number]
-        return self._through(system or self.default, place, above)
+        """A grid point in the basic system."""
+        if number not in self.content.grids:
+            raise FormatError(f"a coordinate system refers to grid point {number}, which does not exist; add it")
+        system, place = self.content.grids[number]
+        return self._through(system or self.content.default_system, place, above)
 
     def _through(self, system: str, place: np.ndarray, above: tuple[int, ...]) -> np.ndarray:
+        """A point given in a system, in the basic system."""
         self._frame(system, above)
         return self.point(system, place)
 
 
 def _names(text: list[tuple[str, str]]) -> tuple[dict[int, str], dict[str, tuple[str, list[int]]]]:
-    """Names of properties, and sets of the case control with their kind, as preprocessors write them into comments."""
+    """Names of properties and sets, with their kind, that preprocessors write into comments."""
     names: dict[int, str] = {}
     properties: dict[int, str] = {}
     called: dict[int, tuple[str, str]] = {}
@@ -297,7 +290,7 @@ def _names(text: list[tuple[str, str]]) -> tuple[dict[int, str], dict[str, tuple
     for _, line in text:
         if line.startswith("$"):
             if found := HYPERMESH.match(line):
-                # a component names its property behind its own number
+                # the number of a component's property follows its name
                 (names if found[1] == "COMP" else properties)[int(found[4] or found[2])] = found[3]
             elif found := HYPERMESH_SET.match(line):
                 called[int(found[1])] = (found[2], found[3])
@@ -331,6 +324,7 @@ def _names(text: list[tuple[str, str]]) -> tuple[dict[int, str], dict[str, tuple
 
 
 def _extend(numbers: list[int], words: list[str]) -> None:
+    """Add the numbers of a set, with ranges by THRU."""
     for place, word in enumerate(words):
         if word == "THRU":
             continue
@@ -340,14 +334,13 @@ def _extend(numbers: list[int], words: list[str]) -> None:
             numbers.append(int(word))
 
 
-# ---- the text of a deck
+# ---- lines and cards
 
 
 def _lines(path: Path, above: tuple[Path, ...] = ()) -> Iterator[tuple[str, str]]:
-    """Place and text of every line, included files in their places."""
-    if path in above or len(above) > DEPTH:
-        raise FormatError(f"{above[-1].name} includes {path.name}, which includes it in turn")
-    lines = iter(enumerate(path.read_text(encoding="utf-8-sig", errors="replace").splitlines(), 1))
+    """Place and text of every line, with included files in their places."""
+    refuse_recursion(path, above)
+    lines = iter(enumerate(text_lines(path), 1))
     for number, line in lines:
         where = f"line {number}" + (f" of {path.name}" if above else "")
         begun = re.match(r"\s*INCLUDE\s*(['\"]?)(.*)", line, re.IGNORECASE)
@@ -358,22 +351,19 @@ def _lines(path: Path, above: tuple[Path, ...] = ()) -> Iterator[tuple[str, str]
         while begun[1] and not name.endswith(begun[1]):  # a name may go on in the next line
             rest = next(lines, None)
             if rest is None:
-                raise FormatError(f"{where}: the name of the included file has no end")
+                raise FormatError(f"{where}: the name of the included file has no closing quote; add it")
             name += rest[1].strip()
         name = (name[: -len(begun[1])] if begun[1] else name.split("$")[0]).strip()
-        other = path.parent / name.replace("\\", "/")
-        if not name or not other.is_file():
-            raise FormatError(f"{where}: it includes {name or 'a file without a name'}, and there is no file {other}")
-        yield from _lines(other, (*above, path))
+        yield from _lines(included_file(path, name, where), (*above, path))
 
 
 def cards(path: Path) -> Iterator[tuple[str, list[str]]]:
-    """Place and fields of every card of a deck, see :func:`read`; at least eight fields, blank where nothing stands."""
+    """Place and fields of every card of a deck; eight blank fields are appended."""
     return _cards(list(_lines(path)))
 
 
 def _cards(text: list[tuple[str, str]]) -> Iterator[tuple[str, list[str]]]:
-    """Place and fields of every card, its continuations joined; eight fields stand for a missing rest."""
+    """Place and fields of every card with its continuations; eight blank fields are appended."""
     begin = [i for i, (_, line) in enumerate(text) if re.match(r"\s*BEGIN\b", line, re.IGNORECASE)]
     place, card = "", []
     mark = ""
@@ -387,7 +377,7 @@ def _cards(text: list[tuple[str, str]]) -> Iterator[tuple[str, list[str]]]:
             break
         if head[:1] in ("", "+", "*"):
             if head[1:] and before[1:] and head[1:] != before[1:]:
-                raise FormatError(f"{where}: the line {head} does not follow the one that it goes on from, {before}")
+                raise FormatError(f"{where}: the continuation {head} does not follow {before}; restore the order")
             card += fields
         else:
             if card:
@@ -398,14 +388,17 @@ def _cards(text: list[tuple[str, str]]) -> Iterator[tuple[str, list[str]]]:
 
 
 def _fields(line: str) -> tuple[str, list[str], str]:
-    """Name in capitals (a continuation's is empty or begins with + or *), data fields of one line, and its last field,
-    which the continuation of the line bears as its name."""
+    """Name, data fields and last field of a line.
+
+    The name is in capitals; that of a continuation is empty or begins with + or *, and equals the last field of the
+    line before.
+    """
     line = line.expandtabs(8)
     if "," in line:
         head, *fields = (field.strip() for field in line.split(","))
         wanted = 4 if head.endswith("*") or head.startswith("*") else 8
         if any(fields[wanted + 1 :]):
-            raise FormatError(f"a line of free fields has more than {wanted + 2}: {line.strip()[:60]}")
+            raise FormatError(f"a line of free fields has more than {wanted + 2} fields: continue {line.strip()[:60]}")
         fields, mark = fields[:wanted], "".join(fields[wanted : wanted + 1])
     else:
         head = line[:8].strip()
@@ -417,6 +410,7 @@ def _fields(line: str) -> tuple[str, list[str], str]:
 
 
 def _real(field: str) -> float:
+    """The number of a field, also with an exponent without its letter (1.5-3); 0 for a blank field."""
     if not field:
         return 0.0
     try:

@@ -1,4 +1,4 @@
-"""What a reader returns: the sheet elements of a mesh file as they stand there, not repaired, nothing refused."""
+"""Contents of a mesh file as a reader returns them, neither checked nor repaired."""
 
 from __future__ import annotations
 
@@ -13,43 +13,43 @@ from mic.geometry.deck import Sheet
 
 __all__ = ["RawMesh", "from_meshlane"]
 
-SOLIDS = ("tetra", "hexa", "wedge", "pyramid", "polyhedron")  # beginnings of meshlane's names of solid elements
+SOLIDS = ("tetra", "hexa", "wedge", "pyramid", "polyhedron")  # prefixes of meshlane's names of solid elements
 
 
 @dataclass(frozen=True)
 class RawMesh:
-    """Content of a mesh file.
+    """Contents of a mesh file.
 
-    Elements are numbered from zero, all triangles first, then the quadrilaterals.
+    Elements are numbered from zero, triangles first, then quadrilaterals.
 
     Attributes
     ----------
     points : (n, 3) array
         In the unit of the file.
     triangles : (k, 3) int array
-        Point numbers from zero; of elements with mid-side nodes the corners.
+        Point numbers from zero; only the corners of elements with mid-side nodes.
     quadrilaterals : (q, 4) int array
-        As for triangles.
+        Likewise.
     solids : tuple of str
-        Kinds of solid elements that the file holds.
+        Kinds of solid elements in the file.
     others : dict of str to int
-        Kinds of further elements that were passed over, such as beams, and how many.
+        Number of other ignored elements, such as beams, by kind.
     triangle_normals, quadrilateral_normals : (k, 3, 3) and (q, 4, 3) array, optional
-        Normals of the sheet at the elements' corners, where the file tells them; NaN where it does not.
+        Normals of the sheet at the elements' corners; NaN where not given.
     nodes : (n,) int array, optional
         Numbers of the points in the file.
     node_sets, element_sets : dict of str to int array
-        Points and elements by the names of their sets.
+        Points and elements by set name.
     others_of_sets : dict of str to tuple of str
-        Kinds of elements other than sheets, solids too, by the names of the sets that hold them.
+        Kinds of elements other than shells, by the name of the set that holds them.
     parts : tuple of str
-        Those of the element sets that are parts, see :class:`mic.geometry.deck.Deck`.
+        Element sets that are parts, see :class:`mic.geometry.deck.Deck`.
     sheets : tuple of Sheet
         In the unit of the file.
     sheet_of : (k + q,) int array, optional
         Sheet of each element, -1 for none.
     midside_nodes : int
-        How many were dropped.
+        Number of dropped mid-side nodes.
     """
 
     points: np.ndarray
@@ -68,8 +68,8 @@ class RawMesh:
     sheet_of: np.ndarray | None = None
     midside_nodes: int = 0
 
-    def called(self, name: str) -> str:
-        """The element set of a name, in any case of its letters; a property by its number alone.
+    def set_name(self, name: str) -> str:
+        """The element set of a name, ignoring case; a property may be given by its number alone.
 
         Raises
         ------
@@ -86,19 +86,19 @@ class RawMesh:
         listed = ", ".join(repr(other) for other in known[:20]) + (", …" if len(known) > 20 else "")
         raise FormatError(
             f"there is no element set {name!r}; "
-            + (f"it holds {listed}" if known else "it holds no sets: leave `set` out")
+            + (f"the file holds {listed}" if known else "the file holds no sets: remove `set`")
         )
 
     def selected(self, sets: Iterable[str]) -> RawMesh:
-        """The elements of some sets alone, and their points; of all sets what is among them.
+        """The elements of some sets and their points; the sets are restricted to these.
 
         Raises
         ------
         FormatError
-            If a set is not there, or holds solid elements or no sheets.
+            If a set does not exist, holds solid elements, or no shells.
         """
         chosen = np.zeros(len(self.triangles) + len(self.quadrilaterals), dtype=bool)
-        for name in map(self.called, sets):
+        for name in map(self.set_name, sets):
             solids = sorted(set(self.others_of_sets.get(name, ())).intersection(self.solids))
             if solids:
                 raise FormatError(f"the set {name!r} holds solid elements ({', '.join(solids)}); give the mid-surface")
@@ -133,12 +133,12 @@ class RawMesh:
 
 
 def from_meshlane(mesh: Any) -> RawMesh:
-    """The sheet elements of a ``meshlane.Mesh``, and its sets."""
+    """The shell elements of a ``meshlane.Mesh``, and its sets."""
     blocks = [(block.type, np.asarray(block.data)) for block in mesh.cells]
     points = np.zeros((len(mesh.points), 3))
     if len(mesh.points):
         points[:, : mesh.points.shape[1]] = mesh.points
-    first: dict[int, int] = {}  # element number of the first of each block of sheets
+    first: dict[int, int] = {}  # element number of the first element of each block of shells
     corners: dict[str, np.ndarray] = {}
     for kind, count in (("triangle", 3), ("quad", 4)):
         found = [np.zeros((0, count), dtype=np.int64)]

@@ -1,4 +1,4 @@
-"""Universal files of I-DEAS (``.unv``), as Salome, gmsh and many test systems write them: nodes, shells, groups."""
+"""I-DEAS universal files (``.unv``) of Salome, gmsh and many test systems: nodes, shells, groups."""
 
 from __future__ import annotations
 
@@ -8,15 +8,16 @@ from pathlib import Path
 import numpy as np
 
 from mic.errors import FormatError
+from mic.geometry.readers.deck_text import located, real, text_lines
 from mic.geometry.readers.elements import Gathered
 from mic.geometry.readers.raw_mesh import RawMesh
 
 __all__ = ["read"]
 
-#: Corners and all nodes by the number of a shell's or membrane's kind; midside nodes stand between the corners.
+#: Number of nodes by the kind of a shell or membrane; mid-side nodes lie between the corners.
 SHEETS = {41: 3, 51: 3, 61: 3, 74: 3, 91: 3, 42: 6, 52: 6, 62: 6, 72: 6, 92: 6}
 SHEETS |= {44: 4, 54: 4, 64: 4, 71: 4, 94: 4, 45: 8, 55: 8, 65: 8, 75: 8, 95: 8}
-BEAMS = (11, 21, 22, 23, 24)  # one more line each
+BEAMS = (11, 21, 22, 23, 24)  # these have an additional line
 SOLIDS = range(101, 119)
 GROUPS = ("2429", "2430", "2432", "2435", "2452", "2467", "2477")
 
@@ -27,12 +28,12 @@ def read(path: Path) -> RawMesh:
     Raises
     ------
     FormatError
-        Naming the dataset, if it is cut short, holds what is no number, or nodes in a curved coordinate system.
+        Naming the dataset, if it is truncated, holds an invalid number, or nodes in a local coordinate system.
     """
     gathered = Gathered()
-    systems, turned = set[int](), set[int]()  # those that nodes stand in, those that are not the global one
+    systems, turned = set[int](), set[int]()  # those of nodes, and those other than the global one
     for where, name, lines in _datasets(path):
-        try:
+        with located(where, f"dataset {name}"):
             if name in ("781", "2411"):
                 for head, place in zip(lines[::2], lines[1::2]):
                     gathered.add_point((int(head.split()[0]),), _place(place.split()))
@@ -46,26 +47,25 @@ def read(path: Path) -> RawMesh:
             elif name in GROUPS:
                 _groups(gathered, name, lines)
             elif name in ("780", "2416"):
-                raise FormatError("elements of this age are not read; export dataset 2412")
+                raise FormatError("elements of this former format are not supported; export dataset 2412")
             elif name == "2420":
                 turned |= _turned_systems(lines)
-        except FormatError as problem:
-            raise FormatError(f"{where} (dataset {name}): {problem}") from None
-        except (ValueError, IndexError):
-            raise FormatError(f"{where} (dataset {name}): a field is no number, or is missing") from None
     if systems & turned:
         raise FormatError(
-            f"nodes are given in coordinate system {min(systems & turned)}, which is not the global one; export the "
-            "mesh in global coordinates"
+            f"nodes are defined in coordinate system {min(systems & turned)}, which is not the global one; export "
+            "the mesh in global coordinates"
         )
     return gathered.mesh()
 
 
 def _datasets(path: Path) -> Iterator[tuple[str, str, list[str]]]:
-    lines = path.read_text(encoding="utf-8-sig", errors="replace").splitlines()
+    """Place, number and lines of every dataset."""
+    lines = text_lines(path)
     marks = [number for number, line in enumerate(lines) if line.strip() == "-1"]
     if len(marks) < 2:
-        raise FormatError("it holds no dataset between lines of -1; it is no universal file, or cut short")
+        raise FormatError(
+            "no dataset between lines of -1: the file is no universal file, or cut short; export it again"
+        )
     if len(marks) % 2:
         raise FormatError(f"line {marks[-1] + 1}: this dataset has no end; the file is cut short, export it again")
     for start, end in zip(marks[::2], marks[1::2]):
@@ -74,11 +74,13 @@ def _datasets(path: Path) -> Iterator[tuple[str, str, list[str]]]:
 
 
 def _place(fields: list[str]) -> tuple[float, ...]:
-    x, y, z = (float(text.upper().replace("D", "E")) for text in fields)
+    """Coordinates of a node."""
+    x, y, z = (real(text) for text in fields)
     return x, y, z
 
 
 def _elements(gathered: Gathered, lines: list[str]) -> None:
+    """Elements of dataset 2412, with sets by property."""
     rest = iter(lines)
     for head in rest:
         label, kind, prop, _, _, count = (int(text) for text in head.split()[:6])
@@ -88,27 +90,25 @@ def _elements(gathered: Gathered, lines: list[str]) -> None:
         while len(nodes) < count:
             line = next(rest, None)
             if line is None:
-                raise FormatError(f"element {label} has fewer nodes than the {count} that it announces")
+                raise FormatError(f"element {label} has fewer than its {count} nodes; export the file again")
             nodes += [int(text) for text in line.split()]
         if kind not in SHEETS:
             name = f"kind {kind}"
-            gathered.kinds[name, label] = name
-            if kind in SOLIDS:
-                gathered.solids.add(name)
+            gathered.add_other((name, label), name, kind in SOLIDS)
             continue
-        if count != SHEETS[kind] and (SHEETS[kind], count) != (4, 9):  # gmsh calls its nine nodes so
+        if count != SHEETS[kind] and (SHEETS[kind], count) != (4, 9):  # nine nodes in files of gmsh
             raise FormatError(f"element {label}: an element of kind {kind} has {SHEETS[kind]} nodes, not {count}")
         if count == 9:
             nodes = [node for pair in zip(nodes[:4], nodes[4:8]) for node in pair]
         step = 2 if count > 4 else 1
         midside = nodes[1::2] if step == 2 else []
         gathered.add_sheet((label,), [(node,) for node in nodes[::step]], [(node,) for node in midside])
-        gathered.element_sets.setdefault(f"PID {prop}", []).append((label,))
+        gathered.add_to_property(prop, (label,))
     gathered.parts = list(gathered.element_sets)
 
 
 def _groups(gathered: Gathered, name: str, lines: list[str]) -> None:
-    """Groups: a line of numbers with the count of members, the name, and members of four numbers, kind and label."""
+    """Groups: a line of numbers with the member count, the name, and members of kind, label and further numbers."""
     rest = iter(lines)
     for head in rest:
         count, title = int(head.split()[7]), next(rest, "").strip()
@@ -117,7 +117,7 @@ def _groups(gathered: Gathered, name: str, lines: list[str]) -> None:
         while len(numbers) < each * count:
             line = next(rest, None)
             if line is None:
-                raise FormatError(f"the group {title!r} has fewer members than the {count} that it announces")
+                raise FormatError(f"the group {title!r} has fewer than its {count} members; export the file again")
             numbers += [int(text) for text in line.split()]
         members = np.reshape(numbers[: each * count], (-1, each))[:, :2].tolist()
         for kind, into in ((7, gathered.node_sets), (8, gathered.element_sets)):
@@ -127,12 +127,12 @@ def _groups(gathered: Gathered, name: str, lines: list[str]) -> None:
 
 
 def _turned_systems(lines: list[str]) -> set[int]:
-    """Numbers of the coordinate systems that are not the global one."""
+    """Numbers of the coordinate systems other than the global one."""
     found, rest = set(), iter(lines[2:])
     for head in rest:
         label, kind = (int(text) for text in head.split()[:2])
         next(rest, None)
-        rows = [[float(text.upper().replace("D", "E")) for text in next(rest, "").split()] for _ in range(4)]
+        rows = [[real(text) for text in next(rest, "").split()] for _ in range(4)]
         if kind or not np.array_equal(rows, np.eye(4, 3)):
             found.add(label)
     return found

@@ -1,4 +1,4 @@
-"""VTK's XML files of unstructured grids (``.vtu``): meshes of parts, and fields over surfaces, which ParaView shows."""
+"""VTK XML files of unstructured grids (``.vtu``): meshes of parts, and fields on surfaces for ParaView."""
 
 from __future__ import annotations
 

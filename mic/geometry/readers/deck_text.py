@@ -1,0 +1,59 @@
+"""Functions that the readers of text decks share: lines, numbers, included files, and messages with their place."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from mic.errors import FormatError
+
+__all__ = ["included_file", "located", "real", "refuse_recursion", "text_lines"]
+
+DEPTH = 20  # most files that include each other
+
+
+def text_lines(path: Path) -> list[str]:
+    """Lines of a text file; bytes that are not UTF-8 are replaced."""
+    return path.read_text(encoding="utf-8-sig", errors="replace").splitlines()
+
+
+def real(text: str) -> float:
+    """The number of a field, also with the exponent D of FORTRAN; 0 for a blank field."""
+    return float(text.upper().replace("D", "E")) if text else 0.0
+
+
+@contextmanager
+def located(where: str, block: str) -> Iterator[None]:
+    """Add the place, and the name of the block that is read, to the message of an error."""
+    try:
+        yield
+    except FormatError as problem:
+        raise FormatError(f"{where}: {problem}") from None
+    except (ValueError, IndexError):
+        raise FormatError(f"{where}: a field of this {block} is no number, or is missing") from None
+
+
+def refuse_recursion(path: Path, including: tuple[Path, ...]) -> None:
+    """Refuse a file that is included by a file that it includes."""
+    if path in including or len(including) > DEPTH:
+        raise FormatError(
+            f"{including[-1].name} includes {path.name}, which includes it in turn; remove one of these lines"
+        )
+
+
+def included_file(path: Path, name: str, where: str) -> Path:
+    """Path of a file that the deck at `path` includes.
+
+    Raises
+    ------
+    FormatError
+        If it does not exist.
+    """
+    other = path.parent / name.replace("\\", "/")
+    if not name or not other.is_file():
+        raise FormatError(
+            f"{where}: it includes {name or 'a file without a name'}, and there is no file {other}; put it there, or "
+            "correct the name"
+        )
+    return other

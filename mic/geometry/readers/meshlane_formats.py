@@ -1,0 +1,52 @@
+"""Formats that meshlane reads: STL, PLY, OBJ, OFF, Medit, SU2, legacy VTK and XDMF.
+
+STL has no common points; `repair` merges them. XDMF needs h5py, which is no dependency: its wheels contain an HDF5
+library that conflicts with that of a distribution's dolfinx, which brings its own h5py.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from io import StringIO
+from pathlib import Path
+
+import meshlane
+
+from mic.errors import FormatError
+from mic.geometry.readers.deck_text import text_lines
+from mic.geometry.readers.raw_mesh import RawMesh, from_meshlane
+
+__all__ = ["READERS"]
+
+
+def _read_ply(path: Path) -> RawMesh:
+    """PLY; refuses a file without the end of its header, in which meshlane would loop forever."""
+    if b"end_header" not in path.read_bytes():
+        raise FormatError("the header has no end: the file is cut short; export it again")
+    return from_meshlane(meshlane.ply.read(path))
+
+
+def _read_obj(path: Path) -> RawMesh:
+    """Points and faces of a Wavefront OBJ; textures and normals need not be given by point, and are ignored."""
+    lines = [line for line in text_lines(path) if line.split(maxsplit=1)[:1] in (["v"], ["f"])]
+    return from_meshlane(meshlane.obj.read(StringIO("\n".join(lines) + "\n")))
+
+
+def _read_off(path: Path) -> RawMesh:
+    """Triangles of an OFF file; refuses a bare header, in which meshlane would loop forever."""
+    if sum(bool(line.split("#")[0].strip()) for line in text_lines(path)) < 2:
+        raise FormatError("it ends with its header, and holds no mesh; export it again")
+    return from_meshlane(meshlane.off.read(path))
+
+
+READERS: dict[str, Callable[[Path], RawMesh]] = {
+    ".mesh": lambda path: from_meshlane(meshlane.medit.read(path)),
+    ".meshb": lambda path: from_meshlane(meshlane.medit.read(path)),
+    ".obj": _read_obj,
+    ".off": _read_off,
+    ".ply": _read_ply,
+    ".stl": lambda path: from_meshlane(meshlane.stl.read(path)),
+    ".su2": lambda path: from_meshlane(meshlane.su2.read(path)),
+    ".vtk": lambda path: from_meshlane(meshlane.vtk.read(path)),
+    ".xdmf": lambda path: from_meshlane(meshlane.xdmf.read(path)),
+}
