@@ -74,12 +74,12 @@ def _step_sentence(scene, step: Step) -> str:
 
 def _clauses(scene, action: Action) -> Iterable[str]:
     if isinstance(action, Placement):
-        there, locators = set_down_in(scene), [scene.locators[i] for i in action.locators]
-        others = [one.name for one in locators if there[one.part] != one.stage]
+        placed_in, locators = set_down_in(scene), [scene.locators[i] for i in action.locators]
+        others = [one.name for one in locators if placed_in[one.part] != one.stage]
         if others:
             yield f"all locators and clamps open, and the assembly is placed on {_enumeration(others)}"
         for part in scene.parts:
-            names = [one.name for one in locators if one.part == part.name and there[one.part] == one.stage]
+            names = [one.name for one in locators if one.part == part.name and placed_in[one.part] == one.stage]
             if names:
                 yield f"{part.name} is placed on {_enumeration(names)}"
         if action.weights:

@@ -246,8 +246,8 @@ def plan_stages(scene, weld_size, limited: bool = True) -> list[StagePlan]:
     """
     rows = _Rows(scene, Joints(tuple(weld_size)), limited)
     plans: list[StagePlan] = []
-    there = set_down_in(scene)
-    waiting = (i for i, one in enumerate(scene.locators) if one.stage == there[one.part] != scene.stages[0].name)
+    placed_in, first_stage = set_down_in(scene), scene.stages[0].name
+    waiting = (i for i, item in enumerate(scene.locators) if item.stage == placed_in[item.part] != first_stage)
     fixture = Fixture(waiting=tuple(waiting))
     away = tuple(range(len(scene.zones)))
     pending, first, fixtures = False, True, set[str]()
@@ -333,8 +333,8 @@ def _parts_of(scene, fixture: Fixture) -> set[str]:
 
 def _parked(scene, fixture: Fixture) -> tuple[int, ...]:
     """Numbers of the parts that are not placed yet."""
-    there = _parts_of(scene, fixture)
-    return tuple(i for i, part in enumerate(scene.parts) if part.name not in there)
+    placed = _parts_of(scene, fixture)
+    return tuple(i for i, part in enumerate(scene.parts) if part.name not in placed)
 
 
 def _station_fixtures(scene, stage) -> set[str]:
