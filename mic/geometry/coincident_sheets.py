@@ -59,7 +59,7 @@ def refuse_coincident(key: str, names: Sequence[str], pairs: list[ContactPair], 
     key : str
         Key of the zone in the scene, for messages.
     names : (2,) sequence of str
-        Of the bodies.
+        Names of the bodies.
     pairs : list of ContactPair
     first, second : Side
 

@@ -74,7 +74,7 @@ def load_part(part: Any, folder: Path, cache: Path, size: float | None = None) -
     ----------
     part : mic.scene.part.Part
     folder : Path
-        Of the scene file; the part's paths are relative to it.
+        Folder of the scene file; the part's paths are relative to it.
     cache : Path
     size : float, optional
         Element size, mm, of a part that gives none; may be a :class:`mic.geometry.grading.GradedSize`.
@@ -142,7 +142,7 @@ def load_fixture(fixture: Any, folder: Path) -> tuple[Surface, dict[str, str | N
     ----------
     fixture : mic.scene.fixture.Fixture
     folder : Path
-        Of the scene file; the fixture's mesh is relative to it.
+        Folder of the scene file; the fixture's mesh is relative to it.
 
     Raises
     ------

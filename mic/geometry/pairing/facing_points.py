@@ -25,7 +25,7 @@ class FacingPoints:
     ----------
     triangle, barycentric, point : (n,), (n, 3) and (n, 3) array
     normal : (n, 3) array
-        Of the sampled surface, pointing towards the other body.
+        Normals of the sampled surface, pointing towards the other body.
     area : (n,) array
         Area or length that each point represents.
     distance : (n,) array

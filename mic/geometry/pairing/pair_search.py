@@ -91,7 +91,7 @@ def find_pairs(
 def _stated_centres(zone, cloud, face, farthest, tie):
     """Sheet side of each point that a zone states, and the points.
 
-    Where a sheet faces the other body on both its sides, it is the side on which the point lies.
+    If a sheet faces the other body on both its sides, it is the side on which the point lies.
     """
     centres = np.array(zone.points)
     many = min(2, len(cloud.area))
