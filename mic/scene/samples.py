@@ -10,7 +10,7 @@ import pandas as pd
 from mic.errors import SceneError
 from mic.scene.checks import entry
 from mic.scene.deviation import ShapeDeviation
-from mic.scene.schema import Scene
+from mic.scene.schema import DESIGNS, Scene
 from mic.scene.stages import check_known, error_lines
 from mic.scene.tables import DECIMAL, read_cells, read_number
 from mic.system.files import fingerprint
@@ -18,8 +18,6 @@ from mic.system.files import fingerprint
 __all__ = ["DESIGNS", "take_samples"]
 
 FAR = 100.0  # σ: values farther off are in another unit
-#: Samples per independent group of each sampling design.
-DESIGNS = {"independent": 1, "antithetic": 2, "latin-hypercube": 50, "sobol": 64}
 
 
 def take_samples(scene: Scene) -> tuple[Scene, dict[str, str | None]]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from pydantic import BaseModel, Field, field_validator, model_validator
 
@@ -16,17 +16,28 @@ from mic.scene.measurement import Measurement
 from mic.scene.optimisation import Optimisation
 from mic.scene.part import Part
 from mic.scene.process import FollowedPath, Stage
-from mic.scene.settings import fill_in
+from mic.scene.settings import SETTINGS, fill_in
 from mic.scene.tables import expand_tables
 from mic.scene.weld import Weld
 from mic.scene.zone import Zone
 
 __all__ = [
+    "DESIGNS",
     "MonteCarlo",
     "Report",
     "Scene",
     "TABLES",
 ]
+
+#: Samples per independent group of each sampling design.
+DESIGNS = {"independent": 1, "antithetic": 2, "latin-hypercube": 50, "sobol": 64}
+
+if TYPE_CHECKING:
+    DesignName = str
+    SettingName = str
+else:
+    DesignName = Literal[tuple(DESIGNS)]
+    SettingName = Literal[tuple(SETTINGS)]
 
 
 class Report(Table):
@@ -77,7 +88,7 @@ class MonteCarlo(Table):
         "it is reached, `samples` at most",
     )
     seed: Annotated[Count, Field(ge=0, lt=2**63)] = Field(1, description="of the random numbers")
-    design: Literal["independent", "antithetic", "latin-hypercube", "sobol"] = Field(
+    design: DesignName = Field(
         "independent",
         description="independent samples; pairs of opposite deviations; Latin hypercubes of 50 samples; "
         "scrambled Sobol' sequences of 64. `samples` is a multiple of 2, 50 or 64",
@@ -111,9 +122,7 @@ class Scene(Table):
 
     name: Name = Field(description="name of the results folder; letters, digits, `_ . + -`")
     description: str = Field("", description="one sentence for the report")
-    setting: Literal["draft", "standard", "reference"] | None = Field(
-        None, description="defaults for accuracy, see below"
-    )
+    setting: SettingName | None = Field(None, description="defaults for accuracy, see below")
     element: Name = Field(
         "dkt-opt-curved",
         description="shell element: `dkt-opt-curved`, the production shell; `dkt-opt`, the same on flat "
