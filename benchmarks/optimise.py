@@ -16,12 +16,12 @@ import numpy as np
 import mic
 from mic import examples
 from mic.studies.optimisation.design import Space
-from mic.studies.optimisation.evaluations import Spent, Trials
+from mic.studies.optimisation.evaluations import BudgetExceeded, DesignEvaluator
 from mic.studies.optimisation.optimum import judged, optimise
 from mic.studies.optimisation.search import random_design
 
 
-def by_chance(trials: Trials, stream: np.random.Generator):
+def by_chance(trials: DesignEvaluator, stream: np.random.Generator):
     """The best of random designs, as many as the budget allows, and how many they were."""
     best, count = trials.space.stated, 0
     try:
@@ -30,7 +30,7 @@ def by_chance(trials: Trials, stream: np.random.Generator):
             design = random_design(trials.space, stream)
             best = design if trials.merit(design) < trials.merit(best) else best
             count += 1
-    except Spent:
+    except BudgetExceeded:
         return best, count
 
 
@@ -51,7 +51,7 @@ def main():
     found = optimise(model, law, given.samples, given.fresh, given.budget, given.seed, ledger=ledger, better=tell)
     show("optimised", found, time.process_time() - before)
     before = time.process_time()
-    trials = Trials(model, Space(model), law, found.samples, given.seed, found.evaluations, ledger=ledger)
+    trials = DesignEvaluator(model, Space(model), law, found.samples, given.seed, found.evaluations, ledger=ledger)
     best, count = by_chance(trials, np.random.default_rng(given.seed))
     show(f"best of {count} at random", judged(trials, best, found.samples, given.fresh), time.process_time() - before)
 

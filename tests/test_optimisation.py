@@ -252,10 +252,10 @@ def test_what_stands_together_in_the_scene_changes_its_order_together():
     ]
     # one order of the clamps is the stated one, and one of the release; welds are made together
     assert len(all_designs(space)) == 2 * 3 * 6 and all_designs(space)[0] == space.stated
-    assert all_designs(space, most=20) is None
+    assert all_designs(space, limit=20) is None
     design = random_design(space, np.random.default_rng(0))
     assert sorted(name for group in design.orders[0] for name in group) == ["C1-lower", "C1-upper", "C2"]
-    assert scene_differences(space.scene, space.changed(design))
+    assert scene_differences(space.scene, space.with_design(design))
 
 
 class Jobs:
@@ -333,7 +333,7 @@ def test_items_at_other_places_are_those_of_a_scene_that_states_them(fused, time
     sites, x = RelocatedModels(space, cache), draw(model.scene, 1, 0, 3)
     read = []
     for places in ((2, 0), (1, 1)):
-        scene = space.stood(Design((), (), places))
+        scene = space.with_places_of(Design((), (), places))
         read.append(sites.model(scene).evaluate(x, "coulomb").measurements)
         np.testing.assert_allclose(read[-1], mic.reduce(scene, cache).evaluate(x, "coulomb").measurements, atol=1e-9)
     assert np.abs(read[1] - read[0]).max() > 1e-3
@@ -353,7 +353,7 @@ def test_the_best_of_all_places_is_found(cache):
     sites, x = RelocatedModels(space, cache), draw(model.scene.model_copy(update={"monte_carlo": carlo}), 1, 0, 20)
     spread = {}
     for places in product(range(3)):
-        moved = sites.model(space.stood(Design((), (), places))) if any(places) else model
+        moved = sites.model(space.with_places_of(Design((), (), places))) if any(places) else model
         spread[places] = 6 * moved.evaluate(x, "coulomb").measurements.std(0, ddof=1).max()
     best = min(spread, key=spread.get)
     assert any(best) and spread[best] < 0.99 * spread[0,], "it matters where they stand"

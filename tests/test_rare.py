@@ -14,7 +14,7 @@ from mic.options import app
 from mic.report.driver_sentences import design_words
 from mic.results.schema import DESIGN_POINTS, RARE
 from mic.statistics.draw import draw, numbers, placed
-from mic.studies.first_order_reliability import either, nearest
+from mic.studies.first_order_reliability import find_design_points, union_probability
 from mic.studies.rare import agree, rare, subset_simulation
 
 
@@ -107,7 +107,7 @@ def test_the_nearest_point_of_a_curved_limit_and_of_a_plane():
             [pick[w][1][i] for i, w in enumerate(which)]
         )
 
-    found = nearest(slopes, np.array([[4.0, 1.0], [0.0, 0.0], [1.0, -1.0]]))
+    found = find_design_points(slopes, np.array([[4.0, 1.0], [0.0, 0.0], [1.0, -1.0]]))
     assert found.found.all()
     np.testing.assert_allclose(found.z, [[3, 0], [1, 2], [-1, -2]], atol=0.01)
     np.testing.assert_allclose(found.beta, [3, np.sqrt(5), -np.sqrt(5)], rtol=1e-3)
@@ -121,7 +121,7 @@ def test_a_limit_with_a_kink_where_no_gradient_points_to_the_origin_is_not_calle
         slope = np.where(first[:, None], [1.0, 0.5], [0.5, 1.0])
         return (z * slope).sum(axis=1) - 3, slope
 
-    assert not nearest(slopes, np.array([[1.0, 1.2]])).found[0]
+    assert not find_design_points(slopes, np.array([[1.0, 1.2]])).found[0]
 
 
 def test_the_probability_of_a_union_of_half_spaces():
@@ -129,9 +129,9 @@ def test_the_probability_of_a_union_of_half_spaces():
     r, beta = 0.6, np.array([2.5, 3.0])
     direction = np.array([[1.0, 0.0], [r, np.sqrt(1 - r**2)]])
     both = multivariate_normal([0, 0], [[1, r], [r, 1]]).cdf(-beta)
-    assert either(direction, beta) == pytest.approx(ndtr(-beta).sum() - both, rel=0.005)
-    assert either(direction[[0, 0]], beta[[0, 0]]) == pytest.approx(ndtr(-2.5))
-    assert either(np.array([[1.0], [-1.0]]), np.array([4.0, 4.0])) == pytest.approx(2 * ndtr(-4.0), rel=1e-6)
+    assert union_probability(direction, beta) == pytest.approx(ndtr(-beta).sum() - both, rel=0.005)
+    assert union_probability(direction[[0, 0]], beta[[0, 0]]) == pytest.approx(ndtr(-2.5))
+    assert union_probability(np.array([[1.0], [-1.0]]), np.array([4.0, 4.0])) == pytest.approx(2 * ndtr(-4.0), rel=1e-6)
 
 
 def direct(deviations, correlations=(), lower=-9.0, upper=1.0):

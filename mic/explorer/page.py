@@ -28,7 +28,7 @@ from mic.errors import MicError
 from mic.explorer.picture import Picture
 from mic.explorer.shapes import Shapes
 from mic.report.style import INSIDE, OUTSIDE, STATE_DOTS, STATE_WORDS, number, part_colour
-from mic.studies.exploration import GROUPS, Answer, Exploration
+from mic.studies.exploration import GROUPS, Exploration, ExploredAssembly
 from mic.system.files import write_text
 
 __all__ = ["Page", "Samples"]
@@ -139,7 +139,7 @@ class Page:
         self._state.change("magnification")(self._on_magnification)
         self._state.change("characteristic")(lambda **_: self._draw_bars())
 
-    def _show(self, answer: Answer) -> None:
+    def _show(self, answer: ExploredAssembly) -> None:
         """Numbers and picture of an answer."""
         state = self._state
         self._shown = answer
@@ -254,7 +254,7 @@ class Page:
         with self._state:
             self._draw_bars()
 
-    def _tell(self, answer: Answer) -> None:
+    def _tell(self, answer: ExploredAssembly) -> None:
         if not answer.preliminary:
             self._took = answer.seconds
         with self._state:

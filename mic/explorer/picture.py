@@ -12,7 +12,7 @@ from scipy.spatial import cKDTree
 from mic.explorer.shapes import Shapes
 from mic.geometry.surface import Surface
 from mic.report.space_pictures import viewpoint
-from mic.studies.exploration import Answer, Exploration
+from mic.studies.exploration import Exploration, ExploredAssembly
 
 __all__ = ["Picture", "Placed"]
 
@@ -60,7 +60,7 @@ class Picture:
         ]
         self._items = [items[k] for k in self.measured]
 
-    def placed(self, answer: Answer, magnification: float) -> Placed:
+    def placed(self, answer: ExploredAssembly, magnification: float) -> Placed:
         """Everything displaced as in an answer, that many times; as nominal where it failed."""
         model, found = self.exploration.model, answer.evaluation
         force, motion = np.nan_to_num(found.functional_force[0]), np.nan_to_num(found.motion[0])
@@ -72,7 +72,7 @@ class Picture:
             self._points + magnification * self._at_points(answer, moved),
         )
 
-    def usual(self, answer: Answer) -> float:
+    def usual(self, answer: ExploredAssembly) -> float:
         """A magnification at which the displacements are seen, 1, 2 or 5 times a power of ten."""
         placed, nominal = self.placed(answer, 1.0), self.placed(answer, 0.0)
         every = [(a, b) for a, b in zip([*placed.parts, placed.contacts, placed.measured],
@@ -105,7 +105,7 @@ class Picture:
         trees = {part.name: cKDTree(part.points) for part in self.shapes.parts}
         return [(names.index(one.part), int(trees[one.part].query(one.point)[1])) for one in self._items]
 
-    def _at_points(self, answer: Answer, moved: list[np.ndarray]) -> np.ndarray:
+    def _at_points(self, answer: ExploredAssembly, moved: list[np.ndarray]) -> np.ndarray:
         """(k, 3) displacements of the measured points; along the direction that is measured where no more is known."""
         if moved and all(part.basis is not None for part in self.shapes.parts):
             return np.array([moved[p][v] for p, v in self._nearest]).reshape(-1, 3)

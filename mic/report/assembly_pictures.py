@@ -15,7 +15,7 @@ from mic.report.picture import MOST_PANELS, Picture, panels, svg
 from mic.report.style import INSIDE, OUTSIDE, STATE_DOTS, STATE_WORDS, VERDICT_COLOURS, number
 from mic.scene import Scene
 from mic.statistics.estimates import LEVEL
-from mic.studies.exploration import Answer
+from mic.studies.exploration import ExploredAssembly
 
 __all__ = ["foretold", "moved"]
 
@@ -67,7 +67,7 @@ def foretold(table: pd.DataFrame, scene: Scene | None = None) -> Picture | None:
     return svg(fig, "Foretold", text + ", ".join(f"{count} {word}" for word, count in whole.items()) + ".")
 
 
-def moved(answer: Answer) -> Picture:
+def moved(answer: ExploredAssembly) -> Picture:
     """One assembly: its contact pairs by their state, and its key characteristics against their limits."""
     table, points, states = answer.table.head(MOST_PANELS), answer.points, answer.states
     fig = Figure(figsize=(10.5, max(3.2, 1.0 + 0.3 * len(table))), layout="constrained")

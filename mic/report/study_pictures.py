@@ -32,9 +32,9 @@ from mic.scene import Scene
 from mic.studies.comparison import Comparison
 from mic.studies.contributors import Contributors
 from mic.studies.explanation import Explanation
-from mic.studies.exploration import Answer
+from mic.studies.exploration import ExploredAssembly
 from mic.studies.optimisation import Optimum
-from mic.studies.rare import Misses
+from mic.studies.rare import RareFailures
 from mic.studies.remedy import Remedies
 from mic.studies.sensitivity import Effects
 
@@ -92,7 +92,7 @@ SHOWN = (
     ),
     Shown(
         "explore",
-        Answer,
+        ExploredAssembly,
         "of an answer: contact states, key characteristics against their limits",
         lambda found, scene: [moved(found)],
     ),
@@ -122,7 +122,7 @@ SHOWN = (
     ),
     Shown(
         "rare",
-        Misses,
+        RareFailures,
         "probabilities of a miss; the likeliest misses",
         lambda found, scene: [miss_picture(scene, found.table), likeliest_miss_picture(scene, found.points)],
     ),

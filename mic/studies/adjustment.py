@@ -1,7 +1,7 @@
-"""What of a fixture may be adjusted without another mesh: shims of locators, positions and forces of clamps.
+"""Adjustments of a fixture that need no new mesh: shims of locators, positions and forces of clamps.
 
-Each is a key of the scene, and moves as a deviation of standard deviation 0 does: a model that is extended by one such
-deviation for each adjustment is evaluated with any values of them, and nothing is prepared anew.
+Each adjustment acts as a deviation of standard deviation 0: a model that is extended by one such deviation for each
+adjustment is evaluated with any values of them, without being rebuilt.
 """
 
 from __future__ import annotations
@@ -18,27 +18,27 @@ from mic.scene.deviation import ClampDeviation, LocatorDeviation
 
 __all__ = ["FACTOR", "SHIM", "Adjustment", "adjustments", "as_deviations", "extended", "written"]
 
-SHIM = 0.5  #: mm: the most by which a locator or a clamp is moved
-FACTOR = 2.0  #: the most by which a clamp's force is multiplied, or divided
-STEPS = 50.0  # the least change, a share of the largest; rounded to a power of ten
-TOGETHER = 5.0  # mm: clamps this near that push against each other are one pair of tongs
-AGAINST = -0.9  # cosine between their directions
+SHIM = 0.5  #: largest shift of a locator or a clamp, mm
+FACTOR = 2.0  #: largest factor, or divisor, of a clamp's force
+STEPS = 50.0  # ratio of the largest to the smallest change, which is rounded to a power of ten
+TOGETHER = 5.0  # mm: opposing clamps within this distance are one pair of tongs
+AGAINST = -0.9  # largest cosine between their directions
 
 
 @dataclass(frozen=True)
 class Adjustment:
-    """One thing that a workshop may set.
+    """One setting of the fixture.
 
     Attributes
     ----------
     name : str
-        Where it stands in the scene: ``locators.NAME``, ``clamps.NAME.stroke``, ``clamps.NAME.force``; of a pair of
+        Key in the scene: ``locators.NAME``, ``clamps.NAME.stroke``, ``clamps.NAME.force``; for a pair of
         tongs ``clamps.A+B.force``.
     kind : {"locator", "clamp"}
     targets : tuple of str
-        What moves, all alike.
+        Locators or clamps that move together.
     now : float
-        Position, mm, or force, N, that the scene states.
+        Stated position, mm, or force, N.
     low, high : float
         Bounds of its change, in the same unit.
     """
@@ -57,16 +57,16 @@ class Adjustment:
 
     @property
     def size(self) -> float:
-        """The largest change that is allowed."""
+        """The largest allowed change."""
         return max(-self.low, self.high)
 
     @property
     def step(self) -> float:
-        """The least change."""
+        """The smallest change."""
         return 10.0 ** math.floor(math.log10(self.size / STEPS))
 
     def settable(self, change: float) -> float:
-        """A change that can be set, not less than the one asked for, and within the bounds."""
+        """The change rounded up to whole steps, within the bounds."""
         count = math.ceil(abs(change) / self.step - 1e-9) if abs(change) > 1e-3 * self.size else 0
         return float(np.clip(math.copysign(count, change) * self.step, self.low, self.high))
 
@@ -79,20 +79,20 @@ class Adjustment:
 def adjustments(
     model: ReducedModel, shim: float = SHIM, factor: float = FACTOR, names: Sequence[str] = ()
 ) -> list[Adjustment]:
-    """What may be adjusted of a model's fixture.
+    """Allowed adjustments of a model's fixture.
 
-    Locators that hold the assembly while it is measured are what it is measured from: to move them moves the reading,
-    and not the part, so that they are left out unless they are named.
+    Locators that hold the assembly during measurement are its datum: moving them changes the reading and not the part,
+    so they are left out unless they are named.
 
     Parameters
     ----------
     model : ReducedModel
     shim : float
-        The most by which a locator or a clamp with a stroke is moved, mm.
+        Largest shift of a locator or of a clamp with a stroke, mm.
     factor : float
-        The most by which a clamp's force is multiplied, or divided.
+        Largest factor, or divisor, of a clamp's force.
     names : sequence of str
-        Names of locators and clamps, and these alone; default: all.
+        Names of the locators and clamps to adjust; default: all.
 
     Raises
     ------
@@ -134,7 +134,7 @@ def adjustments(
 
 
 def _tongs(clamps) -> list[list]:
-    """Clamps, those together that press two parts on each other with one force in one stage."""
+    """Groups of clamps: two that press two parts on each other with one force in one stage form a pair of tongs."""
     found: list[list] = []
     for clamp in clamps:
         other = next((own for own in found if len(own) == 1 and _press(own[0], clamp)), None)
@@ -155,7 +155,7 @@ def _press(a, b) -> bool:
 
 
 def as_deviations(scene, some: Sequence[Adjustment], changes: Sequence[float]) -> list:
-    """A deviation of standard deviation 0 for each adjustment, of names that the scene does not have."""
+    """A deviation of standard deviation 0 for each adjustment, with names that are new in the scene."""
     taken, found = {one.name for one in scene.deviations}, []
     for own, change in zip(some, changes):
         prefix = "shim" if own.kind == "locator" else "set"
@@ -168,14 +168,14 @@ def as_deviations(scene, some: Sequence[Adjustment], changes: Sequence[float]) -
 
 
 def extended(model: ReducedModel, some: Sequence[Adjustment]) -> tuple[ReducedModel, list[str]]:
-    """The model with one deviation more for each adjustment, and the names of these; they follow the scene's own."""
+    """The model with an additional deviation for each adjustment, and the names of these deviations."""
     more = as_deviations(model.scene, some, [0.0] * len(some))
     scene = model.scene.model_copy(update={"deviations": [*model.scene.deviations, *more]})
     return model.varied(scene), [one.name for one in more]
 
 
 def written(scene, changes: Mapping[Adjustment, float]) -> str:
-    """The tables that a scene file takes at its end to be adjusted so, as TOML."""
+    """TOML tables that apply the adjustments when appended to the scene file."""
     lines: list[str] = []
     for own in as_deviations(scene, list(changes), list(changes.values())):
         target = f'"{own.target}"' if isinstance(own.target, str) else str(own.target).replace("'", '"')

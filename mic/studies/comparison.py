@@ -1,8 +1,7 @@
-"""Before and after: two scenes, models or runs on the same samples, and what differs between them.
+"""Compare two scenes, models or runs on paired samples.
 
-Samples are paired: deviations of the same name take the same probability in both, whatever their means and standard
-deviations, so that what differs is the change's doing and little scatter is left. Runs that drew alike are compared as
-they stand.
+Deviations of the same name take the same probability in both, whatever their means and standard deviations, so that the
+sampling error of the differences is small. Runs with the same draws are compared on their stored samples.
 """
 
 from __future__ import annotations
@@ -37,19 +36,19 @@ _ARRANGED = ("samples", "seed", "values", "table", "design", "accuracy", "backen
 
 @dataclass(frozen=True)
 class Side:
-    """One of two that are compared.
+    """One side of a comparison.
 
     Attributes
     ----------
     name : str
-        In words.
+        Description.
     scene : Scene
     law : str
     values : DataFrame
         (n, q) of the n samples, in the order of the other side's, each key characteristic and each ``slip STAGE ZONE``
         (as :func:`mic.studies.order.quantities` has them), mm; NaN in samples that failed.
     outcome : Outcome or None
-        Where it is a run.
+        The run, if the side is one.
     """
 
     name: str
@@ -61,7 +60,7 @@ class Side:
 
 @dataclass(frozen=True)
 class Comparison:
-    """Two sides and what differs.
+    """Two sides and their differences.
 
     Attributes
     ----------
@@ -70,11 +69,11 @@ class Comparison:
     table : DataFrame
         As :data:`mic.results.schema.COMPARISON` declares it.
     changes : list of str
-        What the scene of `b` says otherwise than that of `a`, a line each.
+        Differences between the scenes, a line each.
     left_out : int
         Samples that failed on either side.
     alone : list of str
-        Quantities that one side only has.
+        Quantities that only one side has.
     """
 
     a: Side

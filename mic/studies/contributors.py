@@ -1,7 +1,7 @@
-"""What drives it: which share of the variance of each key characteristic each deviation makes, under contact.
+"""Contributors: the share of each deviation in the variance of each key characteristic, under contact.
 
-Sobol's indices (:mod:`mic.statistics.sobol_indices`) on the reduced model itself, and beside them what a linear analysis would
-have said of the same assembly: the shares of a linear regression, and those of the differences at the mean, as a linear
+Sobol' indices (:mod:`mic.statistics.sobol_indices`) of the reduced model, and for comparison those of a linear analysis
+of the same assembly: the shares of a linear regression, and those of the differences at the mean, as a linear
 chain of tolerances takes them. Deviations that belong together, such as the modes of one part's shape, are one
 contributor.
 """
@@ -78,8 +78,8 @@ def contributors(
     law : str, optional
         Contact law; default: the first of the scene's report.
     samples : int
-        N of each set; N (g + 2) + 2 p evaluations are made of g contributors and p deviations that vary. Of more than
-        :data:`mic.studies.input_screening.MANY` contributors those count as one that hardly matter, by their derivatives.
+        N of each set; N (g + 2) + 2 p evaluations are made of g contributors and p deviations that vary. If there
+        are more than :data:`mic.studies.input_screening.MANY` contributors, those that hardly matter count as one.
     seed : int
     threads : int
     progress : callable, optional

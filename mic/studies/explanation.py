@@ -1,18 +1,19 @@
-"""From what was measured on an assembly back to its most probable sources.
+"""Infer the most probable sources of deviation from measurements of one assembly.
 
 With the sources as functions x(z) of independent standard normal numbers z, key characteristics h, measured values y
 and the gauge's standard deviations s, the posterior density of z is exp(−φ) up to a factor,
 
     φ(z) = ‖z‖²/2 + Σ_k (h_k(x(z)) − y_k)² / 2 (s_k² + e_k²).                                              (1)
 
-h is asked for at some assemblies only, drawn from the posterior as it is known so far, and is a spline between them
-(:mod:`mic.statistics.emulator`). e is what the spline errs by at assemblies that it had not seen, and what a looser path
-errs by: both are found before they are trusted, and added until e is small against s.
+h is evaluated at some assemblies only, drawn from the current posterior, and interpolated by a spline
+(:mod:`mic.statistics.emulator`). e is the error of the spline at assemblies that were not used for it, together with
+the error of a looser path tolerance; assemblies are added until e is small against s.
 
-Modes of (1) are found by Levenberg and Marquardt's method from several starts: where contacts change their state, φ has
-kinks and may have several. About each mode the posterior is nearly normal with covariance C = (1 + JᵀJ)⁻¹; what kinks
-make of it is told by importance sampling [1]_: samples of a mixture q of such normals weigh exp(−φ)/q, and the mixture
-is fitted to them anew until enough of them count.
+Modes of (1) are found by the Levenberg-Marquardt method from several starts, because φ has kinks where contacts change
+their state and may have several modes. (:func:`scipy.optimize.least_squares` treats one start at a time; here all
+starts share the evaluations of the spline.) About each mode the posterior is nearly normal with covariance
+C = (1 + JᵀJ)⁻¹. The deviation from it is corrected by adaptive importance sampling [1]_: samples of a mixture q of such
+normals have weights exp(−φ)/q, and the mixture is refitted until the effective number of samples is large enough.
 
 References
 ----------
@@ -42,30 +43,30 @@ from mic.statistics.normal_space import from_normal
 
 __all__ = ["Explanation", "Posterior", "explain", "posterior", "with_friction"]
 
-STARTS = 32  # the means, and random ones
-MODES = 8  # of those found, the most probable
-STEPS = 40  # of Levenberg and Marquardt
-STEEP, FLAT = 10.0, 0.3  # by which λ grows after a step that failed, and shrinks after one that did not
-STILL = 1e-9  # of φ: a step that gains no more is the last
-UNLIKELY = 10.0  # above the least φ: a mode there has no weight
-APART = 0.1  # of its own standard deviations: modes that are no farther apart are one
-ROUND = 1000  # samples of a round
+STARTS = 32  # starts of the search for modes: the means, and random ones
+MODES = 8  # largest number of modes in the mixture
+STEPS = 40  # iterations of Levenberg-Marquardt
+STEEP, FLAT = 10.0, 0.3  # factors of the damping λ after a failed and after a successful step
+STILL = 1e-9  # decrease of φ at which the iteration stops
+UNLIKELY = 10.0  # distance of φ from its minimum above which a mode is neglected
+SAME_MODE = 0.1  # distance in standard deviations below which two modes are the same
+ROUND = 1000  # samples per round of importance sampling
 ROUNDS = 10
-ENOUGH = 2000.0  # samples that count: shares of 0.95 are known to 0.005 then
-WIDE = 2.0  # of the covariance: a fifth of the samples are drawn so much wider, for tails
+ENOUGH = 2000.0  # effective samples: shares of 0.95 then have a standard error of 0.005
+WIDE = 2.0  # factor on the covariance for the share WIDE_SHARE of the samples, to cover the tails
 WIDE_SHARE = 0.2
-FIRST = 8  # assemblies to begin with, beside 3/2 of each number
-BATCH = 16  # assemblies between two looks
+FIRST = 8  # first assemblies, in addition to 3/2 of each number
+BATCH = 16  # assemblies per refinement of the spline
 BATCHES = 8
-#: of the gauge's standard deviation: what e may be. Uncertainties are told to two digits at most, which rounds them by
-#: up to 5 %; so much wider e makes them where it is √(1.05² − 1) = 0.32 of the gauge's
+#: largest e relative to the gauge's standard deviation. Results are stated to two digits at most, which rounds them by
+#: up to 5 %; a standard deviation grows by as much if e is √(1.05² − 1) = 0.32 of the gauge's.
 CLOSE = 0.3
-LOOSE = (2e-2, 5e-3, 1e-3)  # tolerances of the path, the loosest first
-LOOSENED = CLOSE / 2  # the same of a looser path alone: a quarter of e², the spline has the other three
-PROBES = 4  # assemblies at which that is looked at
-TOGETHER = 0.9  # correlation of sources that the measurement cannot tell apart
-KNOWN = 0.75  # of its variance taken away: half of the standard deviation is left, and a source counts as known
-UNTOLD = 0.9  # of its standard deviation: what keeps more of it is not told
+LOOSE = (2e-2, 5e-3, 1e-3)  # path tolerances to try, the loosest first
+LOOSENED = CLOSE / 2  # largest error of a looser path, relative to the gauge: a quarter of e²
+PROBES = 4  # assemblies at which the error of a looser path is estimated
+TOGETHER = 0.9  # correlation above which two sources cannot be told apart
+KNOWN = 0.75  # reduction of variance above which a source counts as known
+UNTOLD = 0.9  # ratio of posterior to prior standard deviation above which a source counts as undetermined
 
 
 @dataclass(frozen=True)
@@ -84,13 +85,13 @@ class Posterior:
     best : (p,) array
         The most probable z.
     least : float
-        φ there, evaluated.
+        φ at `best`, from an evaluation of h.
     target : _Target
-        φ itself, with what was learnt of h.
+        φ with the spline for h.
     error : (k,) array
-        e of (1), of all key characteristics, mm.
+        e of (1) for all key characteristics, mm.
     evaluations : int
-        What it took.
+        Evaluations of an assembly.
     """
 
     z: np.ndarray
@@ -105,21 +106,21 @@ class Posterior:
 
     @property
     def count(self) -> float:
-        """Independent samples that would tell as much."""
+        """Effective number of independent samples."""
         return float(1 / np.sum(self.weight**2))
 
     def level(self, share: float = LEVEL) -> float:
-        """The φ below which the densest region lies that holds this share of the posterior."""
+        """The φ that bounds the region of highest density with this share of the posterior."""
         return _quantile(self.misfit, self.weight, share)
 
     def holds(self, z: np.ndarray, share: float = LEVEL) -> bool:
-        """Whether the densest region that holds this share of the posterior holds numbers z (p,)."""
+        """Whether the region of highest density with this share of the posterior contains z (p,)."""
         return bool(self.target.misfit(z[None])[0] <= self.level(share))
 
 
 @dataclass(frozen=True)
 class Explanation:
-    """What was found of one assembly.
+    """Sources of the measured deviations of one assembly.
 
     Attributes
     ----------
@@ -127,20 +128,20 @@ class Explanation:
     table : DataFrame
         By source, as :data:`mic.results.schema.EXPLANATION` declares it, the most unusual first.
     further : DataFrame
-        What else could be measured, as :data:`mic.results.schema.FURTHER` declares it, the most telling first.
+        Further measurements, as :data:`mic.results.schema.FURTHER` declares it, the most informative first.
     reached : DataFrame
-        By key characteristic: ``measurement``, ``measured`` (NaN where it was not), ``gauge``, and ``mean`` and
-        ``sigma`` of what the sources that were found give, mm.
+        By key characteristic: ``measurement``, ``measured`` (NaN if it was not), ``gauge``, and the posterior ``mean``
+        and ``sigma``, mm.
     likely : float
-        Probability that an assembly of this scene, measured so, is at least as far off as this one: near 0 where the
-        model does not explain what was measured.
+        Probability (p-value) that an assembly of this scene has a misfit at least as large: near 0 if the model does
+        not explain the measurements.
     together : list of tuple of str
-        Pairs of sources that the measurement does not tell apart: only a sum or difference of them.
+        Pairs of sources that cannot be told apart: only their sum or difference is determined.
     untold : list of str
-        Sources of which it tells hardly anything.
+        Sources that the measurements hardly determine.
     posterior : Posterior
     scene : Scene
-        Whose deviations are the sources, unknown friction among them.
+        Scene whose deviations are the sources, including unknown friction.
     """
 
     law: str
@@ -164,7 +165,7 @@ def explain(
     threads: int = 1,
     progress: Callable[[int], None] = lambda count: None,
 ) -> Explanation:
-    """Find the most probable sources of what was measured.
+    """Find the most probable sources of the measured deviations.
 
     Parameters
     ----------
@@ -172,51 +173,32 @@ def explain(
     measured : mapping of str to float
         Key characteristics by name, mm from nominal.
     gauge : float, or mapping of str to float
-        Standard deviation of the gauge, mm: of all, or by name.
+        Standard deviation of the gauge, mm: one for all measurements, or by name.
     law : str, optional
         Contact law; default: the first of the scene's report.
     friction : float, optional
-        Standard deviation of the coefficients of friction of the zones, should they be unknown as well.
+        Standard deviation of the zones' coefficients of friction, if they are unknown as well.
     seed, threads : int
     progress : callable, optional
-        Called with the number of evaluations that were done.
+        Called with the number of evaluations after each batch.
 
     Raises
     ------
     SceneError
-        If something was measured that the scene does not have, a gauge is missing or not positive, or nothing varies.
+        If a measurement is not in the scene, a gauge is missing or not positive, or nothing varies.
     """
     if friction is not None:
         model = with_friction(model, friction)
     scene = model.scene
     names = [item.name for item in scene.measurements]
     gauges = dict.fromkeys(measured, gauge) if isinstance(gauge, int | float) else dict(gauge)
-    _judge(scene, measured, gauges, names)
-    own = [names.index(name) for name in measured]
+    _check_input(scene, measured, gauges, names)
+    columns = [names.index(name) for name in measured]
     y, s = np.array([measured[n] for n in measured]), np.array([gauges[n] for n in measured])
-    found = posterior(model, own, y, s, law, seed, threads, progress)
+    found = posterior(model, columns, y, s, law, seed, threads, progress)
     x, w = from_normal(scene, found.z), found.weight
-    mean, sigma = _moments(x, w)
     varied = [j for j, item in enumerate(scene.deviations) if item.sigma > 0]
-    table = pd.DataFrame(
-        [
-            {
-                "source": item.name,
-                "prior_mean": item.mean,
-                "prior_sigma": item.sigma,
-                "mean": mean[j],
-                "sigma": sigma[j],
-                "low": _quantile(x[:, j], w, (1 - LEVEL) / 2),
-                "high": _quantile(x[:, j], w, (1 + LEVEL) / 2),
-                "off": (mean[j] - item.mean) / item.sigma,
-                "told": max(0.0, 1 - (sigma[j] / item.sigma) ** 2),  # below 0 it is noise
-            }
-            for j in varied
-            for item in [scene.deviations[j]]
-        ],
-        columns=EXPLANATION.names,
-    )
-    table = table.sort_values("off", key=abs, ascending=False, kind="stable", ignore_index=True)
+    table = _source_table(scene, x, w, varied)
     h, spread = _moments(found.response, w)
     reached = pd.DataFrame(
         {
@@ -227,29 +209,52 @@ def explain(
             "sigma": spread,
         }
     )
-    correlation = _correlation(x[:, varied], w)
-    told = {row["source"]: row["told"] for row in table.to_dict("records")}
-    untold = [name for name, share in told.items() if share < 1 - UNTOLD**2]
-    pairs = [
-        (scene.deviations[varied[i]].name, scene.deviations[varied[j]].name)
-        for i, j in np.argwhere(np.triu(np.abs(correlation) > TOGETHER, 1))
-        if max(told[scene.deviations[varied[k]].name] for k in (i, j)) < KNOWN
-    ]
+    reduction = dict(zip(table["source"], table["told"]))
     return Explanation(
-        law or scene.report.laws[0],
-        table,
-        _further(scene, names, measured, float(np.median(s)), found, x, varied),
-        reached,
-        float(chi2.sf(2 * found.least, len(own))),
-        pairs,
-        untold,
-        found,
-        scene,
+        law=law or scene.report.laws[0],
+        table=table,
+        further=_further_measurements(scene, names, measured, float(np.median(s)), found, x, varied),
+        reached=reached,
+        likely=float(chi2.sf(2 * found.least, len(columns))),
+        together=_indistinguishable_pairs([scene.deviations[j].name for j in varied], x[:, varied], w, reduction),
+        untold=[name for name, share in reduction.items() if share < 1 - UNTOLD**2],
+        posterior=found,
+        scene=scene,
     )
 
 
+def _source_table(scene: Scene, x: np.ndarray, w: np.ndarray, varied: list[int]) -> pd.DataFrame:
+    """Prior and posterior of each source that varies, the most unusual first."""
+    mean, sigma = _moments(x, w)
+    rows = [
+        {
+            "source": item.name,
+            "prior_mean": item.mean,
+            "prior_sigma": item.sigma,
+            "mean": mean[j],
+            "sigma": sigma[j],
+            "low": _quantile(x[:, j], w, (1 - LEVEL) / 2),
+            "high": _quantile(x[:, j], w, (1 + LEVEL) / 2),
+            "off": (mean[j] - item.mean) / item.sigma,
+            "told": max(0.0, 1 - (sigma[j] / item.sigma) ** 2),  # negative values are sampling noise
+        }
+        for j, item in ((j, scene.deviations[j]) for j in varied)
+    ]
+    table = pd.DataFrame(rows, columns=EXPLANATION.names)
+    return table.sort_values("off", key=abs, ascending=False, kind="stable", ignore_index=True)
+
+
+def _indistinguishable_pairs(
+    names: list[str], x: np.ndarray, w: np.ndarray, reduction: Mapping[str, float]
+) -> list[tuple[str, str]]:
+    """Pairs of strongly correlated sources, neither of which is known by itself."""
+    correlated = np.argwhere(np.triu(np.abs(_correlation(x, w)) > TOGETHER, 1))
+    pairs = [(names[i], names[j]) for i, j in correlated]
+    return [(a, b) for a, b in pairs if max(reduction[a], reduction[b]) < KNOWN]
+
+
 def with_friction(model: ReducedModel, sigma: float) -> ReducedModel:
-    """A model whose zones' coefficients of friction vary as well, each by itself, never below 0."""
+    """A model in which the friction of each zone varies independently, with a coefficient of at least 0."""
     scene = model.scene
     items = [
         {
@@ -265,11 +270,11 @@ def with_friction(model: ReducedModel, sigma: float) -> ReducedModel:
     if not items:
         raise SceneError(f"scene {scene.name!r}: no zone has a constant friction that could be unknown")
     deviations = [*scene.model_dump(mode="json")["deviations"], *items]
-    grown = Scene(**scene.model_dump() | {"deviations": deviations, "folder": scene.folder})
-    return model.varied(grown)
+    extended = Scene(**scene.model_dump() | {"deviations": deviations, "folder": scene.folder})
+    return model.varied(extended)
 
 
-def _judge(scene: Scene, measured, gauges, names) -> None:
+def _check_input(scene: Scene, measured, gauges, names) -> None:
     if not measured:
         raise SceneError(f"scene {scene.name!r}: nothing was measured; give one key characteristic at least")
     for name, value in measured.items():
@@ -288,7 +293,7 @@ def _judge(scene: Scene, measured, gauges, names) -> None:
 
 def posterior(
     model: ReducedModel,
-    own: list[int],
+    columns: list[int],
     y: np.ndarray,
     s: np.ndarray,
     law: str | None = None,
@@ -296,15 +301,15 @@ def posterior(
     threads: int = 1,
     progress: Callable[[int], None] = lambda count: None,
 ) -> Posterior:
-    """Samples of (1).
+    """Sample the posterior (1).
 
     Parameters
     ----------
     model : ReducedModel
-    own : list of int
-        Numbers of the key characteristics that were measured.
+    columns : list of int
+        Numbers of the measured key characteristics.
     y, s : (k,) array
-        Values and standard deviations of the gauge, mm.
+        Measured values and standard deviations of the gauge, mm.
     law, seed, threads, progress
         As in :func:`explain`.
 
@@ -313,29 +318,29 @@ def posterior(
     SceneError
         If too few assemblies can be computed.
     """
-    stream = np.random.Generator(np.random.Philox(key=np.array([seed, len(own)], dtype=np.uint64)))
-    asked = _Asked(model, law, threads, progress)
+    stream = np.random.Generator(np.random.Philox(key=np.array([seed, len(columns)], dtype=np.uint64)))
+    evaluations = _ModelEvaluations(model, law, threads, progress)
     p = len(model.scene.deviations)
     z = stream.standard_normal((p + p // 2 + FIRST, p))
     z[0] = 0.0
-    loosened = asked.loosen(z[:PROBES], own, s)
-    asked.ask(z)
-    fresh = stream.standard_normal((BATCH, p))  # nothing is known yet: of all assemblies
+    loosened = evaluations.loosen_path(z[:PROBES], columns, s)
+    evaluations.add(z)
+    fresh = stream.standard_normal((BATCH, p))  # the first batch comes from the prior
     for _ in range(BATCHES):
-        error = np.hypot(asked.ask(fresh), loosened)
-        target = _Target(asked.emulator(), own, y, np.hypot(s, error[own]))
+        error = np.hypot(evaluations.add(fresh), loosened)
+        target = _Target(evaluations.emulator(), columns, y, np.hypot(s, error[columns]))
         found = _sampled(target, stream, p)
-        if (error[own] <= CLOSE * s).all():
+        if (error[columns] <= CLOSE * s).all():
             break
         known = np.count_nonzero(found.weight)
         fresh = found.z[stream.choice(len(found.z), min(BATCH, known), replace=False, p=found.weight)]
-    exact = asked.exactly(found.best)
+    exact = evaluations.evaluate_exactly(found.best)
     least = float(target.misfit(found.best[None], exact)[0]) if np.isfinite(exact).all() else found.least
-    return replace(found, least=least, error=error, evaluations=asked.count)
+    return replace(found, least=least, error=error, evaluations=evaluations.count)
 
 
 def _sampled(target: _Target, stream: np.random.Generator, p: int) -> Posterior:
-    """Samples of (1) with the spline for h."""
+    """Sample (1) with the spline for h, by adaptive multiple importance sampling."""
     starts = stream.standard_normal((STARTS, p))
     starts[0] = 0.0
     modes = target.modes(starts)
@@ -351,7 +356,7 @@ def _sampled(target: _Target, stream: np.random.Generator, p: int) -> Posterior:
         responses.append(target.emulator(drawn[-1]))
         every, response = np.concatenate(drawn), np.concatenate(responses)
         φ = target.misfit(every, response)
-        # Each sample weighs by the mixture of all rounds' proposals, whichever it came from.
+        # The weight of each sample refers to the mixture of the proposals of all rounds.
         q = logsumexp([_log_density(mixture, every) for mixture in mixtures], axis=0)
         weight = np.exp(-φ - q - logsumexp(-φ - q))
         best, least = (every[int(φ.argmin())], float(φ.min())) if φ.min() < modes[0][1] else modes[0][:2]
@@ -363,8 +368,8 @@ def _sampled(target: _Target, stream: np.random.Generator, p: int) -> Posterior:
     return found
 
 
-class _Asked:
-    """Assemblies that the model was asked for, and what it answered."""
+class _ModelEvaluations:
+    """Evaluated assemblies, and the spline through them."""
 
     def __init__(self, model, law, threads, progress):
         self._model, self._law, self._threads, self._progress = model, law, threads, progress
@@ -372,26 +377,27 @@ class _Asked:
         self._z, self._h = np.empty((0, len(model.scene.deviations))), np.empty((0, len(model.scene.measurements)))
         self.count = 0
 
-    def loosen(self, z: np.ndarray, own: list[int], s: np.ndarray) -> np.ndarray:
-        """Follow the loosest path that the gauge does not tell from the scene's; what it errs by (k,), mm."""
+    def loosen_path(self, z: np.ndarray, columns: list[int], s: np.ndarray) -> np.ndarray:
+        """Choose the loosest path tolerance whose error is small against the gauge; returns its error (k,), mm."""
         none = np.zeros(self._h.shape[1])
         if not any(isinstance(stage.path, Followed) for stage in self._exact.stages):
             return none
-        exact = self._answers(self._exact, z)
+        exact = self._evaluate(self._exact, z)
         for tolerance in LOOSE:
             if tolerance <= self._model.scene.path.tolerance:
                 break
             loose = Process(self._model, self._exact.law, threads=self._threads, path_tolerance=tolerance)
-            error = np.sqrt(np.nanmean((self._answers(loose, z) - exact) ** 2, axis=0))
-            if (error[own] <= LOOSENED * s).all():
+            error = np.sqrt(np.nanmean((self._evaluate(loose, z) - exact) ** 2, axis=0))
+            if (error[columns] <= LOOSENED * s).all():
                 self._process = loose
                 return error
         return none
 
-    def ask(self, z: np.ndarray) -> np.ndarray:
-        """Evaluate assemblies (n, p); by how much (k,) the spline through those before missed them, root mean squares,
-        mm; infinite where there were none."""
-        h = self._answers(self._process, z)
+    def add(self, z: np.ndarray) -> np.ndarray:
+        """Evaluate assemblies (n, p) and add them to the spline.
+
+        Returns the root mean square error (k,) at them of the spline before, mm; infinite if there was none."""
+        h = self._evaluate(self._process, z)
         known = np.isfinite(h).all(axis=1)
         error = np.full(h.shape[1], np.inf)
         if len(self._z) and known.any():
@@ -399,12 +405,12 @@ class _Asked:
         self._z, self._h = np.concatenate([self._z, z[known]]), np.concatenate([self._h, h[known]])
         return error
 
-    def exactly(self, z: np.ndarray) -> np.ndarray:
-        """(1, k) of one assembly (p,), on the scene's own path."""
-        return self._answers(self._exact, z[None])
+    def evaluate_exactly(self, z: np.ndarray) -> np.ndarray:
+        """(1, k) of one assembly (p,), on the scene's own path tolerance."""
+        return self._evaluate(self._exact, z[None])
 
     def emulator(self) -> Emulator:
-        """Through all that was asked for."""
+        """The spline through all evaluated assemblies."""
         n, p = self._z.shape
         if n < p + 2:
             raise SceneError(
@@ -413,8 +419,8 @@ class _Asked:
             )
         return Emulator(self._z, self._h)
 
-    def _answers(self, process: Process, z: np.ndarray) -> np.ndarray:
-        """(n, k); NaN where an assembly cannot be computed."""
+    def _evaluate(self, process: Process, z: np.ndarray) -> np.ndarray:
+        """Key characteristics (n, k); NaN for assemblies that cannot be computed."""
         found = process.attempt(from_normal(self._model.scene, z))
         self._progress(len(z))
         self.count += len(z)
@@ -422,21 +428,21 @@ class _Asked:
 
 
 class _Target:
-    """φ of (1), its modes and what they need."""
+    """φ of (1) and its modes."""
 
-    def __init__(self, emulator: Emulator, own: list[int], y: np.ndarray, spread: np.ndarray):
-        self.emulator, self._own, self._y, self._spread = emulator, own, y, spread
+    def __init__(self, emulator: Emulator, columns: list[int], y: np.ndarray, spread: np.ndarray):
+        self.emulator, self._columns, self._y, self._spread = emulator, columns, y, spread
 
     def misfit(self, z: np.ndarray, response: np.ndarray | None = None) -> np.ndarray:
-        """φ (n,) of numbers (n, p), whose key characteristics (n, k) are those of the spline."""
+        """φ (n,) of z (n, p); key characteristics (n, k) default to those of the spline."""
         response = self.emulator(z) if response is None else response
-        return 0.5 * (z**2).sum(axis=1) + 0.5 * (self._missed(response) ** 2).sum(axis=1)
+        return 0.5 * (z**2).sum(axis=1) + 0.5 * (self._residual(response) ** 2).sum(axis=1)
 
-    def _missed(self, response: np.ndarray) -> np.ndarray:
-        return (response[:, self._own] - self._y) / self._spread
+    def _residual(self, response: np.ndarray) -> np.ndarray:
+        return (response[:, self._columns] - self._y) / self._spread
 
     def modes(self, z: np.ndarray) -> list[tuple[np.ndarray, float, np.ndarray]]:
-        """Most probable numbers (p,), their φ and covariance (p, p), from each of the starts; the best first."""
+        """Distinct modes found from the starts (n, p): position (p,), φ and covariance (p, p), the best first."""
         p = z.shape[1]
         φ, λ = self.misfit(z), np.full(len(z), 1e-2)
         J, r = self._slopes(z)
@@ -449,10 +455,10 @@ class _Target:
             new = np.full(len(z), np.inf)
             new[active] = self.misfit(trial[active])
             better = active & (new < φ)
-            gained = np.where(better, φ - np.where(better, new, 0.0), 0.0)
+            decrease = np.where(better, φ - np.where(better, new, 0.0), 0.0)
             λ = np.where(better, np.maximum(λ * FLAT, 1e-12), λ * STEEP)
             z, φ = np.where(better[:, None], trial, z), np.where(better, new, φ)
-            active &= ~(better & (gained < STILL)) & (λ < 1e8)
+            active &= ~(better & (decrease < STILL)) & (λ < 1e8)
             if better.any():
                 J[better], r[better] = self._slopes(z[better])
             if not active.any():
@@ -461,13 +467,13 @@ class _Target:
         for i in np.argsort(φ, kind="stable"):
             covariance = np.linalg.inv(np.eye(p) + J[i].T @ J[i])
             root = np.linalg.cholesky(covariance)
-            if all(np.linalg.norm(np.linalg.solve(root, z[i] - other)) > APART for other, _, _ in found):
+            if all(np.linalg.norm(np.linalg.solve(root, z[i] - other)) > SAME_MODE for other, _, _ in found):
                 found.append((z[i], float(φ[i]), covariance))
         return found
 
     def _slopes(self, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """J (n, k, p) and r (n, k)."""
-        return self.emulator.slopes(z)[:, self._own] / self._spread[:, None], self._missed(self.emulator(z))
+        """Scaled derivatives J (n, k, p) and residuals r (n, k)."""
+        return self.emulator.slopes(z)[:, self._columns] / self._spread[:, None], self._residual(self.emulator(z))
 
 
 def _shares(components) -> np.ndarray:
@@ -476,7 +482,7 @@ def _shares(components) -> np.ndarray:
 
 
 def _draw(components, stream, count: int) -> np.ndarray:
-    """(n, p) samples of a mixture, a fifth of them wider."""
+    """(n, p) samples of a mixture, a fifth of them with a wider covariance."""
     p = len(components[0][0])
     which = stream.choice(len(components), count, p=_shares(components))
     size = np.where(stream.random(count) < WIDE_SHARE, np.sqrt(WIDE), 1.0)
@@ -486,7 +492,7 @@ def _draw(components, stream, count: int) -> np.ndarray:
 
 
 def _log_density(components, z: np.ndarray) -> np.ndarray:
-    """(n,) logarithm of the density of what :func:`_draw` draws."""
+    """(n,) logarithm of the density of the samples of :func:`_draw`."""
     found, p = [], z.shape[1]
     for (centre, covariance, _), share in zip(components, _shares(components)):
         root = np.linalg.cholesky(covariance)
@@ -499,7 +505,7 @@ def _log_density(components, z: np.ndarray) -> np.ndarray:
 
 
 def _fitted(found: Posterior, known: np.ndarray):
-    """A component fitted to the samples so far, the less the fewer of them count, and weighing as all others do."""
+    """A component fitted to the samples so far, shrunk towards the covariance `known` if few samples are effective."""
     p = found.z.shape[1]
     mean = found.weight @ found.z
     off = found.z - mean
@@ -508,11 +514,11 @@ def _fitted(found: Posterior, known: np.ndarray):
     return mean, trust * covariance + (1 - trust) * known, 0.0
 
 
-# -------------------------------------------------------------------------------------------------------- in words
+# --------------------------------------------------------------------------------------------------------- tables
 
 
-def _further(scene, names, measured, gauge: float, found: Posterior, x, varied) -> pd.DataFrame:
-    """What each characteristic that was not measured would tell, by a gauge like those that were used."""
+def _further_measurements(scene, names, measured, gauge: float, found: Posterior, x, varied) -> pd.DataFrame:
+    """Information that each unmeasured characteristic would give, by a gauge like those that were used."""
     w, rows = found.weight, []
     _, spread = _moments(found.response, w)
     for k, name in enumerate(names):
@@ -520,15 +526,15 @@ def _further(scene, names, measured, gauge: float, found: Posterior, x, varied) 
             continue
         share = spread[k] ** 2 / (spread[k] ** 2 + gauge**2)
         columns = np.column_stack([x[:, varied], found.response[:, k]])
-        told = np.nan_to_num(_correlation(columns, w)[-1, :-1]) ** 2 * share
-        most = int(told.argmax())
+        reduction = np.nan_to_num(_correlation(columns, w)[-1, :-1]) ** 2 * share
+        source = int(reduction.argmax())
         rows.append(
             {
                 "measurement": name,
                 "sigma": spread[k],
                 "bits": 0.5 * np.log2(1 + (spread[k] / gauge) ** 2),
-                "source": scene.deviations[varied[most]].name,
-                "told": told[most],
+                "source": scene.deviations[varied[source]].name,
+                "told": reduction[source],
             }
         )
     if not rows:

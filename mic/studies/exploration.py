@@ -1,9 +1,9 @@
-"""An assembly to be looked at while its parts, its fixture and its friction are moved: what answers each move.
+"""Explore an assembly interactively: evaluate it for changed parts, fixture and friction.
 
-What can be moved is what a reduced model takes without being built again: the deviations, the shims and forces of the
+Controls are the inputs that a reduced model takes without being rebuilt: the deviations, the shims and forces of the
 fixture (:mod:`mic.studies.adjustment`) and the coefficients of friction. The model is extended once by a deviation for
-each of the latter; a move is then one evaluation, with its own certificate. Where that takes long, the same paths are
-followed more coarsely first: what that gives is marked as preliminary.
+each of the latter two; each change of a control is then one evaluation with its own certificate. If that takes long, a
+preliminary evaluation with a coarser path tolerance comes first.
 """
 
 from __future__ import annotations
@@ -32,19 +32,19 @@ from mic.scene.zone import Zone
 from mic.statistics.draw import draw
 from mic.studies.adjustment import FACTOR, SHIM, Adjustment, adjustments, extended
 
-__all__ = ["COARSE", "GROUPS", "Answer", "Control", "Exploration", "explore"]
+__all__ = ["COARSE", "GROUPS", "ExploredAssembly", "Control", "Exploration", "explore"]
 
-#: By which the tolerance of the paths is multiplied for a preliminary answer: on the wheelhouse a hundredth to a
-#: thirtieth of a standard deviation for less than half the time.
+#: Factor on the path tolerance of a preliminary evaluation: on the wheelhouse an error of a hundredth to a thirtieth of
+#: a standard deviation in less than half the time.
 COARSE = 30.0
-REACH = 3.0  # standard deviations to either side of which a source is moved, in its own distribution
-ROUGHER = 0.3  # coefficients of friction are moved to twice what the scene says, and by this at least
-GROUPS = ("sources", "locators", "clamps", "friction")  #: of what can be moved
+REACH = 3.0  # range of a source in standard deviations, by quantiles of its distribution
+ROUGHER = 0.3  # least upward range of a coefficient of friction; otherwise it ranges to twice its value
+GROUPS = ("sources", "locators", "clamps", "friction")  #: groups of controls
 
 
 @dataclass(frozen=True)
 class Control:
-    """One thing that can be moved.
+    """One adjustable input.
 
     Attributes
     ----------
@@ -54,14 +54,14 @@ class Control:
     group : str
         One of :data:`GROUPS`.
     unit : str
-        Empty for a coefficient, and where it hangs on the kind of source.
+        Empty for a coefficient, and for sources whose unit depends on their kind.
     now : float
         Its value as the scene states it: a source's mean, a shim of 0, a clamp's stroke or force, a coefficient.
     low, high : float
-        Between which it is moved.
+        Range.
     matters : float
-        By the derivatives about the mean assembly, the most that moving it to an end changes of any key
-        characteristic, as a share of half its tolerance.
+        Largest change of any key characteristic over the range, relative to half its tolerance, by the derivatives
+        about the mean assembly.
     """
 
     name: str
@@ -74,27 +74,27 @@ class Control:
 
 
 @dataclass(frozen=True)
-class Answer:
-    """One assembly as it is with what was moved.
+class ExploredAssembly:
+    """One evaluated assembly.
 
     Attributes
     ----------
     values : dict of str to float
-        Of every control, by its name.
+        Value of every control, by its name.
     stage : str
-        At whose end forces and motions are told.
+        Stage at whose end forces and motions are given.
     contact_stage : str
-        That of the contacts' states: `stage`, or the last before it that resolves contact; empty where none does.
+        Stage of the contact states: `stage`, or the last before it that resolves contact; empty if there is none.
     evaluation : Evaluation
-        Of this one assembly; ``functional_force`` and ``motion`` at the end of `stage`.
+        Evaluation of this one assembly; ``functional_force`` and ``motion`` at the end of `stage`.
     preliminary : bool
-        Whether the paths were followed coarsely.
+        Whether the coarser path tolerance was used.
     points : (m, 3) array
         The contact pairs, nominal, mm.
     table : DataFrame
         By key characteristic: ``measurement``, ``value``, ``lower``, ``upper`` (mm from nominal), ``within``.
     seconds : float
-        What it took.
+        Time of the evaluation, s.
     """
 
     values: Mapping[str, float]
@@ -108,12 +108,12 @@ class Answer:
 
     @property
     def failed(self) -> bool:
-        """Whether some contact problem was not solved to its tolerance."""
+        """Whether a contact problem was not solved to its tolerance."""
         return bool(self.evaluation.failed[0])
 
     @property
     def residual(self) -> float:
-        """The certificate: largest natural-map residual of all stages [1]; 0 where nothing resolves contact."""
+        """The certificate: largest natural-map residual of all stages; 0 if no stage resolves contact."""
         return max((float(one.residual[0]) for one in self.evaluation.resolutions.values()), default=0.0)
 
     @property
@@ -132,29 +132,28 @@ class Answer:
 
     @property
     def states(self) -> np.ndarray:
-        """(m,) a :class:`mic.contact.states.ContactState` of each pair at the end of :attr:`contact_stage`; none where
-        that is empty."""
+        """(m,) :class:`mic.contact.states.ContactState` of each pair at the end of :attr:`contact_stage`, if any."""
         found = self.evaluation.resolutions
         return found[self.contact_stage].state[0] if self.contact_stage else np.zeros(0, dtype=np.int8)
 
     @property
     def shares(self) -> dict[str, int]:
-        """How many pairs are in each state, by its label."""
+        """Number of pairs in each state, by its label."""
         return {state.label: int((self.states == state).sum()) for state in ContactState}
 
 
 class Exploration:
-    """A model made ready to be moved; made by :func:`explore`.
+    """A model with controls; created by :func:`explore`.
 
     Attributes
     ----------
     model : ReducedModel
-        Extended by what can be moved beside the scene's own deviations.
+        Extended by a deviation for each control that is not a deviation of the scene.
     law : str
     controls : list of Control
-        By group, in each the ones that matter most first.
+        By group, in each with the largest effect first.
     stages : list of str
-        Those that can be shown.
+        Names of the stages.
     """
 
     def __init__(self, model: ReducedModel, law: str, shim: float = SHIM, factor: float = FACTOR):
@@ -234,7 +233,7 @@ class Exploration:
 
     def answer(
         self, values: Mapping[str, float] | None = None, stage: str | None = None, coarse: bool = False
-    ) -> Answer:
+    ) -> ExploredAssembly:
         """The assembly with values of controls by name.
 
         Parameters
@@ -274,7 +273,7 @@ class Exploration:
         touched = [name for name in past if name in found.resolutions]
         took = time.perf_counter() - before
         points = self.model.contacts.point
-        return Answer(whole, at, touched[-1] if touched else "", found, coarse, points, table, took)
+        return ExploredAssembly(whole, at, touched[-1] if touched else "", found, coarse, points, table, took)
 
     @cached_property
     def _process(self) -> Process:
@@ -284,12 +283,12 @@ class Exploration:
     def _coarse(self) -> Process:
         return Process(self.model, self.law, path_tolerance=COARSE * self.model.scene.path.tolerance)
 
-    def readings(self, answer: Answer) -> np.ndarray:
+    def readings(self, answer: ExploredAssembly) -> np.ndarray:
         """(F,) what the retained functionals read at the end of the answer's stage, shapes included, mm and rad."""
         blocks, found = self.model.compliance, answer.evaluation
         return (blocks.displace(found.functional_force) + blocks.carry(found.motion))[0]
 
-    def contacts(self, answer: Answer) -> np.ndarray:
+    def contacts(self, answer: ExploredAssembly) -> np.ndarray:
         """(m, 3) displacements of the contact pairs, in the middle between their two sides, mm; along the normal alone
         where no tangents are modelled."""
         contacts, y, scene = self.model.contacts, self.readings(answer), self.model.scene

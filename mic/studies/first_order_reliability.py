@@ -1,14 +1,15 @@
-r"""How often limits are missed, to first order: the nearest point at which one is, by exact derivatives (FORM).
+r"""First-order reliability method (FORM) with exact derivatives: design points and failure probabilities.
 
-In standard normal numbers z, from which the deviations follow through their distributions and correlations, a limit is
-missed where ``g(z) > 0``. The likeliest miss is the point z* of ``g = 0`` nearest to the origin, the design point; were
-g linear there, misses would be as likely as ``Φ(−β)``, ``β = ‖z*‖``. It is found by the steps of Hasofer, Lind,
-Rackwitz and Fiessler [1]_, ``z' = (∇g·z − g) ∇g / ‖∇g‖²``, shortened until ``½‖z‖² + c |g|`` falls [2]_. Each side
-of each key characteristic is a limit of its own. How likely any of several is missed is that of a union of half-spaces
-``α·z > β`` with ``α = z*/‖z*‖``, taken from samples of these half-spaces alone [3]_.
+The deviations are functions of standard normal numbers z; a limit is violated where ``g(z) > 0``. The design point z*
+is the point of ``g = 0`` nearest to the origin. If g is linear there, the probability is ``Φ(−β)`` with ``β = ‖z*‖``.
+It is found by the iteration of Hasofer, Lind, Rackwitz and Fiessler [1]_, ``z' = (∇g·z − g) ∇g / ‖∇g‖²``, with a line
+search on ``½‖z‖² + c |g|`` [2]_. All limits iterate together in batched evaluations, which
+:func:`scipy.optimize.minimize` cannot do. Each side of each key characteristic is a limit of its own. The probability
+of violating any of several limits is that of a union of half-spaces ``α·z > β`` with ``α = z*/‖z*‖``, by importance
+sampling [3]_.
 
-A limit that is curved, that turns where contact changes, or that has several such points, is missed more or less often
-than that: the number stands beside that of subset simulation (:mod:`mic.studies.rare`), whose samples it starts from.
+The result is approximate if a limit is curved, kinked by changes of contact, or has several design points. It is
+compared with subset simulation (:mod:`mic.studies.rare`), whose samples provide the starting points.
 
 References
 ----------
@@ -34,32 +35,32 @@ from mic.results.schema import DESIGN_POINTS
 from mic.statistics.draw import numbers
 from mic.statistics.normal_space import from_normal, normal_slopes
 
-__all__ = ["Designed", "design_points", "differentiable", "either", "first_order", "nearest"]
+__all__ = ["DesignPoints", "design_points", "differentiable", "union_probability", "first_order", "find_design_points"]
 
 ROUNDS = 20
-ENOUGH = 1e-3  # of the limit's own scale, and of β: nearer than that a design point is found
+ENOUGH = 1e-3  # relative tolerance of g and of β
 HALVINGS = 8
-FALLS = 0.3  # share of what a linear limit promises that a step must bring
-FARTHEST = 8.0  # numbers beyond that are not told apart from certainty
+FALLS = 0.3  # share of the decrease predicted by linearisation that a step must achieve
+FARTHEST = 8.0  # bound of |z| for evaluations, beyond any probability of interest
 UNION = 100_000  # samples of half-spaces
 
-#: Of (n, d) numbers and which limit each belongs to (n,): g (n,) and its gradient (n, d), NaN where it is not known.
+#: Maps numbers (n, d) and their limits (n,) to g (n,) and its gradient (n, d); NaN where unknown.
 Slopes = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]
 
 
 @dataclass(frozen=True)
-class Designed:
+class DesignPoints:
     """Design points of s limits.
 
     Attributes
     ----------
     z : (s, d) array
     beta : (s,) array
-        Distance, negative where the limit is missed at the origin.
+        Distance, negative if the limit is violated at the origin.
     direction : (s, d) array
-        α, towards more misses.
+        α, towards the violation.
     found : (s,) bool array
-        Whether each is one: on the limit, its gradient along z.
+        Whether the iteration converged: on the limit, with its gradient along z.
     """
 
     z: np.ndarray
@@ -68,14 +69,14 @@ class Designed:
     found: np.ndarray
 
 
-def nearest(slopes: Slopes, start: np.ndarray) -> Designed:
+def find_design_points(slopes: Slopes, start: np.ndarray) -> DesignPoints:
     """The design points of s limits.
 
     Parameters
     ----------
     slopes : callable
     start : (s, d) array
-        Where to begin, for each limit, such that g is not flat there.
+        Starting point of each limit, with a nonzero gradient of g.
     """
     z, every = np.array(start, dtype=float), np.arange(len(start))
     g, slope = slopes(z, every)
@@ -94,7 +95,7 @@ def nearest(slopes: Slopes, start: np.ndarray) -> Designed:
         todo, step = todo[~near], step[~near]
         if not todo.size:
             break
-        # c above ‖z‖/‖∇g‖, with which the step is one of descent
+        # c > ‖z‖/‖∇g‖ makes the step a descent direction
         c = 2 * np.linalg.norm(z[todo], axis=1) / np.linalg.norm(slope[todo], axis=1) + 1.0
         merit = 0.5 * (z[todo] ** 2).sum(axis=1) + c * np.abs(g[todo])
         falls = FALLS * ((z[todo] * step).sum(axis=1) - c * np.abs(g[todo]))  # per length, were g linear
@@ -112,16 +113,16 @@ def nearest(slopes: Slopes, start: np.ndarray) -> Designed:
             waiting, length = waiting[~better], length / 2
             if not waiting.size:
                 break
-        todo = np.delete(todo, waiting)  # what no step makes better is where it can be
+        todo = np.delete(todo, waiting)  # limits without an improving step end here
     steep = np.linalg.norm(slope, axis=1, keepdims=True)
     direction = np.divide(slope, steep, out=np.zeros_like(slope), where=steep > 0)
-    # The plane that touches the limit there, wherever on it the search ended.
+    # Distance of the tangent plane of the limit.
     flat = np.where(g < 0, -np.inf, np.inf)
     beta = (direction * z).sum(axis=1) - np.divide(g, steep[:, 0], out=flat, where=steep[:, 0] > 0)
-    return Designed(z, beta, direction, found)
+    return DesignPoints(z, beta, direction, found)
 
 
-def either(direction: np.ndarray, beta: np.ndarray) -> float:
+def union_probability(direction: np.ndarray, beta: np.ndarray) -> float:
     """Probability of a union of half-spaces ``α·z > β`` of standard normal numbers.
 
     Parameters
@@ -147,17 +148,17 @@ def either(direction: np.ndarray, beta: np.ndarray) -> float:
 
 def design_points(
     model: ReducedModel, law: str | None, z: np.ndarray, y: np.ndarray, progress: Callable[[int], None] = lambda n: None
-) -> tuple[pd.DataFrame, Designed, list[tuple[int, str]]]:
+) -> tuple[pd.DataFrame, DesignPoints, list[tuple[int, str]]]:
     """The design point of each limit of each key characteristic.
 
     Parameters
     ----------
     model : ReducedModel
-        None of whose deviations takes measured pieces as they are: they have no derivatives.
+        None of its deviations resamples measured parts, which have no derivatives.
     law : str, optional
     z, y : (n, d), (n, k) array
-        Numbers and key characteristics of samples, from which it starts: of those that miss a limit the likeliest, or
-        the one that comes nearest to it.
+        Numbers and key characteristics of samples. The search starts at the most likely violation of each limit, or at
+        the sample nearest to it.
     progress : callable, optional
         Called with the number of assemblies after each round.
 
@@ -165,14 +166,14 @@ def design_points(
     -------
     DataFrame
         As :data:`mic.results.schema.DESIGN_POINTS` declares it.
-    Designed
+    DesignPoints
     list of (int, str)
-        Of each limit its characteristic, and ``upper`` or ``lower``.
+        Number of the characteristic of each limit, and ``upper`` or ``lower``.
 
     Raises
     ------
     SceneError
-        Where parts rest by contact alone.
+        If parts are held by contact alone.
     """
     scene = model.scene
     limits = [
@@ -200,11 +201,11 @@ def design_points(
     g[~np.isfinite(g)] = -np.inf
     length = np.linalg.norm(z, axis=1)[:, None]
     first = np.where(g > 0, FARTHEST**2 - length, g - np.abs(g).max(where=np.isfinite(g), initial=1.0)).argmax(axis=0)
-    found = nearest(slopes, z[first])
+    found = find_design_points(slopes, z[first])
     return _tabled(scene, law or scene.report.laws[0], found, limits), found, limits
 
 
-def _tabled(scene, law: str, found: Designed, limits: Sequence[tuple[int, str]]) -> pd.DataFrame:
+def _tabled(scene, law: str, found: DesignPoints, limits: Sequence[tuple[int, str]]) -> pd.DataFrame:
     values = from_normal(scene, found.z.clip(-FARTHEST, FARTHEST))
     rows = []
     for i, (k, side) in enumerate(limits):
@@ -227,13 +228,12 @@ def _tabled(scene, law: str, found: Designed, limits: Sequence[tuple[int, str]])
     return pd.DataFrame(rows, columns=DESIGN_POINTS.names)
 
 
-def first_order(found: Designed, limits: Sequence[tuple[int, str]], own: Sequence[int]) -> float:
-    """Probability that any limit of some characteristics, by number, is missed, to first order; NaN where a design
-    point that matters was not found."""
+def first_order(found: DesignPoints, limits: Sequence[tuple[int, str]], own: Sequence[int]) -> float:
+    """First-order probability that any limit of some characteristics, given by number, is violated."""
     some = np.isin([k for k, _ in limits], list(own)) & np.isfinite(found.beta)
-    return either(found.direction[some], found.beta[some])
+    return union_probability(found.direction[some], found.beta[some])
 
 
 def differentiable(scene) -> bool:
-    """Whether the deviations follow smoothly from the numbers that they are drawn from."""
+    """Whether the deviations are differentiable functions of the numbers z."""
     return numbers(scene) == len(scene.deviations)

@@ -1,7 +1,7 @@
-"""Does friction matter here: the key characteristics of the same samples with other coefficients of friction.
+"""Effect of friction on the key characteristics, on the same samples with scaled coefficients.
 
-All zones' coefficients are scaled together, by 0, 0.5 and 2, and each zone's alone. The same samples each time, so that
-what differs is friction's doing and no scatter comes between.
+The coefficients of all zones are scaled together by 0, 0.5 and 2, and those of each zone alone by 0.5 and 2. All
+variants use the same samples, so that the differences are effects of friction alone.
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ from mic.statistics.paired_differences import mean_change, six_sigma_change
 __all__ = ["FACTORS", "HOLDS", "friction_effects", "friction_needed", "scaled"]
 
 SAMPLES = 60
-FACTORS = (0.0, 0.5, 2.0)  #: by which coefficients are multiplied
-HOLDS = 0.1  #: of 6σ: by less than that an answer may change and still hold
+FACTORS = (0.0, 0.5, 2.0)  #: factors on the coefficients of friction
+HOLDS = 0.1  #: change relative to 6σ below which a result holds
 
 
 def friction_effects(
@@ -35,13 +35,13 @@ def friction_effects(
     threads: int = 1,
     progress: Callable[[int], None] = lambda count: None,
 ) -> pd.DataFrame:
-    """What scaling friction changes of the key characteristics.
+    """Changes of the key characteristics when friction is scaled.
 
     Parameters
     ----------
     model : ReducedModel
     law : str, optional
-        With friction; default: the first of the scene's report that has it.
+        Contact law with friction; default: the first in the scene's report.
     samples, seed : int
     threads : int
     progress : callable, optional
@@ -50,8 +50,8 @@ def friction_effects(
     Returns
     -------
     DataFrame
-        As :data:`mic.results.schema.FRICTION_EFFECTS` declares it. A factor 0 that leaves a part without hold has no
-        rows.
+        As :data:`mic.results.schema.FRICTION_EFFECTS` declares it. A factor 0 that leaves a part unconstrained has
+        no rows.
 
     Raises
     ------
@@ -77,7 +77,7 @@ def friction_effects(
     for name, zones, factor in variants:
         try:
             other = measured(scaled(model, zones, factor), _scaled_deviations(scene, deviations, zones, factor))
-        except SceneError:  # friction alone holds a part
+        except SceneError:  # without friction a part is unconstrained
             if factor > 0:
                 raise
             continue
@@ -86,7 +86,7 @@ def friction_effects(
 
 
 def scaled(model: ReducedModel, zones: np.ndarray, factor: float) -> ReducedModel:
-    """A model with the friction of some zones, by number, multiplied."""
+    """A model with the friction of some zones, given by number, multiplied by a factor."""
     contacts = model.contacts
     own = np.isin(contacts.zone, zones)
     by = np.where(own, factor, 1.0)
@@ -96,7 +96,7 @@ def scaled(model: ReducedModel, zones: np.ndarray, factor: float) -> ReducedMode
 
 
 def _scaled_deviations(scene, deviations: np.ndarray, zones: np.ndarray, factor: float) -> np.ndarray:
-    """Deviations (n, p) of which those of the zones' friction, which add to it, are multiplied as it is."""
+    """Deviations (n, p) with those of the zones' friction multiplied by the same factor."""
     found, names = deviations.copy(), {scene.zones[z].name for z in zones}
     for j, item in enumerate(scene.deviations):
         if item.kind == "friction" and {*([item.target] if isinstance(item.target, str) else item.target)} <= names:
@@ -126,9 +126,9 @@ def _changes(scene, base: np.ndarray, other: np.ndarray) -> pd.DataFrame:
 
 
 def friction_needed(effects: pd.DataFrame) -> pd.DataFrame:
-    """How well friction must be known for the answer to hold: neither mean nor 6σ to move by a tenth of 6σ.
+    """Range of friction within which mean and 6σ change by less than a tenth of 6σ.
 
-    Between the factors of the study the changes are taken as linear in the factor's logarithm.
+    Changes between the factors of the study are interpolated linearly in the logarithm of the factor.
 
     Returns
     -------

@@ -1,16 +1,16 @@
-r"""Which of many inputs hardly matter: bounds of their total indices by exact derivatives, before any is estimated.
+r"""Screen inputs that hardly matter by bounds of their total Sobol indices from exact derivatives.
 
-The deviations follow from independent standard normal numbers z. Of any function of these the share of the variance
-that number i has a part in is bounded by its derivatives (Poincaré's inequality for the normal distribution, [1]_,
-[2]_),
+The deviations are functions of independent standard normal numbers z. The total index of number i is bounded by the
+derivatives (Poincaré's inequality for the normal distribution, [1]_, [2]_; SALib's `dgsm` computes ν by finite
+differences, here it takes exact derivatives),
 
 .. math::
 
     T_i \le \nu_i / V, \qquad \nu_i = E\,(\partial y / \partial z_i)^2,
 
-with equality where y is linear in it; of several together by the sum. Distributions and correlations come in by the
-chain rule. Bounds are told with what few samples leave uncertain: ν by two standard errors more, V by the lower end of
-its interval.
+with equality if y is linear in it; the index of a group is bounded by the sum. Distributions and correlations enter by
+the chain rule. The bounds include the sampling error: ν is increased by two standard errors, and V is the lower end of
+its confidence interval.
 
 References
 ----------
@@ -32,11 +32,11 @@ from mic.process.model import ReducedModel
 from mic.statistics.estimates import LEVEL
 from mic.statistics.normal_space import from_normal, normal_slopes
 
-__all__ = ["LEFT", "MANY", "SAMPLES", "bounds", "left_out"]
+__all__ = ["NEGLECTED", "MANY", "SAMPLES", "bounds", "left_out"]
 
-MANY = 20  #: contributors: of more, some are left out
-SAMPLES = 40  #: with derivatives
-LEFT = 0.05  #: of any variance: what is left out makes at most that, together
+MANY = 20  #: number of contributors above which some are left out
+SAMPLES = 40  #: samples with derivatives
+NEGLECTED = 0.05  #: largest share of any variance for all contributors that are left out together
 BLOCK = 10  # samples between two calls of `progress`
 
 
@@ -48,14 +48,14 @@ def bounds(
     seed: int = 0,
     progress: Callable[[int], None] = lambda count: None,
 ) -> np.ndarray | None:
-    """What the total index of each contributor is at most.
+    """Upper bounds of the total index of each contributor.
 
     Parameters
     ----------
     model : ReducedModel
     law : str
     own : mapping of str to sequence of int
-        The deviations of each contributor, by number; no number that they are drawn from belongs to two of them.
+        Numbers of the deviations of each contributor; contributors are independent.
     samples, seed : int
     progress : callable, optional
         Called with the number of samples that were done.
@@ -63,8 +63,8 @@ def bounds(
     Returns
     -------
     (g, k) array or None
-        Infinite for measured pieces that are drawn as they are, which have no derivatives; None where parts rest by
-        contact alone, so that nothing has any.
+        Infinite for resampled measured parts, which have no derivatives; None if parts are held by contact alone, so
+        that there are no derivatives.
     """
     scene = model.scene
     stream = np.random.Generator(np.random.Philox(key=np.array([seed, samples], dtype=np.uint64)))
@@ -98,17 +98,16 @@ def bounds(
 
 
 def left_out(bound: np.ndarray, varies: np.ndarray) -> np.ndarray:
-    """(g,) which contributors may be left out: as many as make at most :data:`LEFT` of any variance together, the least
-    first.
+    """(g,) contributors that may be left out: the smallest, with at most :data:`NEGLECTED` of any variance together.
 
     Parameters
     ----------
     bound : (g, k) array
     varies : (k,) bool array
-        Characteristics that matter.
+        Characteristics that vary.
     """
     own = bound[:, varies]
     order = np.argsort(own.max(axis=1, initial=0.0), kind="stable")
     out = np.zeros(len(bound), dtype=bool)
-    out[order] = (np.cumsum(own[order], axis=0) <= LEFT).all(axis=1)
+    out[order] = (np.cumsum(own[order], axis=0) <= NEGLECTED).all(axis=1)
     return out if out.sum() > 1 else np.zeros_like(out)

@@ -1,9 +1,8 @@
-"""How much hangs on the order: a scene's key characteristics and slips where its process happens in another order.
+"""Effect of the process order on the key characteristics and slips of a scene.
 
-The same samples under every order, so that what differs is the order's doing. Everything that a scene says of its
-process stays (what is closed in which stage, what is kept, how the path is followed) but for the order in which the
-locators and clamps of a stage, its welds, or what a release opens come one after the other, and for whether parts that
-overlap settle before anything closes.
+All orders are evaluated on the same samples, so that the differences are effects of the order. A variant changes only
+the sequence in which a stage closes its locators and clamps, makes its welds or releases them, and whether overlapping
+parts settle before anything closes; the assignment to stages and the path settings stay.
 """
 
 from __future__ import annotations
@@ -45,10 +44,10 @@ __all__ = [
 ]
 
 STATED = "as stated"
-SAMPLES = 20  #: of each order, unless another number is asked for
-PERMUTATIONS = 4  #: random orders beside those that have a name
+SAMPLES = 20  #: default number of samples per order
+PERMUTATIONS = 4  #: random orders in addition to the named ones
 
-# A doubt rests on a few samples under one increment for each step, some per cent off: limits well above that.
+# Checks use a few samples with one increment per step, whose error is some per cent: the limits are well above it.
 DOUBT_SAMPLES = 8
 FRICTION_MATTERS = 0.05  # share of the contacts' tangential motion that friction must change
 SETTLING_MATTERS = 0.02  # of a tolerance: change of a mean or of 6σ

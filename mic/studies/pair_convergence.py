@@ -1,4 +1,4 @@
-"""How much hangs on how dense the contact pairs are: the same samples again, the pairs nearer to each other."""
+"""Convergence of the results with the density of contact pairs, on the same samples."""
 
 from __future__ import annotations
 
@@ -17,26 +17,25 @@ from mic.statistics.paired_differences import mean_change, six_sigma_change
 
 __all__ = ["DENSER", "SAMPLES", "Convergence", "converge", "denser"]
 
-DENSER = 0.7  # of the distance between pairs: about twice as many
+DENSER = 0.7  # factor on the distance between pairs: about twice as many pairs
 SAMPLES = 30
 
 
 @dataclass(frozen=True)
 class Convergence:
-    """Key characteristics with the pairs as they are and with denser ones; two rows each, k characteristics.
+    """Key characteristics with the stated pairs (first row) and with denser ones (second row).
 
     Attributes
     ----------
     pairs : (2,) int array
     nominal, mean, six_sigma : (2, k) array
-        Without any deviation, and over the samples that neither lost, mm.
+        Without deviations, and over the samples that are valid in both, mm.
     mean_half, six_sigma_half : (k,) array
-        Half the 95 % interval of what changes of them, mm: the samples are the same, so that it is far narrower than
-        either figure's own.
+        Half width of the 95 % interval of the change of each, mm; the samples are paired.
     unseen : (2,) array
-        Deepest penetration between the pairs, mm.
+        Largest penetration between the pairs, mm.
     failed : int
-        Samples that either lost.
+        Samples that failed in either.
     """
 
     pairs: np.ndarray
@@ -50,8 +49,7 @@ class Convergence:
 
 
 def denser(assembly: Assembly, share: float = DENSER) -> Scene:
-    """The scene of an assembly with its pairs at a share of their distance, under clamps as well; points that it states
-    turn to candidates."""
+    """The scene of an assembly with the distance of its contact pairs multiplied by `share`, stated points replaced."""
     zones = []
     for i, zone in enumerate(assembly.scene.zones):
         if zone.pairs:
@@ -65,7 +63,7 @@ def denser(assembly: Assembly, share: float = DENSER) -> Scene:
 
 
 def converge(assembly: Assembly, cache: Path, law: str, progress: Callable[[str], None] | None = None) -> Convergence:
-    """Evaluate a scene with its pairs, and with denser ones.
+    """Evaluate a scene with its contact pairs and with denser ones.
 
     Parameters
     ----------

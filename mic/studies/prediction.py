@@ -1,16 +1,16 @@
-"""One assembly at a time: what its measured parts will make of it, and which adjustment would help.
+"""Predict individual assemblies from measured parts, and the smallest adjustment that helps.
 
-A part list gives values of some of the scene's deviations. The others are at their means, and what they leave open is
-told by the derivatives about the mean assembly, ``σ² = Σ_j (∂h/∂x_j σ_j)²``. A characteristic is accepted where all of
-``h ± 1.96 √(σ² + e²)`` lies within its limits, e the error of the model, rejected where none of it does, and open
-between.
+A part list gives values of some of the scene's deviations. The others have their mean values; their contribution to the
+uncertainty follows from the derivatives about the mean assembly, ``σ² = Σ_j (∂h/∂x_j σ_j)²``. With e the error of the
+model, a characteristic is accepted if the whole interval ``h ± 1.96 √(σ² + e²)`` lies within its limits, rejected if no
+part of it does, and open otherwise.
 
-Answers come from a spline between assemblies that were evaluated beforehand (:mod:`mic.studies.emulator_training`). What it errs
-by in 95 % is part of the interval. Where that would change a verdict, and where the assembly lies
-beyond those that were learnt from, the assembly is evaluated, however long that takes.
+Predictions come from a spline between assemblies that were evaluated beforehand (:mod:`mic.studies.emulator_training`).
+The bound of 95 % of its errors is part of the interval. The assembly itself is evaluated if that error could change a
+verdict, or if the assembly lies beyond the range of the training.
 
-Of the adjustments that bring the whole interval of every characteristic within its limits, the smallest is told, as a
-share of what is allowed of each; where none does, the one that brings the worst farthest.
+The proposed adjustment is the smallest, relative to its allowed range, that brings the interval of every characteristic
+within its limits; if there is none, the one with the smallest excess (:mod:`mic.studies.smallest_adjustment`).
 """
 
 from __future__ import annotations
@@ -28,15 +28,15 @@ from mic.results.schema import PREDICTIONS
 from mic.statistics.estimates import LEVEL
 from mic.studies.adjustment import FACTOR, SHIM, adjustments
 from mic.studies.emulator_training import learn
-from mic.studies.smallest_adjustment import Advisor
+from mic.studies.smallest_adjustment import AdjustmentSearch
 
 __all__ = ["FARTHEST", "Predictor", "predict"]
 
-FARTHEST = 6.0  #: standard deviations: what lies farther off its mean, the model was not built for
+FARTHEST = 6.0  #: standard deviations from the mean beyond which an assembly is refused
 
 
 class Predictor:
-    """A model made ready to judge assemblies one by one.
+    """Predicts individual assemblies with a model.
 
     Parameters
     ----------
@@ -46,27 +46,27 @@ class Predictor:
     adjust : sequence of str
         Locators and clamps that may be adjusted (:mod:`mic.studies.adjustment`); none by default.
     shim, factor : float
-        By how much at most: mm, and of a force.
+        Largest adjustments: a shift, mm, and a factor on a force.
     error : float
         e above, mm.
     exact : bool
-        Whether every assembly is evaluated. Otherwise some dozen are beforehand.
+        Whether every assembly is evaluated. Otherwise some dozens are evaluated beforehand, to train the spline.
     cache : Path, optional
-        Folder in which these are kept for the next time.
+        Folder of the disk cache for these.
     progress : callable, optional
         Called with the number of evaluations that were done beforehand.
 
     Attributes
     ----------
-    learnt : Learnt or None
-        What answers come from; None where every assembly is evaluated.
+    learnt : AssemblyEmulator or None
+        The spline; None if every assembly is evaluated.
 
     Raises
     ------
     SceneError
         If nothing is measured or nothing varies.
     ValueError
-        If what may be adjusted is not known, or the error is negative.
+        If an adjustable item is unknown, or the error is negative.
     """
 
     def __init__(
@@ -85,7 +85,7 @@ class Predictor:
         if not scene.measurements or not scene.deviations:
             raise SceneError(
                 f"scene {scene.name!r} has no {'deviations' if scene.measurements else 'measurements'}: there is "
-                "nothing to foretell; give it some"
+                "nothing to predict; give it some"
             )
         if not error >= 0:
             raise ValueError(f"error must not be negative, and is {error:g}")
@@ -94,17 +94,17 @@ class Predictor:
         self._mean = np.array([item.mean for item in scene.deviations])
         self._sigma = np.array([item.sigma for item in scene.deviations])
         self._lower, self._upper = np.array([item.bounds for item in scene.measurements]).T
-        some = adjustments(model, shim, factor, list(adjust)) if adjust else []  # refused before anything is learnt
+        some = adjustments(model, shim, factor, list(adjust)) if adjust else []  # raises before the training
         self.learnt = None if exact else learn(model, self.law, (), None, cache, progress)
-        self._advisor: Advisor | None = None
+        self._adjustment_search: AdjustmentSearch | None = None
         if some:
             learnt = learn(model, self.law, some, self.learnt, cache, progress) if self.learnt is not None else None
-            self._advisor = Advisor(model, self.law, some, learnt)
+            self._adjustment_search = AdjustmentSearch(model, self.law, some, learnt)
         slopes = model.sensitivities({}, self.law)
         self._slope = np.nan_to_num(slopes.jacobian[0])  # of the mean assembly
 
     def judge(self, values: Mapping[str, float]) -> pd.DataFrame:
-        """Foretell one assembly.
+        """Predict one assembly.
 
         Parameters
         ----------
@@ -125,23 +125,25 @@ class Predictor:
         x = self.model.deviations(dict(values))[0]
         names = self.model.parameters
         given = np.array([name in values for name in names])
-        far = self._far(x)
+        far = self._distance(x)
         farthest = int(far.argmax())
         if far[farthest] > FARTHEST:
-            return self._told("refused", f"{names[farthest]} is {far[farthest]:.3g} σ off its mean", far[farthest])
+            return self._single_row(
+                "refused", f"{names[farthest]} is {far[farthest]:.3g} σ off its mean", far[farthest]
+            )
         unknown = self._slope**2 @ np.where(given, 0.0, self._sigma) ** 2
         half = float(ndtri(0.5 + LEVEL / 2)) * np.sqrt(self.error**2 + unknown)
-        y, off, way = self._foretold(x, half)
+        y, off, way = self._key_characteristics(x, half)
         if y is None:
-            return self._told("failed", "its contact problems were not solved", far[farthest])
+            return self._single_row("failed", "its contact problems were not solved", far[farthest])
         told = np.hypot(half, off)
         verdict, said, ways = self._verdicts(y, told), "", [way] * (len(y) + 1)
-        if self._advisor is not None and (verdict != "accepted").any():
-            found = self._advisor.propose(x, y, half, off, self._covers(x))
+        if self._adjustment_search is not None and (verdict != "accepted").any():
+            found = self._adjustment_search.propose(x, y, half, off, self._covers(x))
             said, ways[-1] = str(found), "evaluated" if found.evaluated else way
         worst = "rejected" if "rejected" in verdict else "open" if "open" in verdict else "accepted"
         items = self.model.scene.measurements
-        return self._tabled(
+        return self._table(
             [*(item.name for item in items), ""],
             np.append([y, y - told, y + told], np.full((3, 1), np.nan), axis=1),
             [*verdict, worst],
@@ -150,19 +152,19 @@ class Predictor:
             far[farthest],
         )
 
-    def _far(self, x: np.ndarray) -> np.ndarray:
-        """(p,) by how many standard deviations deviations are off their means."""
+    def _distance(self, x: np.ndarray) -> np.ndarray:
+        """(p,) distance of the deviations from their means, in standard deviations."""
         off = np.abs(x - self._mean)
         with np.errstate(divide="ignore", invalid="ignore"):
             return np.where(off > 0, off / self._sigma, 0.0)
 
     def _covers(self, x: np.ndarray) -> bool:
-        """Whether an assembly lies between those that were learnt from."""
+        """Whether an assembly lies within the range of the training."""
         return self.learnt is not None and self.learnt.covers(x)
 
-    def _foretold(self, x: np.ndarray, half: np.ndarray) -> tuple[np.ndarray | None, np.ndarray, str]:
-        """Key characteristics (k,) of an assembly, none where they cannot be computed; what they err by (k,), beside
-        the half widths that are known; whether they were evaluated."""
+    def _key_characteristics(self, x: np.ndarray, half: np.ndarray) -> tuple[np.ndarray | None, np.ndarray, str]:
+        """Key characteristics (k,) of an assembly, or None if they cannot be computed; their errors (k,) in addition to
+        the known half widths; ``learnt`` or ``evaluated``."""
         learnt = self.learnt
         if learnt is not None and self._covers(x):
             y, off = (one[0] for one in learnt(x[None]))
@@ -176,11 +178,11 @@ class Predictor:
         beyond = (y + half < self._lower) | (y - half > self._upper)
         return np.where(within, "accepted", np.where(beyond, "rejected", "open")).astype(object)
 
-    def _told(self, verdict: str, said: str, far: float) -> pd.DataFrame:
-        return self._tabled([""], np.full((3, 1), np.nan), [verdict], [""], [said], far)
+    def _single_row(self, verdict: str, said: str, far: float) -> pd.DataFrame:
+        return self._table([""], np.full((3, 1), np.nan), [verdict], [""], [said], far)
 
-    def _tabled(self, names, values: np.ndarray, verdicts: list[str], ways: list[str], said: list[str], far: float):
-        """The table, at once: of values, low and high ends (3, rows)."""
+    def _table(self, names, values: np.ndarray, verdicts: list[str], ways: list[str], said: list[str], far: float):
+        """The table of results, from values, low and high ends (3, rows)."""
         told = {"file": "", "row": 0, "model": "", "law": self.law, "measurement": names}
         told |= dict(zip(("value", "low", "high"), values, strict=True)) | {"verdict": verdicts}
         return pd.DataFrame(told | {"way": ways, "said": said, "far": float(far)}, columns=PREDICTIONS.names)
@@ -197,13 +199,13 @@ def predict(
     exact: bool = False,
     cache: Path | None = None,
 ) -> pd.DataFrame:
-    """Foretell assemblies from their measured parts; one after the other, :class:`Predictor` does that.
+    """Predict assemblies from their measured parts; :class:`Predictor` predicts them one by one.
 
     Parameters
     ----------
     model : ReducedModel
     parts : DataFrame, or sequence of mappings
-        A row or mapping for each assembly: values of deviations by name, N or mm. NaN is not known.
+        A row or mapping for each assembly: values of deviations by name, N or mm. NaN is unknown.
     law, adjust, shim, factor, error, exact, cache
         As :class:`Predictor` takes them.
 

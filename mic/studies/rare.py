@@ -1,15 +1,15 @@
-"""How often limits are missed where that is rare: subset simulation on the reduced model, no distribution fitted.
+"""Probability of rare limit violations by subset simulation on the reduced model, without a fitted distribution.
 
 A rare event ``g(z) > 0`` in standard normal numbers z is reached by levels ``b_1 < b_2 < … < 0``, each exceeded by a
 tenth of the samples that exceed the one before [1]_:
 
     P = p₀^(m−1) P(g > 0 | g > b_{m−1}),        p₀ = 0.1.
 
-Beside it stands what the likeliest misses say to first order (:mod:`mic.studies.first_order_reliability`).
+The first-order probability (:mod:`mic.studies.first_order_reliability`) is reported for comparison.
 
-Samples beyond a level come from those that are there already, by Markov chains whose moves leave the normal
-distribution as it is, ``z' = ρ z + √(1 − ρ²) ξ``, and are refused where they fall back below the level; ρ adapts to
-what is accepted [2]_.
+Samples beyond a level are drawn by Markov chains that start from the samples already there. The proposals
+``z' = ρ z + √(1 − ρ²) ξ`` preserve the normal distribution and are rejected below the level; ρ adapts to the acceptance
+rate [2]_. SciPy and SALib have no subset simulation.
 
 References
 ----------
@@ -36,25 +36,24 @@ from mic.statistics.draw import numbers, placed
 from mic.statistics.estimates import LEVEL
 from mic.studies.first_order_reliability import design_points, differentiable, first_order
 
-__all__ = ["Misses", "Subset", "agree", "rare", "subset_simulation"]
+__all__ = ["RareFailures", "Subset", "agree", "rare", "subset_simulation"]
 
-SAMPLES = 1000  #: a level
-SHARE = 0.1  # p₀: of a level's samples, those beyond the next
-DEEPEST = 12  # levels: below 1e-12 nothing is told
-ACCEPTED = 0.44  # of the moves, on which ρ is set
+SAMPLES = 1000  #: samples per level
+SHARE = 0.1  # p₀: share of the samples of a level that lie beyond the next
+MAX_LEVELS = 12  # largest number of levels: probabilities below 1e-12 are not resolved
+ACCEPTED = 0.44  # target of the acceptance rate
 
 
 @dataclass(frozen=True)
 class Subset:
-    """What a subset simulation found.
+    """Result of a subset simulation.
 
     Attributes
     ----------
     probability, low, high : float
-        P, and an interval that holds it in at least 95 %; 0 and the interval's upper end where it lies below what the
-        levels reach.
+        P and its confidence interval of at least 95 %; 0 and an upper bound if P lies below the last level.
     levels : int
-        1 where the event was not rare: then it is a plain Monte Carlo with its exact interval.
+        1 if the event is not rare: then the result is that of plain Monte Carlo with its exact interval.
     evaluations : int
     """
 
@@ -73,7 +72,7 @@ def subset_simulation(
     Parameters
     ----------
     g : callable
-        Of (n, d) numbers, (n,); -∞ where it is not known.
+        Maps numbers (n, d) to (n,); −∞ where it is unknown.
     dimension : int
         d.
     samples : int
@@ -89,8 +88,8 @@ def subset_simulation(
         found = estimates.share(beyond, samples)
         return Subset(float(found.value), float(found.low), float(found.high), 1, samples)
     P, ρ, evaluations = 1.0, 0.8, samples
-    δ = np.sqrt((1 - SHARE) / (SHARE * samples))  # the levels' errors, as if they were all of one sign
-    for level in range(2, DEEPEST + 1):
+    δ = np.sqrt((1 - SHARE) / (SHARE * samples))  # relative errors of the levels, added as if fully correlated
+    for level in range(2, MAX_LEVELS + 1):
         order = np.argsort(-y, kind="stable")[:chains]
         b, P = float(y[order[-1]]), P * SHARE
         start = stream.permutation(order)
@@ -105,12 +104,12 @@ def subset_simulation(
             accepted.append(taken.mean())
             zs.append(at)
             ys.append(value)
-        # ρ² + λ² = 1: larger steps λ at the next level where many were accepted; within one they stay as they are.
+        # ρ² + λ² = 1: the step λ of the next level grows with the acceptance rate; it is constant within a level.
         λ = np.sqrt(1 - ρ**2) * np.exp(np.mean(accepted) - ACCEPTED)
         ρ = np.sqrt(1 - min(λ, 0.98) ** 2)
         z, y = np.concatenate(zs), np.concatenate(ys)
         inside = np.stack(ys, axis=1) > 0  # (chains, steps)
-        last = inside.sum() >= chains or level == DEEPEST
+        last = inside.sum() >= chains or level == MAX_LEVELS
         next_one = inside if last else np.stack(ys, axis=1) >= np.sort(y)[-chains]
         p = max(float(next_one.mean()), 1 / samples)
         δ += np.sqrt((1 - p) / (p * samples) * (1 + _correlation(next_one)))
@@ -124,7 +123,7 @@ def subset_simulation(
 
 
 def _correlation(inside: np.ndarray) -> float:
-    """γ of [1]_: by how much the correlation along chains (c, s) raises the variance of their mean."""
+    """γ of [1]_: relative increase of the variance of the mean by the correlation along chains (c, s)."""
     c, s = inside.shape
     p = inside.mean()
     if not 0 < p < 1:
@@ -135,15 +134,15 @@ def _correlation(inside: np.ndarray) -> float:
 
 
 @dataclass(frozen=True)
-class Misses:
-    """How often limits are missed under one law.
+class RareFailures:
+    """Probabilities of limit violations under one law.
 
     Attributes
     ----------
     table, points : DataFrame
         As :data:`mic.results.schema.RARE` and :data:`mic.results.schema.DESIGN_POINTS` declare them.
     why_not : str
-        Why there are no design points, where there are none.
+        Reason if there are no design points.
     """
 
     table: pd.DataFrame
@@ -152,7 +151,7 @@ class Misses:
 
 
 def agree(row) -> bool:
-    """Whether subset simulation and the first order say the same: within the interval, or a fifth."""
+    """Whether the first-order probability lies within the interval of subset simulation, or within a fifth."""
     near = 0.8 * row["outside"] <= row["first_order"] <= 1.25 * row["outside"]
     return bool(near or row["outside_low"] <= row["first_order"] <= row["outside_high"])
 
@@ -165,8 +164,8 @@ def rare(
     seed: int = 0,
     threads: int = 1,
     progress: Callable[[int], None] = lambda count: None,
-) -> Misses:
-    """How often the assembly misses any of its limits, and those of single key characteristics.
+) -> RareFailures:
+    """Probability that any limit is violated, and those of single key characteristics.
 
     Parameters
     ----------
@@ -174,7 +173,7 @@ def rare(
     law : str, optional
         Contact law; default: the first of the scene's report.
     names : sequence of str
-        Key characteristics to look at by themselves as well.
+        Key characteristics that are evaluated individually as well.
     samples, seed : int
         As :func:`subset_simulation` has them.
     threads : int
@@ -208,18 +207,20 @@ def rare(
             off = (np.abs(found.measurements - middle) / half)[:, own].max(axis=1) - 1
             return np.where(found.failed, -np.inf, off)
 
-        told = subset_simulation(g, numbers(scene), samples, seed)
-        rows.append([process.law, name, told.probability, told.low, told.high, told.levels, told.evaluations, failed])
+        subset = subset_simulation(g, numbers(scene), samples, seed)
+        rows.append(
+            [process.law, name, subset.probability, subset.low, subset.high, subset.levels, subset.evaluations, failed]
+        )
     z, y = (np.concatenate(each) for each in zip(*seen))
     table = pd.DataFrame(rows, columns=RARE.names[: len(rows[0])])
     points, order, why_not = _first_order(model, process.law, z, y, list(groups.values()), progress)
     table["first_order"] = order
     table["agrees"] = [agree(row) for row in table.to_dict("records")]
-    return Misses(table, points, why_not)
+    return RareFailures(table, points, why_not)
 
 
 def _first_order(model, law, z, y, groups, progress):
-    """Design points, of each group of characteristics the probability to first order, and why there is none."""
+    """Design points, first-order probability of each group of characteristics, and the reason if there are none."""
     nothing = np.full(len(groups), np.nan)
     if not differentiable(model.scene):
         return DESIGN_POINTS.empty(), nothing, "measured pieces are drawn as they are, and have no derivatives"

@@ -1,21 +1,20 @@
-r"""Where the build fails: the shim, the position or the force of a clamp that brings it within its limits.
+r"""Find the smallest changes of shims, positions and clamp forces that bring an assembly within its limits.
 
-A key characteristic is within its limits where ``mean ± 3 C σ`` is, C the capability that is asked for. About changes
-x₀ of what may be adjusted (:mod:`mic.studies.adjustment`) each sample goes with its own exact derivatives, ``y_s(x) =
-y_s + J_s (x − x₀)``, so that mean and σ both follow; the mean is linear in x and σ convex,
+A key characteristic is within its limits if ``mean ± 3 C σ`` is, with C the required capability. About changes x₀ of
+the adjustments (:mod:`mic.studies.adjustment`) each sample is linearised with its exact derivatives,
+``y_s(x) = y_s + J_s (x − x₀)``; the mean is then linear in x and σ convex,
 
 .. math::
 
     \sigma(x)^2 = q^T \,\mathrm{Cov}[y, J]\, q, \qquad q = (1, x - x_0),
 
-and the smallest change, the least sum of shares ``|x_i| / b_i`` of what is allowed, is a convex program. It is solved
-by linear programs with tangents of σ for cuts [1]_; its solutions move few things. There the samples are taken through
-the process anew and derivatives with them, until the limits are kept by what is computed and not by what is foretold:
-where contact changes, the step falls short, and is taken again from there, or is halved where it makes things worse.
+and minimising the sum of relative changes ``|x_i| / b_i`` (b the allowed changes) is a convex program. It is solved by
+Kelley's cutting planes [1]_ with :func:`scipy.optimize.linprog`, whose solutions are sparse. The samples and
+derivatives are then evaluated again at the solution, until the evaluated samples are within the limits: if contact
+changes, the program is solved again about the new point, or the step is halved if it makes the result worse.
 
-What is told of a remedy is evaluated in full, with the changes as they can be set: of the samples that it was found
-with, and of others that had no part in it. Where those fall short, as much more is asked for, and judged on others
-again.
+Each remedy is evaluated in full with changes that can be set, on the samples of the search and on fresh samples. If the
+fresh samples exceed the limits, the requirement is tightened by the excess and checked on further samples.
 
 References
 ----------
@@ -42,17 +41,17 @@ from mic.studies.adjustment import FACTOR, SHIM, Adjustment, adjustments, extend
 __all__ = ["CAPABILITY", "SAMPLES", "Limits", "Remedies", "Remedy", "remedies", "smallest"]
 
 SAMPLES = 60
-DERIVED = 20  # of these, the first: with derivatives, which cost several evaluations
-CAPABILITY = 1.0  #: Cpk that is asked for
-SINGLES = 3  # remedies of one adjustment each that are evaluated in full
-ROUNDS = 10  # of linear programs about one remedy
-JUDGED = 3  # sets of fresh samples, at most
-REACHED = 1e-3  # of half the tolerance: by less, limits are kept
-CHEAPER = 0.9  # of the cost: what costs more is not worth another round
-CUTS = 60
-WHOLE = 2.0  # from one bound of a change to the other, in the largest that is allowed
-SHORT = 1e4  # costs of falling short by half the tolerance: what brings less with all that is allowed is left alone
-RESAMPLES = 1000  # of the bootstrap
+DERIVED = 20  # first samples that are evaluated with derivatives, which cost several evaluations each
+CAPABILITY = 1.0  #: required Cpk
+SINGLES = 3  # remedies with a single adjustment that are evaluated in full
+ROUNDS = 10  # largest number of linearisations per remedy
+JUDGED = 3  # largest number of sets of fresh samples
+REACHED = 1e-3  # tolerated excess over a limit, relative to half the tolerance
+CHEAPER = 0.9  # ratio of costs below which another linearisation is worthwhile
+CUTS = 60  # largest number of cutting planes
+WHOLE = 2.0  # range of a change, relative to the largest allowed change
+SHORT = 1e4  # penalty for an excess of half the tolerance
+RESAMPLES = 1000  # bootstrap resamples
 TOGETHER = "together"
 
 Progress = Callable[[int], None]

@@ -1,12 +1,12 @@
 """The smallest adjustment that brings an assembly within its limits.
 
-What counts is how far the intervals ``h ± half`` of the key characteristics reach beyond their limits at most. Each
-adjustment is tried by itself, in steps that can be set; smallest is what takes the least share of what is allowed.
-Where none suffices, the one that leaves least is told.
+The criterion is the largest excess of the intervals ``h ± half`` of the key characteristics over their limits.
+Adjustments are tried one at a time, in steps that can be set; the smallest is the one that takes the least share of its
+allowed range. If none suffices, the result is the one with the smallest excess.
 
-Key characteristics of an adjusted assembly come from what was learnt (:mod:`mic.studies.emulator_training`), and what that errs
-by is added to the intervals. Where it does not decide, they come from the derivatives and are evaluated at what is
-proposed, which is gone by from there on, until it is proposed again.
+Key characteristics of an adjusted assembly come from the emulator (:mod:`mic.studies.emulator_training`), whose error
+is added to the intervals. If this does not decide, the derivatives predict a change, the assembly is evaluated there,
+and the prediction interpolates between the evaluations, until a change is proposed for the second time.
 """
 
 from __future__ import annotations
@@ -18,34 +18,34 @@ import numpy as np
 
 from mic.process.model import ReducedModel
 from mic.studies.adjustment import Adjustment, extended
-from mic.studies.emulator_training import Learnt
+from mic.studies.emulator_training import AssemblyEmulator
 
-__all__ = ["Advisor", "Proposal"]
+__all__ = ["AdjustmentSearch", "ProposedAdjustment"]
 
-TRIED = 20  # changes to either side, between which the smallest is looked for
-AGAIN = 8  # evaluations at most
-LOST = 1e6  # mm: in place of what cannot be computed, beyond all limits
-WORTH = 1e-3  # mm: an adjustment that helps less is none
+GRID = 20  # changes of the coarse grid on each side
+MAX_EVALUATIONS = 8  # largest number of refinements by evaluation
+UNKNOWN = 1e6  # mm: key characteristics of an assembly that cannot be computed, beyond all limits
+WORTH = 1e-3  # mm: an adjustment with a smaller effect does not count
 
 #: Key characteristics (n, k) of changes (n,) of one adjustment, and half widths (n, k) or (k,) of their intervals.
-_Foretold = Callable[[int, np.ndarray], tuple[np.ndarray, np.ndarray]]
+_Prediction = Callable[[int, np.ndarray], tuple[np.ndarray, np.ndarray]]
 
 
 @dataclass(frozen=True)
-class Proposal:
+class ProposedAdjustment:
     """One adjustment of one assembly.
 
     Attributes
     ----------
     adjustment : Adjustment
     change : float
-        In its unit; 0 where nothing can be set that helps.
+        Change in its unit; 0 if no change helps.
     beyond : float
-        How far the worst interval reaches beyond its limits then, mm; negative within.
+        Excess of the worst interval over its limits after the change, mm; negative within.
     before : float
-        The same without it.
+        Excess without the change.
     evaluated : bool
-        Whether the assembly was evaluated for it.
+        Whether the result comes from an evaluation of the assembly.
     """
 
     adjustment: Adjustment
@@ -63,8 +63,8 @@ class Proposal:
         return f"{own.name} by {self.change:+.4g} {own.unit}: {reached}"
 
 
-class Advisor:
-    """Proposes adjustments.
+class AdjustmentSearch:
+    """Finds the smallest adjustment of an assembly.
 
     Parameters
     ----------
@@ -72,17 +72,21 @@ class Advisor:
     law : str
         Contact law.
     some : sequence of Adjustment
-        One at least.
-    learnt : Learnt, optional
-        What was learnt of what these adjustments change.
+        At least one.
+    emulator : AssemblyEmulator, optional
+        Emulator of the changes that these adjustments cause.
     """
 
-    def __init__(self, model: ReducedModel, law: str, some: Sequence[Adjustment], learnt: Learnt | None = None):
+    def __init__(
+        self, model: ReducedModel, law: str, some: Sequence[Adjustment], emulator: AssemblyEmulator | None = None
+    ):
         self._model, self._names = extended(model, some)
-        self._law, self._some, self._learnt = law, list(some), learnt
+        self._law, self._some, self._emulator = law, list(some), emulator
         self._lower, self._upper = np.array([item.bounds for item in model.scene.measurements]).T
 
-    def propose(self, x: np.ndarray, y: np.ndarray, half: np.ndarray, off: np.ndarray, covered: bool) -> Proposal:
+    def propose(
+        self, x: np.ndarray, y: np.ndarray, half: np.ndarray, off: np.ndarray, covered: bool
+    ) -> ProposedAdjustment:
         """The smallest adjustment of an assembly.
 
         Parameters
@@ -92,26 +96,26 @@ class Advisor:
         y, half : (k,) array
             Its key characteristics and the half widths of their intervals, mm.
         off : (k,) array
-            What y errs by, mm; 0 where it was evaluated.
+            Error of y, mm; 0 if it was evaluated.
         covered : bool
-            Whether it lies between the assemblies that were learnt from.
+            Whether it lies within the range of the emulator.
         """
-        learnt, before = self._learnt, self._beyond(y, half)
-        if learnt is not None and covered:
+        emulator, before = self._emulator, self._beyond(y, half)
+        if emulator is not None and covered:
 
-            def foretold(a: int, changes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-                more, errs = learnt(self._adjusted(x, a, changes))
+            def predict(a: int, changes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+                more, errs = emulator(self._adjusted(x, a, changes))
                 return y + more, half + off + errs
 
-            which, change, beyond = self._smallest(foretold)
-            told, wide = foretold(which, np.array([change]))
-            if beyond <= 0 or self._beyond(told, 2 * half - wide)[0] > 0:  # by as much as it errs by at least
-                return Proposal(self._some[which], change, beyond, before, False)
-        which, change, beyond = self._evaluated(x, y, half)
-        return Proposal(self._some[which], change, beyond, before, True)
+            which, change, beyond = self._smallest(predict)
+            told, wide = predict(which, np.array([change]))
+            if beyond <= 0 or self._beyond(told, 2 * half - wide)[0] > 0:  # even with the error subtracted
+                return ProposedAdjustment(self._some[which], change, beyond, before, False)
+        which, change, beyond = self._smallest_by_evaluation(x, y, half)
+        return ProposedAdjustment(self._some[which], change, beyond, before, True)
 
     def _beyond(self, y: np.ndarray, half: np.ndarray):
-        """(...) how far intervals (..., k) reach beyond their limits at most, mm; negative within."""
+        """(...) largest excess of intervals (..., k) over their limits, mm; negative within."""
         return np.maximum(y + half - self._upper, self._lower - y + half).max(axis=-1)
 
     def _adjusted(self, x: np.ndarray, a: int, changes: np.ndarray) -> np.ndarray:
@@ -120,33 +124,33 @@ class Advisor:
         found[:, : len(x)], found[:, len(x) + a] = x, changes
         return found
 
-    def _smallest(self, foretold: _Foretold) -> tuple[int, float, float]:
-        """Which adjustment, its change, and how far the intervals reach beyond then, by what is foretold."""
+    def _smallest(self, predict: _Prediction) -> tuple[int, float, float]:
+        """Number of the adjustment, its change and the excess that remains, by the prediction."""
         best, enough = (0, 0.0, np.inf), []
         for a, own in enumerate(self._some):
             for end in (own.low, own.high):
-                coarse = np.linspace(0.0, end, TRIED + 1)
-                beyond = self._beyond(*foretold(a, coarse))
+                coarse = np.linspace(0.0, end, GRID + 1)
+                beyond = self._beyond(*predict(a, coarse))
                 first = int(np.argmax(beyond[1:] <= 0)) + 1 if (beyond[1:] <= 0).any() else int(beyond.argmin())
                 if not first:
                     best = min(best, (a, 0.0, float(beyond[0])), key=lambda one: one[2])
                     continue
                 fine = own.settings(float(coarse[first - 1]), float(coarse[first]))
-                left = self._beyond(*foretold(a, fine))
+                left = self._beyond(*predict(a, fine))
                 i = int(np.argmax(left <= 0)) if (left <= 0).any() else int(left.argmin())
                 found = a, float(fine[i]), float(left[i])
                 best = min(best, found, key=lambda one: one[2])
                 enough += [found] if left[i] <= 0 else []
         return self._least(enough) or best
 
-    def _evaluated(self, x: np.ndarray, y: np.ndarray, half: np.ndarray) -> tuple[int, float, float]:
-        """As :meth:`_smallest`, evaluated."""
+    def _smallest_by_evaluation(self, x: np.ndarray, y: np.ndarray, half: np.ndarray) -> tuple[int, float, float]:
+        """As :meth:`_smallest`, by evaluations of the assembly."""
         process, start = self._model.process(self._law), self._adjusted(x, 0, np.zeros(1))[0]
         slope = np.nan_to_num(self._model.sensitivities(start, self._law, self._names).jacobian[0])  # (k, a)
         known: dict[tuple[int, float], np.ndarray] = {}
 
-        def foretold(a: int, changes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-            """Between what is known on the same side, and along the slopes beyond."""
+        def predict(a: int, changes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+            """Interpolate between evaluations on the same side; extrapolate along the derivatives."""
             found = np.empty((len(changes), len(y)))
             for i, change in enumerate(changes):
                 own = {0.0: y} | {abs(at): told for (b, at), told in known.items() if b == a and at * change > 0}
@@ -161,15 +165,15 @@ class Advisor:
 
         def evaluate(a: int, change: float) -> None:
             answer = process.attempt(self._adjusted(x, a, np.array([change])))
-            known[a, change] = np.full(len(y), LOST) if answer.failed[0] else answer.measurements[0]
+            known[a, change] = np.full(len(y), UNKNOWN) if answer.failed[0] else answer.measurements[0]
 
-        for _ in range(AGAIN):
-            a, change, _ = self._smallest(foretold)
+        for _ in range(MAX_EVALUATIONS):
+            a, change, _ = self._smallest(predict)
             if (a, change) in known or (not change and known):
                 break
             if change:
                 evaluate(a, change)
-            else:  # where nothing moves at first, more may
+            else:  # no small change has an effect: try the largest
                 for b, own in enumerate(self._some):
                     evaluate(b, own.low)
                     evaluate(b, own.high)

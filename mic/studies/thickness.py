@@ -1,4 +1,4 @@
-"""How far the interpolated compliance of a sheet of varying thickness leads astray: against that computed there."""
+"""Error of the interpolated compliance of a sheet of varying thickness, against the computed one."""
 
 from __future__ import annotations
 
@@ -15,24 +15,24 @@ from mic.process.model import ReducedModel
 
 __all__ = ["AWAY", "Interpolated", "interpolated"]
 
-AWAY = 3.0  # standard deviations
+AWAY = 3.0  # distance of the compared thicknesses from the mean, in standard deviations
 
 
 @dataclass(frozen=True)
 class Interpolated:
-    """Key characteristics at the thickness of a part some standard deviations off, all else at its mean.
+    """Error of the key characteristics with one part at its thinnest and thickest, all else at its mean.
 
     Attributes
     ----------
     name : str
-        Of the deviation.
+        Name of the deviation.
     part : str
     thickness : tuple of float
-        Least and largest, mm.
+        Smallest and largest, mm.
     change : (2, k) array
-        What they change of the k key characteristics, mm.
+        Change of the k key characteristics at them, mm.
     error : (2, k) array
-        By how much these differ with coefficients that were computed there, mm.
+        Difference from the change with coefficients computed at these thicknesses, mm.
     """
 
     name: str
@@ -45,13 +45,13 @@ class Interpolated:
 def interpolated(
     assembly: Assembly, model: ReducedModel, cache: Path, progress: Callable[[str], None] | None = None
 ) -> list[Interpolated]:
-    """Compute coefficients :data:`AWAY` standard deviations off, for each thickness that varies, and compare.
+    """Compare interpolated coefficients with computed ones, for each thickness that varies.
 
     Parameters
     ----------
     assembly : Assembly
     model : ReducedModel
-        Of it.
+        Reduced model of the assembly.
     cache : Path
         Folder of cached coefficients.
     progress : callable, optional
@@ -60,7 +60,7 @@ def interpolated(
     Raises
     ------
     MissingProvider
-        If they must be computed and nothing that can is installed.
+        If coefficients must be computed and no provider is installed.
     """
     found = []
     mean = model.deviations({})

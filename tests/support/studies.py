@@ -19,7 +19,7 @@ from mic.results.schema import (
     SPREADS,
 )
 from mic.studies.optimisation import Optimum
-from mic.studies.rare import Misses
+from mic.studies.rare import RareFailures
 from mic.studies.remedy import Remedies
 from mic.studies.sensitivity import Effects
 
@@ -80,7 +80,7 @@ def rare(names, deviations):
         for k, name in enumerate(names)
         for i, one in enumerate(deviations)
     ]
-    return Misses(filled(RARE, rows), filled(DESIGN_POINTS, points), "")
+    return RareFailures(filled(RARE, rows), filled(DESIGN_POINTS, points), "")
 
 
 def remedy(names, adjustment):

@@ -2,7 +2,7 @@
 
 from mic.studies.optimisation.design import Change, Design
 from mic.studies.optimisation.matching import Matched
-from mic.studies.optimisation.objective import Kept
+from mic.studies.optimisation.objective import ConstraintCheck
 from mic.studies.optimisation.optimum import BUDGET, FRESH, SAMPLES, Optimum, optimise
 
-__all__ = ["BUDGET", "FRESH", "SAMPLES", "Change", "Design", "Kept", "Matched", "Optimum", "optimise"]
+__all__ = ["BUDGET", "FRESH", "SAMPLES", "Change", "Design", "ConstraintCheck", "Matched", "Optimum", "optimise"]

@@ -1,4 +1,4 @@
-"""What may be changed of an assembly, and one choice of it: settings, orders of stages, places of items."""
+"""Design space of an assembly and one design in it: settings, orders of stages, places of items."""
 
 from __future__ import annotations
 
@@ -24,16 +24,16 @@ Sequenced = tuple[tuple[str, ...], ...] | None
 
 @dataclass(frozen=True)
 class Design:
-    """One choice.
+    """One point of the design space.
 
     Attributes
     ----------
     settings : tuple of float
         Changes of forces (N) and positions (mm) from what the scene states.
     orders : tuple
-        By stage, groups of names; None where it is the scene's.
+        By stage, groups of names; None for the scene's own order.
     places : tuple of int
-        By item, which of its points: 0 is the scene's.
+        By item, the number of its point: 0 is the scene's.
     """
 
     settings: tuple[float, ...]
@@ -42,13 +42,13 @@ class Design:
 
     @property
     def structure(self) -> tuple[Any, ...]:
-        """What takes another process to be prepared."""
+        """Orders and places: designs that differ in them need different models."""
         return self.orders, self.places
 
 
 @dataclass(frozen=True)
 class Change:
-    """One key that a design changes.
+    """Change of one key of the scene.
 
     Attributes
     ----------
@@ -56,7 +56,7 @@ class Change:
     targets : tuple of str
         Names of clamps or locators, of a stage, of an item as ``TABLE.NAME``.
     before, after : float, list, or None
-        Force, N; change of position, mm; order; point. None: what follows from the file.
+        Force, N; change of position, mm; order; point. None for the order that the file implies.
     """
 
     kind: str
@@ -76,7 +76,7 @@ class Change:
 
 
 class Space:
-    """What a scene lets be changed.
+    """The changes that a scene allows.
 
     Parameters
     ----------
@@ -87,15 +87,15 @@ class Space:
     ----------
     settings : list of Adjustment
     costs : (a,) array
-        Of a change by one unit of each.
+        Cost of a change by one unit of each setting.
     stages : list of str
     groups : list of tuple
-        By stage, what closes or opens together, in the order of the scene.
+        By stage, groups that close or open together, in the order of the scene.
     stated_groups : list of list of set
-        By stage, what closes or opens together as the scene is.
+        By stage, the groups that the scene closes or opens together.
     items : list of str
     points : list of list
-        By item, where it may stand; the first is the scene's.
+        By item, its allowed points; the first is the scene's.
     """
 
     def __init__(self, model: ReducedModel):
@@ -119,7 +119,7 @@ class Space:
 
     @cached_property
     def stated(self) -> Design:
-        """What the scene states."""
+        """The design that the scene states."""
         return Design((0.0,) * len(self.settings), (None,) * len(self.stages), (0,) * len(self.items))
 
     @property
@@ -127,22 +127,22 @@ class Space:
         """Whether there are orders or places to choose from."""
         return bool(self.items) or any(len(own) > 1 for own in self.groups)
 
-    def opened(self, model: ReducedModel) -> tuple[ReducedModel, list[str]]:
-        """A model with a deviation of no spread for each setting, and their names."""
+    def with_setting_deviations(self, model: ReducedModel) -> tuple[ReducedModel, list[str]]:
+        """A model with a deviation of standard deviation 0 for each setting, and the names of these deviations."""
         return extended(model, self.settings)
 
-    def ordered(self, model: ReducedModel, design: Design) -> ReducedModel:
+    def with_orders_of(self, model: ReducedModel, design: Design) -> ReducedModel:
         """A model with the orders of a design."""
         if all(order is None for order in design.orders):
             return model
         return replace(model, scene=_with_orders(model.scene, dict(zip(self.stages, design.orders))))
 
     def settable(self, settings: Sequence[float] | np.ndarray) -> tuple[float, ...]:
-        """Settings as a workshop can make them, within their bounds."""
-        return tuple(_rounded(one, float(x)) for one, x in zip(self.settings, settings))
+        """Settings rounded to steps that can be set, within their bounds."""
+        return tuple(_round_change(one, float(x)) for one, x in zip(self.settings, settings))
 
     def changes(self, design: Design) -> list[Change]:
-        """What a design changes of the scene."""
+        """Changes of the scene under a design."""
         found = []
         for own, change in zip(self.settings, design.settings):
             if change:
@@ -156,7 +156,7 @@ class Space:
                 found.append(Change("place", (item,), list(points[0]), list(points[at])))
         return found
 
-    def stood(self, design: Design) -> Scene:
+    def with_places_of(self, design: Design) -> Scene:
         """The scene with its items at the places of a design."""
         moved: dict[str, dict[str, Any]] = {}
         for item, points, at in zip(self.items, self.points, design.places):
@@ -175,9 +175,9 @@ class Space:
             }
         )
 
-    def changed(self, design: Design) -> Scene:
-        """The scene with a design: forces, strokes, orders, points in their keys, shims as deviations of no spread."""
-        scene = _with_orders(self.stood(design), dict(zip(self.stages, design.orders)))
+    def with_design(self, design: Design) -> Scene:
+        """The scene under a design: forces, strokes, orders and points in their keys, shims as fixed deviations."""
+        scene = _with_orders(self.with_places_of(design), dict(zip(self.stages, design.orders)))
         more = {
             name: change
             for own, change in zip(self.settings, design.settings)
@@ -208,7 +208,7 @@ def _shim(scene, choice) -> Adjustment:
 
 
 def _groups(scene, choice) -> tuple[tuple[str, ...], ...]:
-    """What closes, or opens, together in a stage, in the order of the scene."""
+    """Groups that close, or open, together in a stage, in the order of the scene."""
     stage, moves = next((stage, moves) for stage, moves in stage_moves(scene) if stage.name == choice.stage)
     if choice.groups is not None:
         called = lambda name: [one.name for one in jaws(scene, name)] or [name]
@@ -231,7 +231,7 @@ def _with_orders(scene: Scene, orders: dict[str, Sequenced]) -> Scene:
     return scene.model_copy(update={"stages": stages})
 
 
-def _rounded(own: Adjustment, change: float) -> float:
-    """The nearest change that can be set; a hundredth of its bounds is told apart."""
+def _round_change(own: Adjustment, change: float) -> float:
+    """The nearest change that can be set; the step is at most a hundredth of the range."""
     step = 10.0 ** np.floor(np.log10((own.high - own.low) / 100.0))
     return float(np.clip(np.round((own.now + change) / step) * step - own.now, own.low, own.high))

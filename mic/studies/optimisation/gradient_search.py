@@ -1,17 +1,17 @@
-r"""Settings by exact derivatives: the average over samples, made small by sequential quadratic programming.
+r"""Optimise settings by sequential quadratic programming with exact derivatives of the sample average.
 
-With all samples fixed the objective is a function of the settings x alone, and each sample has exact derivatives. What
-is the largest of several figures becomes a bound t on all of them, what a change costs a bound on ``|x|``, so that all
-is smooth:
+On fixed samples the objective is a function of the settings x, and each sample has exact derivatives. A maximum of
+several figures is replaced by an upper bound t on all of them, and the cost of a change by an upper bound s on
+``cost |x|``, so that the problem is smooth:
 
-    least of  t + Σ s_i + W v   with   φ_j(x) ≤ t,   c_q(x) + v ≥ 0,   ± cost_i x_i ≤ s_i,   v ≥ 0,
+    minimise  t + Σ s_i + W v   with   φ_j(x) ≤ t,   c_q(x) + v ≥ 0,   ± cost_i x_i ≤ s_i,   v ≥ 0,
 
-within the bounds of x. Where the constraints can be kept v is 0, for W is large; where they cannot, it is the least by
-which all of them are missed.
+within the bounds of x. W is large, so that v = 0 if the constraints can be satisfied; otherwise v is their smallest
+common violation.
 
-SciPy's SLSQP [1]_ solves it. Settings are few and an evaluation is dear: it takes a gradient a step where trust-constr,
-the other of SciPy's methods that obey such constraints, takes several for its barrier, and it needs no second
-derivatives, which a path of contact does not have. What is told is the best of the points that it has visited.
+:func:`scipy.optimize.minimize` solves it with SLSQP [1]_. Settings are few and an evaluation is expensive: SLSQP takes
+one gradient per step, whereas trust-constr takes several for its barrier and needs second derivatives, which a contact
+path does not have. The result is the best of the visited points.
 
 References
 ----------
@@ -27,67 +27,67 @@ import numpy as np
 from scipy.optimize import minimize
 
 from mic.studies.optimisation.design import Design
-from mic.studies.optimisation.evaluations import Spent, Trials
+from mic.studies.optimisation.evaluations import BudgetExceeded, DesignEvaluator
 
 __all__ = ["descend"]
 
 STEPS = 15
-ENOUGH = 1e-3  # of the objective: a step that gains no more is the last
-SLACK = 100.0  # W, in objectives
+ENOUGH = 1e-3  # change of the scaled objective at which the search stops
+SLACK = 100.0  # W, relative to the scaled objective
 
 
 class _Problem:
     """The problem above, in settings u between 0 and 1, t, s and v."""
 
-    def __init__(self, start: Design, trials: Trials):
-        self.start, self.trials, self.objective = start, trials, trials.objective
-        space = trials.space
+    def __init__(self, start: Design, evaluator: DesignEvaluator):
+        self.start, self.evaluator, self.objective = start, evaluator, evaluator.objective
+        space = evaluator.space
         self.low, self.width = space.low, space.high - space.low
         self.costs = space.costs if self.objective.kind == "cost" else np.zeros(len(space.costs))
-        self.dear = np.flatnonzero(self.costs)
+        self.priced = np.flatnonzero(self.costs)
         self.scale = 1.0
-        self._told: dict[bytes, tuple[np.ndarray, ...]] = {}
+        self._cached: dict[bytes, tuple[np.ndarray, ...]] = {}
 
     def settings(self, z: np.ndarray) -> np.ndarray:
-        """Of the unknowns."""
+        """Settings x of the unknowns z."""
         return self.low + self.width * np.clip(z[: len(self.width)], 0.0, 1.0)
 
-    def told(self, z: np.ndarray) -> tuple[np.ndarray, ...]:
+    def values(self, z: np.ndarray) -> tuple[np.ndarray, ...]:
         """φ, c and their derivatives by u."""
         x = self.settings(z)
         key = x.tobytes()
-        if key not in self._told:
+        if key not in self._cached:
             design = replace(self.start, settings=tuple(float(one) for one in x))
-            y, slopes = self.trials.derived(design)
+            y, slopes = self.evaluator.derived(design)
             found = self.objective.figures(y, slopes)
             φ, dφ = self.objective.largest(found)
             c, dc = self.objective.inequalities(found, x)
-            self._told[key] = φ, dφ * self.width, c, dc * self.width
-        return self._told[key]
+            self._cached[key] = φ, dφ * self.width, c, dc * self.width
+        return self._cached[key]
 
     def first(self) -> np.ndarray:
-        """The unknowns at the start."""
+        """The unknowns z at the start; sets the scale of the objective."""
         u = (np.array(self.start.settings) - self.low) / self.width
-        φ = self.told(u)[0]
+        φ = self.values(u)[0]
         self.scale = max(float(np.abs(φ).max()), float((self.costs * self.width).max()), 1e-6)
-        s = np.abs(self.costs * self.settings(u))[self.dear]
-        c = self.told(u)[2]
+        s = np.abs(self.costs * self.settings(u))[self.priced]
+        c = self.values(u)[2]
         return np.concatenate([u, [float(φ.max()) / self.scale], s / self.scale, [max(0.0, -c.min(initial=0.0))]])
 
-    def kept(self, z: np.ndarray) -> np.ndarray:
-        """What must not be negative."""
-        φ, _, c, _ = self.told(z)
+    def constraints(self, z: np.ndarray) -> np.ndarray:
+        """Constraint functions of z, which must not be negative."""
+        φ, _, c, _ = self.values(z)
         a = len(self.width)
-        dear = (self.costs * self.settings(z))[self.dear] / self.scale
+        priced = (self.costs * self.settings(z))[self.priced] / self.scale
         s = z[a + 1 : -1]
-        return np.concatenate([z[a] - φ / self.scale, c + z[-1], s - dear, s + dear])
+        return np.concatenate([z[a] - φ / self.scale, c + z[-1], s - priced, s + priced])
 
-    def kept_slopes(self, z: np.ndarray) -> np.ndarray:
-        """Its derivatives."""
-        _, dφ, _, dc = self.told(z)
-        a, d = len(self.width), len(self.dear)
+    def constraint_slopes(self, z: np.ndarray) -> np.ndarray:
+        """Derivatives of :meth:`constraints` by z."""
+        _, dφ, _, dc = self.values(z)
+        a, d = len(self.width), len(self.priced)
         by_u = np.zeros((d, a))
-        by_u[np.arange(d), self.dear] = (self.costs * self.width)[self.dear] / self.scale
+        by_u[np.arange(d), self.priced] = (self.costs * self.width)[self.priced] / self.scale
 
         def rows(u: np.ndarray, t: float, s: np.ndarray, v: float) -> np.ndarray:
             return np.column_stack([u, np.full(len(u), t), s, np.full(len(u), v)])
@@ -102,13 +102,13 @@ class _Problem:
         )
 
 
-def descend(start: Design, trials: Trials, better: Callable[[Design], None]) -> Design:
-    """The best settings that are found from a design on, with its orders and places.
+def descend(start: Design, evaluator: DesignEvaluator, better: Callable[[Design], None]) -> Design:
+    """Optimise the settings of a design; its orders and places stay.
 
     Parameters
     ----------
     start : Design
-    trials : Trials
+    evaluator : DesignEvaluator
     better : callable
         Called with each design that is the best so far.
     """
@@ -116,17 +116,17 @@ def descend(start: Design, trials: Trials, better: Callable[[Design], None]) -> 
     if not start.settings:
         return best
 
-    def look(z: np.ndarray) -> None:
+    def accept_if_better(z: np.ndarray) -> None:
         nonlocal best
-        design = replace(start, settings=trials.space.settable(problem.settings(z)))
-        if design != best and trials.merit(design) < trials.merit(best):
+        design = replace(start, settings=evaluator.space.settable(problem.settings(z)))
+        if design != best and evaluator.merit(design) < evaluator.merit(best):
             best = design
             better(best)
 
     try:
-        if len(trials.derived(start)[0]) < 2:  # no sample has derivatives
+        if len(evaluator.derived(start)[0]) < 2:  # too few samples have derivatives
             return best
-        problem = _Problem(start, trials)
+        problem = _Problem(start, evaluator)
         z = problem.first()
         a = len(problem.width)
         gradient = np.concatenate([np.zeros(a), np.ones(len(z) - a - 1), [SLACK]])
@@ -135,12 +135,12 @@ def descend(start: Design, trials: Trials, better: Callable[[Design], None]) -> 
             z,
             jac=lambda z: gradient,
             bounds=[(0.0, 1.0)] * a + [(None, None)] * (len(z) - a - 1) + [(0.0, None)],
-            constraints={"type": "ineq", "fun": problem.kept, "jac": problem.kept_slopes},
-            callback=look,
+            constraints={"type": "ineq", "fun": problem.constraints, "jac": problem.constraint_slopes},
+            callback=accept_if_better,
             method="SLSQP",
             options={"maxiter": STEPS, "ftol": ENOUGH},
         )
-        look(found.x)
-    except Spent:
+        accept_if_better(found.x)
+    except BudgetExceeded:
         pass
     return best

@@ -1,13 +1,13 @@
-"""Measured parts of several kinds, put together so that the assemblies become as good as they can.
+"""Match measured parts of several kinds so that the average cost of their assemblies is smallest.
 
-What a combination costs the model says: what no kind measures varies, and the average over samples of it counts,
+The cost of a combination of parts is the average over samples of the unmeasured deviations,
 
     c = (1/n) Σ_s Σ_k w_k ((y_sk − centre_k) / half a tolerance)²,
 
-the loss that grows with mean and variance alike; for the objectives `yield` and `cost` the share of samples outside,
-and a thousandth of that loss, which tells equals apart. Costs of different assemblies add up, so that two kinds are an
-assignment problem, which is solved exactly [1]_. More kinds are taken one at a time, each assigned anew to what the
-others have been put together to, until nothing improves: with more than two that finds no more than a local optimum.
+a quadratic loss; for the objectives `yield` and `cost` it is the share of samples outside plus a thousandth of that
+loss, which orders combinations of equal share. The total cost is the sum over assemblies, so that two kinds form an
+assignment problem, which is solved exactly [1]_. With more kinds, one kind at a time is reassigned to the combinations
+of the others until nothing improves, which finds a local optimum.
 
 References
 ----------
@@ -30,16 +30,16 @@ from mic.scene.tables import read_cells, read_number
 from mic.statistics.estimates import Estimate
 from mic.statistics.paired_differences import mean_change
 from mic.studies.optimisation.design import Design
-from mic.studies.optimisation.evaluations import BLOCK, Trials
+from mic.studies.optimisation.evaluations import BLOCK, DesignEvaluator
 from mic.system.files import fingerprint
 
 __all__ = ["FARTHEST", "Kind", "Matched", "assigned", "combinations", "matched", "read_kinds"]
 
-FARTHEST = 6.0  #: standard deviations: a part farther off than that is not one of this scene's
+FARTHEST = 6.0  #: standard deviations from the mean, beyond which a part is taken not to belong to the scene
 ROUNDS = 50
-JUDGED = 1000  # fresh samples of what was not measured, at most
-SHARE = 1e-3  # of the loss, beside the share outside
-UNFIT = 10.0  # loss of an assembly that cannot be built, beyond the largest
+FRESH_SAMPLES = 1000  # largest number of fresh samples of the unmeasured deviations
+SHARE = 1e-3  # weight of the loss beside the share outside
+UNFIT = 10.0  # loss of an assembly that cannot be built, above the largest other loss
 
 
 @dataclass(frozen=True)
@@ -50,10 +50,10 @@ class Kind:
     ----------
     name : str
     columns : list of int
-        The deviations that were measured, by their numbers.
+        Numbers of the measured deviations.
     values : (n, c) array
     rows : list of int
-        Where each stands in its file.
+        Row of each part in its file.
     """
 
     name: str
@@ -64,19 +64,19 @@ class Kind:
 
 @dataclass(frozen=True)
 class Matched:
-    """Parts put together.
+    """Combinations of parts.
 
     Attributes
     ----------
     kinds : list of str
     rows : (a, t) int array
-        Of a assemblies, the row in the file of each of their t parts.
+        File rows of the t parts of each of the a assemblies.
     left : list of list of int
-        By kind, the rows of parts that no assembly takes.
+        By kind, the rows of unused parts.
     before, after : float
-        Their average cost in the order of the files and as they are matched.
+        Average cost in the order of the files and as matched.
     rounds : int
-        Assignments that were solved.
+        Number of assignment problems that were solved.
     """
 
     kinds: list[str]
@@ -88,13 +88,13 @@ class Matched:
 
 
 def read_kinds(scene: Scene) -> list[Kind]:
-    """The measured parts that a scene names.
+    """Read the measured parts that a scene names.
 
     Raises
     ------
     SceneError
-        Naming file, row and column: for files that are no tables, deviations that the scene does not have or that two
-        kinds measure, and parts that are not of this scene.
+        If a file is no table, names an unknown deviation or one that another kind measures, or holds a part that does
+        not belong to the scene; the message names file, row and column.
     """
     assert scene.optimise is not None
     names = [one.name for one in scene.deviations]
@@ -147,13 +147,13 @@ def _read(name: str, path: Path, scene: Scene, names: list[str]) -> Kind:
 
 
 def assigned(kinds: Sequence[Kind], cost: Callable[[np.ndarray], np.ndarray]) -> Matched:
-    """Put parts together at the least sum of costs.
+    """Combine parts at the smallest sum of costs.
 
     Parameters
     ----------
     kinds : sequence of Kind
     cost : callable
-        Costs (c,) of combinations (c, t), each the numbers of its parts.
+        Returns the costs (c,) of combinations (c, t), given as part numbers.
     """
     count = min(len(one.values) for one in kinds)
     together = np.tile(np.arange(count)[:, None], (1, len(kinds)))
@@ -162,10 +162,10 @@ def assigned(kinds: Sequence[Kind], cost: Callable[[np.ndarray], np.ndarray]) ->
     while rounds < ROUNDS * len(kinds):
         start = best
         for t in range(1, len(kinds)) if len(kinds) > 2 else (1,):
-            together, best = _assigned_anew(kinds, together, t, cost)
+            together, best = _reassign(kinds, together, t, cost)
             rounds += 1
         if len(kinds) > 2:
-            together, best = _assigned_anew(kinds, together, 0, cost)
+            together, best = _reassign(kinds, together, 0, cost)
             rounds += 1
         if len(kinds) == 2 or best >= start - 1e-12 * max(abs(start), 1.0):
             break
@@ -175,9 +175,8 @@ def assigned(kinds: Sequence[Kind], cost: Callable[[np.ndarray], np.ndarray]) ->
     return Matched([one.name for one in kinds], rows, left, before, best, rounds)
 
 
-def _assigned_anew(kinds, together: np.ndarray, t: int, cost) -> tuple[np.ndarray, float]:
-    """The parts of one kind assigned anew to what the others are put together to; of two kinds that have unlike many
-    parts, all of the first take part."""
+def _reassign(kinds, together: np.ndarray, t: int, cost) -> tuple[np.ndarray, float]:
+    """Reassign the parts of kind `t` to the combinations of the others; two kinds are assigned as a whole."""
     if len(kinds) == 2:
         first, second = len(kinds[0].values), len(kinds[1].values)
         pairs = np.stack(np.meshgrid(np.arange(first), np.arange(second), indexing="ij"), axis=-1).reshape(-1, 2)
@@ -195,40 +194,43 @@ def _assigned_anew(kinds, together: np.ndarray, t: int, cost) -> tuple[np.ndarra
 
 
 def combinations(kinds: Sequence[Kind]) -> int:
-    """How many are evaluated, at the least."""
+    """Least number of combinations that are evaluated."""
     sizes = [len(kind.values) for kind in kinds]
     return sizes[0] * sizes[1] if len(sizes) == 2 else min(sizes) * sum(sizes)
 
 
-def matched(trials: Trials, design: Design, kinds: Sequence[Kind], fresh: int) -> tuple[Matched, Estimate]:
-    """Measured parts matched under a design, and by how much their average cost falls on fresh samples of what was not
-    measured; without an interval where all was.
+def matched(evaluator: DesignEvaluator, design: Design, kinds: Sequence[Kind], fresh: int) -> tuple[Matched, Estimate]:
+    """Match measured parts under a design; also estimate the reduction of their average cost on fresh samples.
+
+    The estimate has no interval if all deviations are measured.
 
     Parameters
     ----------
-    trials : Trials
+    evaluator : DesignEvaluator
     design : Design
     kinds : sequence of Kind
     fresh : int
     """
-    losses = _Losses(trials, design, kinds)
-    left = (trials.budget - trials.spent) // combinations(kinds)
-    found = assigned(kinds, lambda own: losses.of(own, 0, int(min(trials.samples, max(1, left)))).mean(axis=1))
+    losses = _LossTable(evaluator, design, kinds)
+    left = (evaluator.budget - evaluator.spent) // combinations(kinds)
+    found = assigned(kinds, lambda own: losses.of(own, 0, int(min(evaluator.samples, max(1, left)))).mean(axis=1))
     places = [{row: i for i, row in enumerate(kind.rows)} for kind in kinds]
     together = np.array([[own[row] for own, row in zip(places, rows)] for rows in found.rows.tolist()])
     if not losses.open:
         return found, Estimate.of(np.zeros(1), found.before - found.after, np.nan, np.nan)
-    apart = np.tile(np.arange(len(together))[:, None], (1, len(kinds)))
-    matched, before = (losses.of(own, trials.samples, min(fresh, JUDGED)).mean(axis=0) for own in (together, apart))
+    in_file_order = np.tile(np.arange(len(together))[:, None], (1, len(kinds)))
+    matched, before = (
+        losses.of(own, evaluator.samples, min(fresh, FRESH_SAMPLES)).mean(axis=0) for own in (together, in_file_order)
+    )
     return found, mean_change(matched, before)
 
 
-class _Losses:
-    """Losses of combinations under a design."""
+class _LossTable:
+    """Losses of combinations of parts under a design, each evaluated once."""
 
-    def __init__(self, trials: Trials, design: Design, kinds: Sequence[Kind]):
-        self.trials, self.design, self.kinds = trials, design, kinds
-        scene, objective = trials.space.scene, trials.objective
+    def __init__(self, evaluator: DesignEvaluator, design: Design, kinds: Sequence[Kind]):
+        self.evaluator, self.design, self.kinds = evaluator, design, kinds
+        scene, objective = evaluator.space.scene, evaluator.objective
         measured = [j for kind in kinds for j in kind.columns]
         self.open = any(one.sigma > 0 for j, one in enumerate(scene.deviations) if j not in measured)
         self.mean = np.array([[one.mean for one in scene.deviations]])
@@ -238,29 +240,29 @@ class _Losses:
         self._known: dict[tuple[tuple[int, ...], int], np.ndarray] = {}
 
     def of(self, some: np.ndarray, first: int, count: int) -> np.ndarray:
-        """(c, count) of samples from one on; where nothing else varies, of one."""
-        drawn = self.trials.drawn(first, count) if self.open else self.mean
+        """(c, count) losses over samples from number `first`; a single column if nothing else varies."""
+        deviations = self.evaluator.draw_deviations(first, count) if self.open else self.mean
         every = [*map(tuple, some.tolist())]
         wanted = [own for own in dict.fromkeys(every) if (own, first) not in self._known]
-        step = max(1, BLOCK // len(drawn))
+        step = max(1, BLOCK // len(deviations))
         for start in range(0, len(wanted), step):
             part = wanted[start : start + step]
-            x = np.tile(drawn, (len(part), 1))
+            x = np.tile(deviations, (len(part), 1))
             for i, own in enumerate(part):
                 for kind, number in zip(self.kinds, own):
-                    x[i * len(drawn) : (i + 1) * len(drawn), kind.columns] = kind.values[number]
+                    x[i * len(deviations) : (i + 1) * len(deviations), kind.columns] = kind.values[number]
             loss = self._evaluated(x).reshape(len(part), -1)
             self._known.update({(own, first): values for own, values in zip(part, loss)})
         return np.array([self._known[own, first] for own in every])
 
     def _evaluated(self, x: np.ndarray) -> np.ndarray:
-        objective = self.trials.objective
+        objective = self.evaluator.objective
 
-        def evaluated() -> dict[str, np.ndarray]:
-            y, unfit = self.trials.at(self.design, x)
+        def evaluate() -> dict[str, np.ndarray]:
+            y, unfit = self.evaluator.at(self.design, x)
             return {"y": y, "unfit": unfit.astype(float)}
 
-        kept = self.trials.once(self.design, f"parts {fingerprint(x.tobytes())}", evaluated)
+        kept = self.evaluator.once(self.design, f"parts {fingerprint(x.tobytes())}", evaluate)
         y, unfit = kept["y"].reshape(len(x), -1), kept["unfit"].astype(bool)
         off = (self.weight * ((y - self.centre) / objective.half) ** 2).sum(axis=1)
         loss = np.where(unfit, off.max(initial=0.0) + UNFIT, off)

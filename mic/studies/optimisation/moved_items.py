@@ -1,9 +1,9 @@
-"""Models of an assembly whose items stand elsewhere, from one computation of its influence coefficients.
+"""Models of an assembly with relocated items, from one computation of its influence coefficients.
 
-Where an item may stand, its functionals are retained at all of its points, together: every part is factorised once,
-and each model takes the rows and columns of H and the rows of G that it has. Where a combination of places asks for
-functionals that no single place does, as contact pairs do that follow two pads, the part is computed once more, with
-these as well. A fused weld's nugget has elements of its own: a part is factorised for each of its places.
+The functionals of an item are retained at all of its candidate points together: every part is factorised once, and each
+model selects its rows and columns of H and its rows of G. If a combination of places needs functionals that no single
+place has, such as contact pairs that depend on two pads, the part is computed again with these included. The nugget of
+a fused weld has elements of its own, so that its part is factorised for each of its places.
 """
 
 from __future__ import annotations
@@ -27,13 +27,13 @@ from mic.scene import Scene
 from mic.scene.optimisation import standing
 from mic.studies.optimisation.design import Design, Space
 
-__all__ = ["Sites", "on_their_parts"]
+__all__ = ["RelocatedModels", "on_their_parts"]
 
-Mesh = tuple[str, bytes]  #: of a part, by its name and what its mesh holds
+Mesh = tuple[str, bytes]  #: name of a part and the bytes of its mesh
 
 
-class Sites:
-    """Models of a scene with its items at other places.
+class RelocatedModels:
+    """Builds models of a scene with its items at other places.
 
     Parameters
     ----------
@@ -46,16 +46,16 @@ class Sites:
     Raises
     ------
     SceneError
-        For a candidate that lies off its part, by name; where the parts' meshes are not at hand.
+        If a candidate lies off its part, or the meshes of the parts are not available.
     """
 
     def __init__(self, space: Space, cache: Path, progress: Callable[[str], None] = lambda line: None):
         self._cache, self._progress = cache, progress
-        self._known: dict[Mesh, Functionals] = {}
+        self._retained: dict[Mesh, Functionals] = {}
         self._places: dict[Mesh, dict[bytes, int]] = {}
-        self._found: dict[Mesh, InfluenceCoefficients] = {}
+        self._coefficients: dict[Mesh, InfluenceCoefficients] = {}
         try:
-            stated = self._assembled(space.scene)
+            stated = self._assemble(space.scene)
         except SceneError as problem:
             raise SceneError(
                 f"optimise.places: other places take the parts' meshes, and they cannot be had ({problem}); give the "
@@ -65,34 +65,34 @@ class Sites:
         for own, points in enumerate(space.points):
             for at in range(1, len(points)):
                 places = tuple(at if i == own else 0 for i in range(len(space.points)))
-                scene = space.stood(Design(space.stated.settings, space.stated.orders, places))
+                scene = space.with_places_of(Design(space.stated.settings, space.stated.orders, places))
                 try:
-                    self._retain(self._assembled(scene))
+                    self._retain(self._assemble(scene))
                 except SceneError as problem:
                     raise SceneError(
                         f"optimise.places[{own}].points[{at - 1}] ({space.items[own]}): {problem}"
                     ) from None
 
     def model(self, scene: Scene) -> ReducedModel:
-        """The model of the scene with items at some of their places."""
-        assembly = self._assembled(scene)
+        """The model of a scene with relocated items."""
+        assembly = self._assemble(scene)
         self._retain(assembly)
-        missing = {part.name: _mesh(part) for part in assembly.parts if _mesh(part) not in self._found}
+        missing = {part.name: _mesh(part) for part in assembly.parts if _mesh(part) not in self._coefficients}
         if missing:
-            whole = tuple(replace(part, functionals=self._known[_mesh(part)]) for part in assembly.parts)
+            whole = tuple(replace(part, functionals=self._retained[_mesh(part)]) for part in assembly.parts)
             own = replace(assembly, parts=tuple(part for part in whole if part.name in missing))
             found = influence_coefficients(own, self._cache, self._progress)[0]
-            self._found |= {mesh: found[name] for name, mesh in missing.items()}
-        taken = {part.name: self._taken(part) for part in assembly.parts}
-        return ReducedModel.build(assembly, taken)
+            self._coefficients |= {mesh: found[name] for name, mesh in missing.items()}
+        selected = {part.name: self._select(part) for part in assembly.parts}
+        return ReducedModel.build(assembly, selected)
 
-    def _assembled(self, scene: Scene) -> Assembly:
+    def _assemble(self, scene: Scene) -> Assembly:
         assembly = assemble(scene, self._cache, check=plan_assembly)
         plan_assembly(assembly)
         return assembly
 
     def _retain(self, assembly: Assembly) -> None:
-        """Add the functionals of an assembly to those that are known; a part that has more is computed anew."""
+        """Add the functionals of an assembly to the retained ones; a part with new ones is marked for computation."""
         for part in assembly.parts:
             mesh = _mesh(part)
             places = self._places.setdefault(mesh, {})
@@ -103,12 +103,12 @@ class Sites:
                     places[key] = len(places)
                     fresh.append(i)
             if len(places) > before:
-                self._known[mesh] = _joined(self._known.get(mesh), own, fresh)
-                self._found.pop(mesh, None)
+                self._retained[mesh] = _append(self._retained.get(mesh), own, fresh)
+                self._coefficients.pop(mesh, None)
 
-    def _taken(self, part) -> InfluenceCoefficients:
-        """Of the coefficients of all functionals those that a part has."""
-        whole, places = self._found[_mesh(part)], self._places[_mesh(part)]
+    def _select(self, part) -> InfluenceCoefficients:
+        """Select the coefficients of the functionals of a part."""
+        whole, places = self._coefficients[_mesh(part)], self._places[_mesh(part)]
         at = np.array([places[key] for key in _keys(part.functionals)], dtype=int)
         varied = whole.thicknesses
         if varied is not None:
@@ -117,19 +117,19 @@ class Sites:
 
 
 def _mesh(part) -> Mesh:
-    """What tells the meshes of a part apart: elements at a nugget are divided, wherever it stands."""
+    """Identify the mesh of a part: elements at a nugget are divided, so that it depends on the nugget's place."""
     return part.name, part.surface.points.tobytes() + part.surface.triangles.tobytes()
 
 
 def _keys(own: Functionals) -> list[bytes]:
-    """What tells each functional of a part from the others."""
+    """Identify each functional of a part by its bytes."""
     patches = [b"".join(np.ascontiguousarray(array).tobytes() for array in vars(one).values()) for one in own.patches]
     rows = zip(own.patch, np.ascontiguousarray(own.direction), own.rotation, own.side)
     return [patches[p] + d.tobytes() + bytes([bool(r)]) + np.float64(s).tobytes() for p, d, r, s in rows]
 
 
-def _joined(known: Functionals | None, own: Functionals, rows: list[int]) -> Functionals:
-    """Known functionals, and rows of others behind them."""
+def _append(known: Functionals | None, own: Functionals, rows: list[int]) -> Functionals:
+    """Append rows of functionals to the retained ones."""
     if known is None:
         known = replace(own, patches=(), **{name: getattr(own, name)[:0] for name in ("patch", "direction")})
         known = replace(known, rotation=own.rotation[:0], side=own.side[:0], label=())
@@ -146,12 +146,12 @@ def _joined(known: Functionals | None, own: Functionals, rows: list[int]) -> Fun
 
 
 def on_their_parts(space: Space, assembly: Assembly) -> None:
-    """Every candidate lies on the part, or the parts, of its item.
+    """Check that every candidate lies on the part, or the parts, of its item.
 
     Raises
     ------
     SceneError
-        Naming each that does not, and the nearest point that does.
+        Names each candidate that does not, and the nearest point that does.
     """
     surfaces, lines = assembly.surfaces, []
     for i, (item, points) in enumerate(zip(space.items, space.points)):
@@ -161,13 +161,13 @@ def on_their_parts(space: Space, assembly: Assembly) -> None:
             for j, (point, far, near) in enumerate(zip(points[1:], foot.distance, foot.point)):
                 if far > REACH and j not in off:
                     lines.append(
-                        f"optimise.places[{i}].points[{j}] ({item}): {_words(point)} lies {far:.3g} mm off part "
-                        f"{name!r} (at most {REACH:g} mm is allowed); the nearest point on it is {_words(near)}"
+                        f"optimise.places[{i}].points[{j}] ({item}): {_format_point(point)} lies {far:.3g} mm off part "
+                        f"{name!r} (at most {REACH:g} mm is allowed); the nearest point on it is {_format_point(near)}"
                     )
                     off.add(j)
     if lines:
         raise SceneError("\n".join(lines))
 
 
-def _words(point) -> str:
+def _format_point(point) -> str:
     return f"[{', '.join(f'{x:.6g}' for x in point)}]"

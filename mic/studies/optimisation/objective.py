@@ -1,14 +1,14 @@
-r"""What an assembly is judged by: the objective, the constraints, and their derivatives over samples.
+r"""Objective and constraints of an optimisation, and their derivatives, from samples.
 
-Of samples y (n, k) with mean m, standard deviation σ, limits L and U and weights w, the objective is, as something that
-is to become small,
+For samples y (n, k) with mean m, standard deviation σ, limits L and U and weights w, the objective to be minimised is
+one of
 
     −min_k min(U − m, m − L)/3σ,     max_k 6 w σ,     Σ_k 6 w σ,     the share outside,     costs + reject · that share.
 
-A constraint that is not kept falls short by a share: of Cpk 1, of half the tolerance, or of the force that is asked
-for. Designs are compared by their *merit*, the objective and :data:`PENALTY` times what they fall short by.
+The violation of a constraint is relative to a Cpk of 1, to half the tolerance, or to the required force. Designs are
+compared by their *merit*, the objective plus :data:`PENALTY` times the sum of the relative violations.
 
-For a gradient the share outside is smoothed over a quarter of each σ, with Φ the normal distribution,
+The gradient takes the share outside smoothed over a quarter of each σ, with Φ the normal distribution function,
 
     1 − (1/n) Σ_s Π_k [Φ((U − y)/h) − Φ((L − y)/h)],        h = σ/4.
 """
@@ -24,29 +24,29 @@ from scipy.special import ndtr
 from mic.scene.optimisation import pushing
 from mic.studies.optimisation.design import Space
 
-__all__ = ["PENALTY", "Figures", "Kept", "Objective"]
+__all__ = ["PENALTY", "ConstraintCheck", "Figures", "Objective"]
 
 PENALTY = 1e3
 WORDS = {"cpk": "Cpk", "six-sigma": "6σ"}
-KEPT = 1e-6  # of what a constraint asks: by less, it is kept
-SMOOTH = 0.25  # of σ
-LEAST = 1e-9  # mm: σ of what does not vary
+TOLERATED = 1e-6  # relative violation of a constraint that counts as none
+SMOOTH = 0.25  # smoothing length relative to σ
+LEAST = 1e-9  # mm: lower bound of σ
 
 
 @dataclass(frozen=True)
-class Kept:
-    """One constraint, of one measurement or of a sum of forces.
+class ConstraintCheck:
+    """Value and violation of one constraint on a measurement or on a sum of forces.
 
     Attributes
     ----------
     name : str
-        In words.
+        Description of the constraint.
     value, bound : float
-        What there is, and what is asked for, mm, N or 1.
+        Actual value and its bound, mm, N or 1.
     short : float
-        By how much it is missed, in the unit of both; 0 where it is kept.
+        Violation in the unit of both; 0 if the constraint is satisfied.
     share : float
-        The same as a share of Cpk 1, of half the tolerance, or of the force.
+        Violation relative to a Cpk of 1, to half the tolerance, or to the force.
     """
 
     name: str
@@ -58,16 +58,16 @@ class Kept:
 
 @dataclass(frozen=True)
 class Figures:
-    """Figures of k measurements over samples, and their derivatives by a settings.
+    """Statistics of k measurements over samples, and their derivatives by a settings.
 
     Attributes
     ----------
     mean, six_sigma, above, below : (k,) array
         `above` and `below` are the two sides of Cpk: (U − m)/3σ, (m − L)/3σ.
     outside : float
-        Share of samples outside, smoothed where there are derivatives.
+        Share of samples outside their limits, smoothed if there are derivatives.
     slopes : dict of str to (k, a) or (a,) array
-        Of each, by its name.
+        Derivatives by name of the attribute.
     """
 
     mean: np.ndarray
@@ -89,17 +89,17 @@ class Objective:
     ----------
     kind : str
         As the scene names it.
-    more : dict of str to float
-        By how much more than it states is asked of a constraint, by its name, in its unit.
+    tightening : dict of str to float
+        Amount by which a constraint is tightened, by its name, in its unit.
     """
 
-    #: Figures that a constraint on a quantity is about.
+    #: Statistics that a constraint on a quantity bounds.
     FIGURES = {"cpk": ("above", "below"), "six-sigma": ("six_sigma",), "mean": ("mean",)}
 
     def __init__(self, space: Space):
         scene, asked = space.scene, space.asked
         self.space, self.asked, self.kind = space, asked, asked.objective
-        self.more: dict[str, float] = {}
+        self.tightening: dict[str, float] = {}
         self.names = [one.name for one in scene.measurements]
         self.lower, self.upper = np.array([one.bounds for one in scene.measurements]).T
         self.half = np.array([(one.upper - one.lower) / 2 for one in scene.measurements])
@@ -109,7 +109,7 @@ class Objective:
     # ------------------------------------------------------------------------------------------------- figures
 
     def figures(self, y: np.ndarray, slopes: np.ndarray | None = None) -> Figures:
-        """Figures of samples (n, k), and with their derivatives (n, k, a) those of the figures."""
+        """Statistics of samples (n, k); with the derivatives (n, k, a) of the samples, also their derivatives."""
         n, k = y.shape
         m = y.mean(axis=0)
         sigma = np.maximum(y.std(axis=0, ddof=1) if n > 1 else np.zeros(k), LEAST)
@@ -122,82 +122,88 @@ class Objective:
             (sign * dm - 3 * np.where(np.isfinite(value), value, 0)[:, None] * ds) / (3 * sigma[:, None])
         )
         outside, douter = self._smoothed(y[:, self.own], slopes[:, self.own], sigma[self.own])
-        told = {
+        derivatives = {
             "mean": dm,
             "six_sigma": 6 * ds,
             "above": side(above, -1.0),
             "below": side(below, 1.0),
             "outside": douter,
         }
-        return Figures(m, 6 * sigma, above, below, outside, told)
+        return Figures(m, 6 * sigma, above, below, outside, derivatives)
 
     def outside(self, y: np.ndarray) -> np.ndarray:
         """(n,) whether any measurement of the objective is outside its limits."""
         return ((y < self.lower) | (y > self.upper))[:, self.own].any(axis=1)
 
     def _smoothed(self, y, slopes, sigma) -> tuple[float, np.ndarray]:
-        """The smoothed share outside, and its derivatives (a,), h held where it is."""
+        """The smoothed share outside and its derivatives (a,) at constant h."""
         h = SMOOTH * sigma
         up, low = (self.upper[self.own] - y) / h, (self.lower[self.own] - y) / h
-        each = np.maximum(ndtr(up) - ndtr(low), 1e-300)
+        inside = np.maximum(ndtr(up) - ndtr(low), 1e-300)
         density = lambda t: np.exp(-(np.where(np.isfinite(t), t, 40.0) ** 2) / 2) / np.sqrt(2 * np.pi)
-        turned = (density(low) - density(up)) / h / each  # of log each, by y
-        whole = each.prod(axis=1)
-        return float(1 - whole.mean()), -np.einsum("n,nk,nka->a", whole, turned, slopes) / len(y)
+        log_slopes = (density(low) - density(up)) / h / inside  # derivative of log(inside) by y
+        all_inside = inside.prod(axis=1)
+        return float(1 - all_inside.mean()), -np.einsum("n,nk,nka->a", all_inside, log_slopes, slopes) / len(y)
 
     # --------------------------------------------------------------------------------------------------- merit
 
     def value(self, y: np.ndarray, unfit: np.ndarray, settings: np.ndarray) -> float:
-        """The objective of samples (n, k), as something that is to become small.
+        """The objective of samples (n, k), to be minimised.
 
         Parameters
         ----------
         y : (n, k) array
         unfit : (n,) bool array
-            Samples that failed or could not be built: they are outside, and of no figure.
+            Samples that failed or could not be built: they count as outside and are left out of mean and σ.
         settings : (a,) array
         """
         good = y[~unfit]
         if len(good) < 1 or (self.kind in ("cpk", "six-sigma", "largest-six-sigma") and len(good) < 2):
             return np.inf
-        told = self.figures(good)
+        figures = self.figures(good)
         if self.kind == "cpk":
-            return float(-np.minimum(told.above, told.below)[self.own].min())
+            return float(-np.minimum(figures.above, figures.below)[self.own].min())
         if self.kind == "largest-six-sigma":
-            return float((self.weights * told.six_sigma)[self.own].max())
+            return float((self.weights * figures.six_sigma)[self.own].max())
         if self.kind == "six-sigma":
-            return float((self.weights * told.six_sigma)[self.own].sum())
-        outside = 1 - (1 - told.outside) * len(good) / len(y)
+            return float((self.weights * figures.six_sigma)[self.own].sum())
+        outside = 1 - (1 - figures.outside) * len(good) / len(y)
         if self.kind == "yield":
             return float(outside)
         return float(self.space.costs @ np.abs(settings) + self.asked.reject * outside)
 
-    def kept(self, y: np.ndarray, unfit: np.ndarray, settings: np.ndarray) -> list[Kept]:
-        """The constraints, and by how much each is missed."""
+    def as_reported(self, value: float) -> float:
+        """The objective with the sign of the reported quantity: Cpk and yield are maximised."""
+        if self.kind == "cpk":
+            return -value
+        return 1 - value if self.kind == "yield" else value
+
+    def check_constraints(self, y: np.ndarray, unfit: np.ndarray, settings: np.ndarray) -> list[ConstraintCheck]:
+        """Value and violation of each constraint."""
         return [
-            Kept(name, value, bound, max(0.0, gap + more), max(0.0, gap + more) / scale)
+            ConstraintCheck(name, value, bound, max(0.0, gap + tightening), max(0.0, gap + tightening) / scale)
             for name, value, bound, gap, scale in self._gaps(y[~unfit], settings)
-            for more in [self.more.get(name, 0.0)]
+            for tightening in [self.tightening.get(name, 0.0)]
         ]
 
     def merit(self, y: np.ndarray, unfit: np.ndarray, settings: np.ndarray) -> float:
-        """What designs are compared by: objective and what falls short."""
+        """Objective plus penalty for constraint violations; designs are compared by it."""
         value = self.value(y, unfit, settings)
         if not np.isfinite(value) or not self.asked.constraints:
             return value
-        return value + PENALTY * self.short(y, unfit, settings)
+        return value + PENALTY * self.violation(y, unfit, settings)
 
-    def short(self, y: np.ndarray, unfit: np.ndarray, settings: np.ndarray) -> float:
-        """What the constraints are missed by, together, as shares."""
-        return sum(one.share for one in self.kept(y, unfit, settings) if one.share > KEPT)
+    def violation(self, y: np.ndarray, unfit: np.ndarray, settings: np.ndarray) -> float:
+        """Sum of the relative constraint violations."""
+        return sum(check.share for check in self.check_constraints(y, unfit, settings) if check.share > TOLERATED)
 
     def _gaps(self, y: np.ndarray, settings: np.ndarray) -> Iterator[tuple[str, float, float, float, float]]:
-        """Name, value, bound, by how much it is beyond, and its scale, of each constraint."""
+        """Name, value, bound, violation (negative if satisfied) and scale of each constraint."""
         if not self.asked.constraints:
             return
-        told = self.figures(y)
-        cpk = np.minimum(told.above, told.below)
-        value = {"cpk": cpk, "six-sigma": told.six_sigma, "mean": told.mean}
+        figures = self.figures(y)
+        cpk = np.minimum(figures.above, figures.below)
+        value = {"cpk": cpk, "six-sigma": figures.six_sigma, "mean": figures.mean}
         for one in self.asked.constraints:
             about = self._about(one) if one.quantity != "force" else [0]
             for k in about:
@@ -206,7 +212,7 @@ class Objective:
                     yield name, found, bound, sign * (bound - found), scale
 
     def _bounds(self, one, k: int) -> Iterator[tuple[str, float, float, float]]:
-        """Name, 1 for a least value and -1 for a largest, bound and scale, of a constraint on a measurement."""
+        """Name, sign (1 for a lower bound, −1 for an upper), bound and scale of each bound of a constraint."""
         what = f"{WORDS.get(one.quantity, one.quantity)} of {self.names[k]}"
         if one.quantity == "force":
             what = f"force of {' and '.join(one.of) if one.of else 'all clamps'}"
@@ -216,23 +222,23 @@ class Objective:
                 yield f"{what} {word} {bound:g}", sign, bound, scale
 
     def force(self, one, settings: np.ndarray) -> float:
-        """The sum of forces that a constraint is about, N."""
+        """The sum of forces that a constraint bounds, N."""
         return sum(clamp.force for clamp in pushing(self.space.scene, one)) + float(
             self.force_slopes(one) @ np.asarray(settings, dtype=float)
         )
 
     def force_slopes(self, one) -> np.ndarray:
-        """(a,) by how much that sum grows with each setting."""
+        """(a,) derivative of that sum by each setting."""
         names = [clamp.name for clamp in pushing(self.space.scene, one)]
         return np.array([float(sum(name in names for name in own.targets)) for own in self.space.settings])
 
     def _about(self, one) -> list[int]:
         return [k for k, name in enumerate(self.names) if not one.of or name in one.of]
 
-    # -------------------------------------------------------------------------------------------- for a gradient
+    # ------------------------------------------------------------------------------------------------ gradient
 
-    def inequalities(self, told: Figures, settings: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Constraints c ≥ 0, in shares as :class:`Kept` has them, (q,), and their derivatives (q, a)."""
+    def inequalities(self, figures: Figures, settings: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Relative constraints c ≥ 0 (q,), scaled as in :class:`ConstraintCheck`, and their derivatives (q, a)."""
         values: list[float] = []
         slopes: list[np.ndarray] = []
 
@@ -240,26 +246,26 @@ class Objective:
             for k in self._about(one) if one.quantity != "force" else [0]:
                 pairs = [(self.force(one, settings), self.force_slopes(one))] if one.quantity == "force" else []
                 for name in () if one.quantity == "force" else self.FIGURES[one.quantity]:
-                    pairs.append((float(getattr(told, name)[k]), told.slopes[name][k]))
+                    pairs.append((float(getattr(figures, name)[k]), figures.slopes[name][k]))
                 for what, sign, bound, scale in self._bounds(one, k):
                     known = [(value, slope) for value, slope in pairs if np.isfinite(value)]
-                    values += [(sign * (value - bound) - self.more.get(what, 0.0)) / scale for value, _ in known]
+                    values += [(sign * (value - bound) - self.tightening.get(what, 0.0)) / scale for value, _ in known]
                     slopes += [sign * slope / scale for _, slope in known]
         a = len(self.space.settings)
         return np.array(values), np.array(slopes).reshape(-1, a)
 
-    def largest(self, told: Figures) -> tuple[np.ndarray, np.ndarray]:
-        """What the objective is the largest of, (q,), and their derivatives (q, a); one number of a smooth objective,
-        without the costs of settings."""
+    def largest(self, figures: Figures) -> tuple[np.ndarray, np.ndarray]:
+        """Values (q,) whose maximum is the objective, and their derivatives (q, a); one value if the objective is
+        smooth. The costs of settings are not included."""
         own = self.own
         if self.kind == "cpk":
-            pairs = [(-getattr(told, side), -told.slopes[side]) for side in ("above", "below")]
+            pairs = [(-getattr(figures, side), -figures.slopes[side]) for side in ("above", "below")]
             values, slopes = (np.concatenate([pair[i][own] for pair in pairs]) for i in (0, 1))
             known = np.isfinite(values)
             return values[known], slopes[known]
         if self.kind in ("six-sigma", "largest-six-sigma"):
-            values = (self.weights * told.six_sigma)[own]
-            slopes = (self.weights[:, None] * told.slopes["six_sigma"])[own]
+            values = (self.weights * figures.six_sigma)[own]
+            slopes = (self.weights[:, None] * figures.slopes["six_sigma"])[own]
             return (values, slopes) if self.kind != "six-sigma" else (values.sum()[None], slopes.sum(axis=0)[None])
         scale = self.asked.reject if self.kind == "cost" else 1.0
-        return np.array([scale * told.outside]), scale * told.slopes["outside"][None]
+        return np.array([scale * figures.outside]), scale * figures.slopes["outside"][None]

@@ -1,10 +1,10 @@
-"""An assembly made as good as what may be changed lets it become, and what that is worth, on fresh samples.
+"""Optimise the settings, orders and places of an assembly, and estimate the gain on fresh samples.
 
-Orders and places are searched (:mod:`mic.studies.optimisation.search`) and settings follow exact derivatives
-(:mod:`mic.studies.optimisation.gradient_search`), in turn, as long as either gains. All designs are compared on the same
-samples of the inputs, so that what differs is the design's doing. The best of many is flattered by the samples that it
-was chosen with: what is told of it is evaluated in full on samples that had no part in the search, the scene as it
-stands beside it, and the interval of the gain is that of the pairs (:mod:`mic.statistics.paired_differences`).
+The discrete search over orders and places (:mod:`mic.studies.optimisation.search`) and the gradient search over
+settings (:mod:`mic.studies.optimisation.gradient_search`) alternate as long as either improves the design. All designs
+are compared on the same samples of the inputs. Selecting the best of many designs biases its objective on these
+samples, so the best design and the stated scene are evaluated again on samples that were not used in the search; the
+gain has the confidence interval of paired differences (:mod:`mic.statistics.paired_differences`).
 """
 
 from __future__ import annotations
@@ -25,64 +25,64 @@ from mic.statistics.estimates import Estimate
 from mic.statistics.paired_differences import jackknife, share_change
 from mic.studies.comparison import Side, differences
 from mic.studies.optimisation.design import Change, Design, Space
-from mic.studies.optimisation.evaluations import BLOCK, Spent, Trials
+from mic.studies.optimisation.evaluations import BLOCK, BudgetExceeded, DesignEvaluator
 from mic.studies.optimisation.gradient_search import descend
 from mic.studies.optimisation.matching import Kind, Matched, combinations, matched, read_kinds
-from mic.studies.optimisation.moved_items import Sites
-from mic.studies.optimisation.objective import Kept, Objective
+from mic.studies.optimisation.moved_items import RelocatedModels
+from mic.studies.optimisation.objective import ConstraintCheck, Objective
 from mic.studies.optimisation.search import all_designs, local_search, successive_halving
 from mic.system.disk_cache import cache_folder
 
 __all__ = ["BUDGET", "FRESH", "SAMPLES", "Optimum", "judged", "optimise"]
 
-SAMPLES = 60  #: with which designs are found
-FRESH = 400  #: with which the best is judged
+SAMPLES = 60  #: samples of the search
+FRESH = 400  #: fresh samples, on which the best design is evaluated
 BUDGET = 20_000  #: evaluations of an assembly
-SHARE = 0.5  # of what is left of the budget that a search may take before settings have their turn
-JUDGED = 3  # sets of fresh samples, at most, where they miss a constraint that the search has kept
-ENOUGH = 1e-2  # share of a constraint: by less it is kept, as far as samples tell
-FIRST = 40  # evaluations at least, or there is no search
+DISCRETE_SHARE = 0.5  # share of the remaining budget for one discrete search if there are settings as well
+MAX_SEARCHES = 3  # searches, each with tightened constraints if the fresh samples violate one
+CONSTRAINT_TOLERANCE = 1e-2  # relative violation of a constraint that sampling error may cause
+LEAST_BUDGET = 40  # evaluations: with fewer left, the discrete search is skipped
 
-Better = Callable[[list[Change], float], None]
+OnBetter = Callable[[list[Change], float], None]
 
 
 @dataclass(frozen=True)
 class Optimum:
-    """The best that was found, and what it is worth.
+    """Best design found, and its effect on fresh samples.
 
     Attributes
     ----------
     law : str
     objective : str
-        As the scene names it.
+        Objective, as the scene names it.
     changes : list of Change
-        What to change of the scene; empty where nothing better was found.
+        Changes of the scene; empty if no better design was found.
     scene : Scene
         The scene with these changes.
     gain : Estimate
-        What of the objective they gain on fresh samples, with the interval that pairing leaves; positive is better: of
-        Cpk and yield 1, of 6σ mm, of cost its own unit.
+        Improvement of the objective on fresh samples, with its paired confidence interval; positive is better. The unit
+        is 1 for Cpk and yield, mm for 6σ, and the scene's own unit for cost.
     before, after : float
-        The objective of the fresh samples as the scene is, and with the changes.
+        Objective on the fresh samples, without and with the changes.
     table : DataFrame
-        What they change of every key characteristic, as :data:`mic.results.schema.COMPARISON` declares it.
-    kept : list of Kept
+        Change of each key characteristic, as :data:`mic.results.schema.COMPARISON` declares it.
+    kept : list of ConstraintCheck
         The constraints on the fresh samples.
     relief : Estimate
-        By how much less the constraints are missed than they are as the scene is, together, as shares (:class:`Kept`).
+        Reduction of the sum of the relative constraint violations (:class:`ConstraintCheck`).
     found : float
-        The objective on the samples of the search, which flatter it.
+        Objective on the samples of the search, which is biased towards better values.
     samples, fresh : int
-        How many these were.
+        Numbers of samples of the search and of fresh samples.
     evaluations : int
-        Of an assembly, that the search took.
+        Evaluations of an assembly in the search.
     trail : DataFrame
         ``evaluations`` and ``objective``, on the samples of the search, of each design that was the best so far.
     matched : Matched or None
-        Which measured parts go together.
+        Combinations of measured parts.
     matched_gain : Estimate or None
-        By how much that makes their average cost smaller, on fresh samples of what was not measured; without an
-        interval where all was.
+        Reduction of their average cost on fresh samples of the unmeasured deviations; without an interval if all
+        deviations are measured.
     """
 
     law: str
@@ -93,7 +93,7 @@ class Optimum:
     before: float
     after: float
     table: pd.DataFrame
-    kept: list[Kept]
+    kept: list[ConstraintCheck]
     relief: Estimate
     found: float
     samples: int
@@ -105,15 +105,15 @@ class Optimum:
 
     @property
     def gained(self) -> bool:
-        """Whether the whole interval of the gain lies above zero; or the constraints are missed by less, surely."""
+        """Whether the interval of the gain, or of the reduction of constraint violations, lies above zero."""
         if not self.changes or float(self.relief.high) < 0:
             return False
         return float(self.relief.low) > 0 or float(self.gain.low) > 0
 
     @property
-    def missed(self) -> list[Kept]:
-        """Constraints that are not kept."""
-        return [one for one in self.kept if one.short > 0]
+    def missed(self) -> list[ConstraintCheck]:
+        """Violated constraints."""
+        return [check for check in self.kept if check.short > 0]
 
 
 def optimise(
@@ -128,9 +128,9 @@ def optimise(
     cache: Path | None = None,
     say: Callable[[str], None] = lambda line: None,
     progress: Callable[[int], None] = lambda count: None,
-    better: Better = lambda changes, objective: None,
+    better: OnBetter = lambda changes, objective: None,
 ) -> Optimum:
-    """Find the changes that its scene allows (``[optimise]``) which make an assembly best.
+    """Find the best changes among those that the scene's table ``[optimise]`` allows.
 
     Parameters
     ----------
@@ -138,21 +138,20 @@ def optimise(
     law : str, optional
         Contact law; default: the scene's first with friction, or its first.
     samples : int
-        Of the inputs, with which designs are compared: a multiple of 20, or rounded up to one.
+        Samples of the inputs for the search, rounded up to a multiple of 20.
     fresh : int
-        Others, with which the best is judged.
+        Further samples, on which the best design is evaluated.
     budget : int
-        Evaluations of an assembly in the search; one with derivatives counts twice and a twentieth more for each
-        setting.
+        Evaluations of an assembly in the search. An evaluation with derivatives counts as 2 + 0.05 per setting.
     seed : int, optional
-        Of the samples and of the search; default: the scene's.
+        Seed of the samples and of the search; default: the scene's.
     threads : int
     ledger : Path, optional
-        File that keeps every sample that is evaluated, so that a call that was killed goes on where it was.
+        File that stores every evaluated sample, so that an interrupted call resumes.
     cache : Path, optional
         Folder of meshes and influence coefficients, for items at other places; default :func:`mic.cache_folder`.
     say : callable, optional
-        Called with one line of text before a part is solved for these.
+        Called with one line of text before each part is solved for other places.
     progress : callable, optional
         Called with the number of assemblies that were evaluated.
     better : callable, optional
@@ -161,73 +160,57 @@ def optimise(
     Raises
     ------
     SceneError
-        Where the scene states nothing that may be changed, or nothing that varies; for a candidate off its part; for
-        measured parts that are not of this scene.
+        If the scene allows no changes or no deviation varies; if a candidate place lies off its part; if measured parts
+        do not belong to this scene.
     """
     scene = model.scene
-    asked = scene.optimise
-    if asked is None:
+    _check_scene(scene)
+    space, kinds = Space(model), read_kinds(scene)
+    samples, fresh = _sample_counts(scene, samples, fresh)
+    relocated = RelocatedModels(space, cache or cache_folder(), say) if space.items else None
+    law = law or next((name for name in scene.report.laws if LAWS[name].frictional), scene.report.laws[0])
+    seed = scene.monte_carlo.seed if seed is None else seed
+    evaluator = DesignEvaluator(model, space, law, samples, seed, budget, threads, relocated, ledger, progress)
+    _check_budget(kinds, budget)
+    best, first, history = _search_with_tightening(evaluator, fresh, better)
+    return judged(evaluator, best, first, fresh, history, kinds)
+
+
+def _check_scene(scene: Scene) -> None:
+    if scene.optimise is None:
         raise SceneError(
             f"scene {scene.name!r} does not say what may be changed; add a table [optimise], with forces, shims, "
             "orders, places or matching"
         )
-    varying = any(one.sigma for one in scene.deviations) or scene.monte_carlo.values is not None
-    if not varying:
+    if scene.monte_carlo.values is None and not any(deviation.sigma for deviation in scene.deviations):
         raise SceneError(
-            f"scene {scene.name!r}: nothing varies, and an optimum of the nominal assembly alone is none for those "
-            "that are built; give deviations a sigma"
+            f"scene {scene.name!r}: nothing varies, so there is no variation to optimise; give deviations a sigma"
         )
-    _in_order(scene)
-    space, kinds = Space(model), read_kinds(scene)
-    samples, fresh = _counted(scene, samples, fresh)
-    sites = None
-    if space.items:
-        sites = Sites(space, cache or cache_folder(), say)
-    law = law or next((name for name in scene.report.laws if LAWS[name].frictional), scene.report.laws[0])
-    seed = scene.monte_carlo.seed if seed is None else seed
-    trials = Trials(model, space, law, samples, seed, budget, threads, sites, ledger, progress)
-    _reachable(kinds, budget)
-    stream, first, best, trail = np.random.default_rng(seed), samples, space.stated, list[tuple[int, float]]()
-    for _ in range(JUDGED):
-        best = _searched(trials, best, stream, trail, better)
-        if best == space.stated:
-            break
-        y, unfit = trials.values(best, 0, samples)
-        missed = _missed(trials, best, first, fresh)
-        if not missed or trials.objective.short(y, unfit, np.array(best.settings)):
-            break
-        trials.objective.more = {one.name: trials.objective.more.get(one.name, 0.0) + one.short for one in missed}
-        if scene.monte_carlo.values is None:
-            first += fresh
-    return judged(trials, best, first, fresh, trail, kinds)
-
-
-def _in_order(scene: Scene) -> None:
-    assert scene.optimise is not None
-    for i, one in enumerate(scene.optimise.orders):
-        if any(stage.name == one.stage and stage.path == "one-step" for stage in scene.stages):
+    one_step = {stage.name for stage in scene.stages if stage.path == "one-step"}
+    for i, choice in enumerate(scene.optimise.orders):
+        if choice.stage in one_step:
             raise SceneError(
-                f'optimise.orders[{i}].stage: {one.stage!r} does all at once (path = "one-step"), in no order; give '
+                f'optimise.orders[{i}].stage: {choice.stage!r} does all at once (path = "one-step"), in no order; give '
                 "the stage another path"
             )
 
 
-def _counted(scene, samples: int, fresh: int) -> tuple[int, int]:
-    """Samples of the search and fresh ones; of a table of samples, half of its rows and the others."""
-    given = scene.monte_carlo.values
+def _sample_counts(scene, samples: int, fresh: int) -> tuple[int, int]:
+    """Numbers of samples for the search and of fresh ones; a table of samples is split, half for the search."""
+    table = scene.monte_carlo.values
     samples = -(-samples // BLOCK) * BLOCK
-    if given is None:
+    if table is None:
         return samples, fresh
-    samples = min(samples, len(given) // 2)
+    samples = min(samples, len(table) // 2)
     if samples < 2:
         raise SceneError(
-            f"scene {scene.name!r}: its table has {len(given)} samples, too few to find changes and to judge them; "
+            f"scene {scene.name!r}: its table has {len(table)} samples, too few to find changes and to judge them; "
             "give four at least"
         )
-    return samples, min(fresh, len(given) - samples)
+    return samples, min(fresh, len(table) - samples)
 
 
-def _reachable(kinds: Sequence[Kind], budget: int) -> None:
+def _check_budget(kinds: Sequence[Kind], budget: int) -> None:
     count = combinations(kinds) if kinds else 0
     if count > budget:
         raise SceneError(
@@ -239,166 +222,191 @@ def _reachable(kinds: Sequence[Kind], budget: int) -> None:
 # ------------------------------------------------------------------------------------------------------------ search
 
 
-def _missed(trials: Trials, best: Design, first: int, fresh: int) -> list[Kept]:
-    """The constraints that fresh samples miss, as they are stated."""
-    if not trials.space.asked.constraints:
+def _search_with_tightening(
+    evaluator: DesignEvaluator, fresh: int, better: OnBetter
+) -> tuple[Design, int, list[tuple[int, float]]]:
+    """Search, and search again with tightened constraints while the fresh samples violate them.
+
+    Returns
+    -------
+    Design
+    int
+        First fresh sample for the final evaluation.
+    list of (int, float)
+        Evaluations and objective of each design that was the best so far.
+    """
+    space, objective = evaluator.space, evaluator.objective
+    first, best, history = evaluator.samples, space.stated, list[tuple[int, float]]()
+    stream = np.random.default_rng(evaluator.seed)
+    for _ in range(MAX_SEARCHES):
+        best = _search(evaluator, best, stream, history, better)
+        if best == space.stated:
+            break
+        y, unfit = evaluator.values(best, 0, evaluator.samples)
+        violated = _violated_constraints(evaluator, best, first, fresh)
+        if not violated or objective.violation(y, unfit, np.array(best.settings)):
+            break
+        objective.tightening = {
+            check.name: objective.tightening.get(check.name, 0.0) + check.short for check in violated
+        }
+        if space.scene.monte_carlo.values is None:
+            first += fresh
+    return best, first, history
+
+
+def _violated_constraints(evaluator: DesignEvaluator, best: Design, first: int, fresh: int) -> list[ConstraintCheck]:
+    """The constraints, without tightening, that fresh samples violate."""
+    if not evaluator.space.asked.constraints:
         return []
-    more, trials.objective.more = trials.objective.more, {}
-    kept = trials.objective.kept(*trials.values(best, first, fresh), np.array(best.settings))
-    trials.objective.more = more
-    return [one for one in kept if one.share > ENOUGH]
+    objective = evaluator.objective
+    tightening, objective.tightening = objective.tightening, {}
+    checks = objective.check_constraints(*evaluator.values(best, first, fresh), np.array(best.settings))
+    objective.tightening = tightening
+    return [check for check in checks if check.share > CONSTRAINT_TOLERANCE]
 
 
-def _searched(trials: Trials, best: Design, stream, rows: list[tuple[int, float]], better: Better) -> Design:
-    """The best design from one on."""
-    space = trials.space
+def _search(
+    evaluator: DesignEvaluator, best: Design, stream, history: list[tuple[int, float]], better: OnBetter
+) -> Design:
+    """The best design found from a given one, by discrete and gradient searches in turn."""
+    space = evaluator.space
 
-    def tell(design: Design) -> None:
-        y, unfit = trials.tried(design)
-        value = _told(trials.objective, trials.objective.value(y, unfit, np.array(design.settings)))
-        rows.append((int(trials.spent), value))
+    def record(design: Design) -> None:
+        y, unfit = evaluator.search_values(design)
+        objective = evaluator.objective
+        value = objective.as_reported(objective.value(y, unfit, np.array(design.settings)))
+        history.append((int(evaluator.spent), value))
         better(space.changes(design), value)
 
     if not (space.settings or space.discrete):
         return best
     try:
-        tell(best)
+        record(best)
         turn, settled = 0, False
         while not settled:
             before = best
             if space.discrete:
-                best = _ordered(trials, best, stream, tell, turn)
-            best = descend(best, trials, tell)
+                best = _search_discrete(evaluator, best, stream, record, exhaustive=turn == 0)
+            best = descend(best, evaluator, record)
             turn, settled = turn + 1, best == before or not (space.discrete and space.settings)
-    except Spent:
-        if not rows:
+    except BudgetExceeded:
+        if not history:
             raise SceneError(
-                f"optimise: {trials.samples} samples of the scene as it is exceed the budget of {trials.budget:g} "
-                "evaluations; allow more, or ask for fewer samples"
+                f"optimise: {evaluator.samples} samples of the scene as it is exceed the budget of "
+                f"{evaluator.budget:g} evaluations; allow more, or ask for fewer samples"
             ) from None
     return best
 
 
-def _ordered(trials: Trials, best: Design, stream, tell, turn: int) -> Design:
-    """The best orders and places with settings as they are."""
-    designs = all_designs(trials.space) if turn == 0 else None
-    whole, left = trials.budget, trials.budget - trials.spent
-    share = left * (SHARE if trials.space.settings else 1.0)
-    if left < FIRST:
+def _search_discrete(evaluator: DesignEvaluator, best: Design, stream, record, exhaustive: bool) -> Design:
+    """The best orders and places at the settings of `best`: all compared if the budget allows, else local search."""
+    designs = all_designs(evaluator.space) if exhaustive else None
+    budget, remaining = evaluator.budget, evaluator.budget - evaluator.spent
+    allowance = remaining * (DISCRETE_SHARE if evaluator.space.settings else 1.0)
+    if remaining < LEAST_BUDGET:
         return best
-    if designs is not None and _halving_costs(len(designs), trials.samples) <= share:
-        own = [best, *(replace(one, settings=best.settings) for one in designs if one != best)]
-        return successive_halving(own, trials, trials.samples, BLOCK, tell)
-    trials.budget = trials.spent + share
+    if designs is not None and _halving_cost(len(designs), evaluator.samples) <= allowance:
+        candidates = [best, *(replace(design, settings=best.settings) for design in designs if design != best)]
+        return successive_halving(candidates, evaluator, evaluator.samples, BLOCK, record)
+    evaluator.budget = evaluator.spent + allowance
     try:
-        return local_search(best, trials.space, trials, stream, tell)
+        return local_search(best, evaluator.space, evaluator, stream, record)
     finally:
-        trials.budget = whole
+        evaluator.budget = budget
 
 
-def _halving_costs(count: int, samples: int) -> float:
+def _halving_cost(count: int, samples: int) -> float:
+    """Upper estimate of the evaluations that successive halving of `count` designs needs."""
     return count * BLOCK * (1 + np.ceil(np.log2(max(samples / BLOCK, 1))) / 2) + 2 * samples
 
 
-def _told(objective: Objective, value: float) -> float:
-    """The objective as people read it: Cpk and yield are to become large."""
-    if objective.kind == "cpk":
-        return -value
-    return 1 - value if objective.kind == "yield" else value
-
-
-# ---------------------------------------------------------------------------------------------------------- judgement
+# -------------------------------------------------------------------------------------------------------- evaluation
 
 
 def judged(
-    trials: Trials,
+    evaluator: DesignEvaluator,
     best: Design,
     first: int,
     fresh: int,
-    trail: Sequence[tuple[int, float]] = (),
+    history: Sequence[tuple[int, float]] = (),
     kinds: Sequence[Kind] = (),
 ) -> Optimum:
-    """What a design is worth on fresh samples.
+    """Evaluate a design and the stated scene on fresh samples.
 
     Parameters
     ----------
-    trials : Trials
+    evaluator : DesignEvaluator
     best : Design
     first, fresh : int
-        The first of these samples, and how many they are.
-    trail : sequence of (int, float)
-        As :class:`Optimum` has it.
+        Number of the first fresh sample, and how many there are.
+    history : sequence of (int, float)
+        Rows of :attr:`Optimum.trail`.
     kinds : sequence of Kind
-        Measured parts, to be matched under this design.
+        Measured parts to be matched under this design.
     """
-    trials.objective.more = {}
-    space, objective = trials.space, trials.objective
+    space, objective = evaluator.space, evaluator.objective
+    objective.tightening = {}
     stated, settings = space.stated, np.array(best.settings)
-    changed = best != stated
     searched = bool(space.settings) or space.discrete
-    a, unfit_a = trials.values(stated, first, fresh) if searched else _none(space)
-    b, unfit_b = trials.values(best, first, fresh) if changed else (a, unfit_a)
-    y, unfit = trials.values(best, 0, trials.samples) if searched else _none(space)
-    none = np.zeros(len(settings))
-    values = [objective.value(a, unfit_a, none), objective.value(b, unfit_b, settings)]
-    gain = _gain(objective, a, b, unfit_a, unfit_b, settings)
-    relief = _relief(objective, a, b, ~(unfit_a | unfit_b), settings)
+    k = len(space.scene.measurements)
+
+    def values(design: Design, start: int, count: int) -> tuple[np.ndarray, np.ndarray]:
+        return evaluator.values(design, start, count) if searched else (np.zeros((0, k)), np.zeros(0, dtype=bool))
+
+    a, unfit_a = values(stated, first, fresh)
+    b, unfit_b = values(best, first, fresh) if best != stated else (a, unfit_a)
+    y, unfit = values(best, 0, evaluator.samples)
+    report = lambda y, unfit, at: objective.as_reported(objective.value(y, unfit, at))
     before, after = (
-        Side(name, space.scene, trials.law, _frame(space.scene, own, unfit))
-        for name, own, unfit in (("as it is", a, unfit_a), ("optimised", b, unfit_b))
+        Side(name, space.scene, evaluator.law, _frame(space.scene, measured, failed))
+        for name, measured, failed in (("as it is", a, unfit_a), ("optimised", b, unfit_b))
     )
-    table = differences(before, after)[0] if searched else COMPARISON.empty()
-    together, together_gain = matched(trials, best, kinds, fresh) if kinds else (None, None)
+    combination, combination_gain = matched(evaluator, best, kinds, fresh) if kinds else (None, None)
     return Optimum(
-        trials.law,
-        objective.kind,
-        space.changes(best),
-        space.changed(best),
-        gain,
-        _told(objective, values[0]),
-        _told(objective, values[1]),
-        table,
-        objective.kept(b, unfit_b, settings) if len(b) > 1 else [],
-        relief,
-        _told(objective, objective.value(y, unfit, settings)),
-        trials.samples,
-        len(a),
-        int(np.ceil(trials.spent)),
-        pd.DataFrame([*trail], columns=["evaluations", "objective"]),
-        together,
-        together_gain,
+        law=evaluator.law,
+        objective=objective.kind,
+        changes=space.changes(best),
+        scene=space.with_design(best),
+        gain=_gain(objective, a, b, unfit_a, unfit_b, settings),
+        before=report(a, unfit_a, np.zeros(len(settings))),
+        after=report(b, unfit_b, settings),
+        table=differences(before, after)[0] if searched else COMPARISON.empty(),
+        kept=objective.check_constraints(b, unfit_b, settings) if len(b) > 1 else [],
+        relief=_violation_reduction(objective, a, b, ~(unfit_a | unfit_b), settings),
+        found=report(y, unfit, settings),
+        samples=evaluator.samples,
+        fresh=len(a),
+        evaluations=int(np.ceil(evaluator.spent)),
+        trail=pd.DataFrame([*history], columns=["evaluations", "objective"]),
+        matched=combination,
+        matched_gain=combination_gain,
     )
-
-
-def _none(space: Space) -> tuple[np.ndarray, np.ndarray]:
-    return np.zeros((0, len(space.scene.measurements))), np.zeros(0, dtype=bool)
 
 
 def _frame(scene: Scene, y: np.ndarray, unfit: np.ndarray) -> pd.DataFrame:
-    """Samples by measurement; NaN where they failed, or could not be built."""
-    return pd.DataFrame(np.where(unfit[:, None], np.nan, y), columns=[one.name for one in scene.measurements])
+    """Samples by measurement; NaN for samples that failed or could not be built."""
+    return pd.DataFrame(np.where(unfit[:, None], np.nan, y), columns=[item.name for item in scene.measurements])
 
 
 def _gain(objective: Objective, a, b, unfit_a, unfit_b, settings: np.ndarray) -> Estimate:
-    """What of the objective is gained, with its interval."""
+    """Improvement of the objective with its confidence interval."""
     if objective.kind in ("yield", "cost"):
-        miss = [objective.outside(y) | unfit for y, unfit in ((a, unfit_a), (b, unfit_b))]
-        fewer = share_change(*miss)
+        outside = [objective.outside(y) | unfit for y, unfit in ((a, unfit_a), (b, unfit_b))]
+        change = share_change(*outside)
         reject = objective.asked.reject if objective.kind == "cost" else 1.0
         cost = float(objective.space.costs @ np.abs(settings)) if objective.kind == "cost" else 0.0
-        ends = (-reject * end - cost for end in (fewer.value, fewer.high, fewer.low))
-        return Estimate.of(a[:, 0], *ends)
-    kept = ~(unfit_a | unfit_b)
-    k, none = a.shape[1], np.zeros(len(settings))
-    value = lambda y: objective.value(y, np.zeros(len(y), dtype=bool), none)
-    return jackknife(np.concatenate([a[kept], b[kept]], axis=1), lambda y: value(y[:, :k]) - value(y[:, k:]))
+        return Estimate.of(a[:, 0], *(-reject * end - cost for end in (change.value, change.high, change.low)))
+    valid = ~(unfit_a | unfit_b)
+    k, unchanged = a.shape[1], np.zeros(len(settings))
+    value = lambda y: objective.value(y, np.zeros(len(y), dtype=bool), unchanged)
+    return jackknife(np.concatenate([a[valid], b[valid]], axis=1), lambda y: value(y[:, :k]) - value(y[:, k:]))
 
 
-def _relief(objective: Objective, a, b, kept: np.ndarray, settings: np.ndarray) -> Estimate:
-    """By how much less the constraints are missed."""
+def _violation_reduction(objective: Objective, a, b, valid: np.ndarray, settings: np.ndarray) -> Estimate:
+    """Reduction of the sum of relative constraint violations with its confidence interval."""
     if not objective.asked.constraints:
         return Estimate.of(np.zeros(len(a)), 0.0, 0.0, 0.0)
-    k, none = a.shape[1], np.zeros(len(settings))
-    short = lambda y, settings: objective.short(y, np.zeros(len(y), dtype=bool), settings)
-    less = lambda y: short(y[:, :k], none) - short(y[:, k:], settings)
-    return jackknife(np.concatenate([a[kept], b[kept]], axis=1), less)
+    k, unchanged = a.shape[1], np.zeros(len(settings))
+    violation = lambda y, settings: objective.violation(y, np.zeros(len(y), dtype=bool), settings)
+    reduction = lambda y: violation(y[:, :k], unchanged) - violation(y[:, k:], settings)
+    return jackknife(np.concatenate([a[valid], b[valid]], axis=1), reduction)

@@ -1,4 +1,4 @@
-"""What an optimum changes, as keys of the scene file that it was found for."""
+"""Write the changes of an optimum into the keys of its scene file."""
 
 from __future__ import annotations
 
@@ -20,29 +20,29 @@ def rewritten(text: str, scene, changes: Sequence[Change]) -> str:
     Parameters
     ----------
     text : str
-        TOML, of the scene as it is written.
+        TOML text of the scene file.
     scene : mic.scene.Scene
-        The same, placed on its meshes.
+        The same scene, placed on its meshes.
     changes : sequence of Change
 
     Raises
     ------
     SceneError
-        Where an item stands in a row of another file, and is changed there.
+        If an item is stated in a row of another file, where it must be changed.
     """
     table = tomllib.loads(text)
     shims: dict[Adjustment, float] = {}
     for one in changes:
         if one.kind == "order":
             index = next(i for i, own in enumerate(table["stages"]) if own.get("name", own["kind"]) == one.targets[0])
-            order = [_called(table, group) for group in one.after]
+            order = [_names_in_file(table, group) for group in one.after]
             text = revised(text, "stages", index, {"order": order, "sequence": None})
         elif one.kind == "place":
             key, _, name = one.targets[0].partition(".")
             text = revised(text, key, _index(table, key, name), {"point": list(one.after), "node": None, "set": None})
         elif one.kind == "force" or one.targets[0] in {clamp.name for clamp in scene.clamps}:
             strokes = {clamp.name: clamp.stroke for clamp in scene.clamps}
-            for name in _called(table, one.targets):
+            for name in _names_in_file(table, one.targets):
                 own = (
                     {"force": one.after} if one.kind == "force" else {"stroke": strokes[name] + one.after - one.before}
                 )
@@ -57,8 +57,8 @@ def rewritten(text: str, scene, changes: Sequence[Change]) -> str:
     return text
 
 
-def _called(table: dict[str, Any], names: Sequence[str]) -> list[str]:
-    """Names as the file has them: of the jaws of a tong, the tong's."""
+def _names_in_file(table: dict[str, Any], names: Sequence[str]) -> list[str]:
+    """Names as the file has them: for the jaws of tongs, the name of the tongs."""
     found = []
     for name in names:
         tong = next(

@@ -1,10 +1,11 @@
-"""A search among orders and places.
+"""Discrete search over orders and places.
 
-Few choices are all looked at: those that do worst on a part of the samples are dropped, half of them each time that
-the samples are doubled (successive halving [1]_). Of many, moves lead from the best that is known to one that beats it:
-something closes sooner or later, two change places, or an item stands elsewhere; moves come in random order, and the
-first that is better is taken. Where none is, the best is disturbed by a few moves and left from there anew [2]_. An
-order of n things has (n − 1)² insertions, so that thirty take hundreds of evaluations where exhaustion would take 10³².
+If there are few designs, all are compared by successive halving [1]_: each time the number of samples doubles, the
+worse half is dropped. Otherwise iterated local search [2]_ is used: a move shifts one group of an order, swaps two
+groups or relocates an item; moves are tried in random order and the first improvement is accepted. At a local optimum a
+few random moves perturb the best design and the search restarts there. An order of n groups has (n − 1)² insertions, so
+that thirty groups take hundreds of evaluations, where exhaustive search would take 10³². SciPy has no search over
+permutations.
 
 References
 ----------
@@ -23,64 +24,64 @@ from typing import Protocol
 import numpy as np
 
 from mic.studies.optimisation.design import Design, Sequenced, Space
-from mic.studies.optimisation.evaluations import Spent
+from mic.studies.optimisation.evaluations import BudgetExceeded
 
-__all__ = ["FEW", "Judge", "all_designs", "local_search", "random_design", "successive_halving"]
+__all__ = ["FEW", "DesignComparison", "all_designs", "local_search", "random_design", "successive_halving"]
 
-FEW = 5040  # designs: more are not looked at one by one
-KICKS = 3  # random moves from the best, where no move helps
-FRUITLESS = 3  # such disturbances in a row that bring nothing, and the search ends
+FEW = 5040  # largest number of designs that are enumerated
+KICKS = 3  # random moves of a perturbation
+MAX_FRUITLESS = 3  # consecutive perturbations without improvement at which the search ends
 
 
-class Judge(Protocol):
-    """What tells designs apart: :class:`mic.studies.optimisation.evaluations.Trials`, as far as its budget goes."""
+class DesignComparison(Protocol):
+    """Compares designs, as :class:`mic.studies.optimisation.evaluations.DesignEvaluator` does within its budget."""
 
-    def beats(self, design: Design, other: Design) -> bool:
+    def is_better(self, design: Design, other: Design) -> bool:
         """Whether a design is better than another."""
         ...
 
     def merit(self, design: Design, count: int | None = None) -> float:
-        """Merit of a design by the first samples; the smaller the better."""
+        """Merit of a design on the first samples; smaller is better."""
         ...
 
 
-def all_designs(space: Space, most: int = FEW) -> list[Design] | None:
-    """Every combination of orders and places, the stated ones first; None where there are more than `most`."""
+def all_designs(space: Space, limit: int = FEW) -> list[Design] | None:
+    """Every combination of orders and places, the stated ones first; None if there are more than `limit`."""
     count = math.prod(math.factorial(len(own)) for own in space.groups) * math.prod(map(len, space.points))
-    if count > most:
+    if count > limit:
         return None
     stated = space.stated
     orders = product(*([None, *permutations(own)] for own in space.groups))
     places = list(product(*(range(len(own)) for own in space.points)))
     found = [Design(stated.settings, tuple(order), at) for order in orders for at in places]
-    return [one for one in found if not _stated_again(space, one)]
+    return [one for one in found if not _repeats_stated_order(space, one)]
 
 
-def _stated_again(space: Space, design: Design) -> bool:
-    """Whether a design spells out an order that the scene states."""
+def _repeats_stated_order(space: Space, design: Design) -> bool:
+    """Whether a design repeats an order that the scene states."""
     return any(
         order is not None and [*map(set, order)] == stated for order, stated in zip(design.orders, space.stated_groups)
     )
 
 
 def successive_halving(
-    designs: list[Design], judge: Judge, samples: int, block: int, better: Callable[[Design], None]
+    designs: list[Design], evaluator: DesignComparison, samples: int, block: int, better: Callable[[Design], None]
 ) -> Design:
-    """The best of some designs.
+    """The best of some designs, by successive halving.
 
     Parameters
     ----------
     designs : list of Design
-        The first is the best that is known.
-    judge : Judge
+        The first is the best so far.
+    evaluator : DesignComparison
     samples, block : int
-        Of a full judgement, and of the first.
+        Numbers of samples of the last comparison, and of the first.
     better : callable
-        Called with the best, once it is known.
+        Called with the best design if it is not the first.
     """
     left, count = designs, block
     while len(left) > 1:
-        merits = [judge.merit(one, count) for one in left]
+        merits = [evaluator.merit(one, count) for one in left]
         if count >= samples:
             best = left[int(np.argmin(merits))]
             break
@@ -96,35 +97,35 @@ def successive_halving(
 def local_search(
     start: Design,
     space: Space,
-    judge: Judge,
+    evaluator: DesignComparison,
     stream: np.random.Generator,
     better: Callable[[Design], None],
 ) -> Design:
-    """The best that moves lead to, until the judge's budget is spent or disturbances bring nothing more.
+    """The best design of an iterated local search, until the budget is spent or perturbations no longer help.
 
     Parameters
     ----------
     start : Design
     space : Space
-    judge : Judge
+    evaluator : DesignComparison
     stream : numpy.random.Generator
     better : callable
         Called with each design that is the best so far.
     """
     best, at, fruitless = start, start, 0
     try:
-        while fruitless <= FRUITLESS:
-            move = next((one for one in _moves(at, space, stream) if judge.beats(one, at)), None)
+        while fruitless <= MAX_FRUITLESS:
+            move = next((one for one in _moves(at, space, stream) if evaluator.is_better(one, at)), None)
             if move is not None:
                 at = move
-                if judge.beats(at, best):
+                if evaluator.is_better(at, best):
                     best, fruitless = at, 0
                     better(best)
                 continue
             at, fruitless = best, fruitless + 1
             for _ in range(KICKS):
                 at = next(_moves(at, space, stream), at)
-    except Spent:
+    except BudgetExceeded:
         pass
     return best
 
