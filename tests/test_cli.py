@@ -185,7 +185,7 @@ def test_a_process_that_frees_a_part_is_refused_before_long_work(order, tmp_path
 @pytest.mark.parametrize(
     "arguments, words",
     [
-        (("check", "nowhere"), ["nowhere", "no such"]),
+        (("check", "nowhere"), ["nowhere", "no such file"]),
         (("report", "."), ["holds no run"]),
         (("check", "springs"), ["element: there is none called 'springs'; known: ", "dkt-opt"]),
     ],

@@ -159,7 +159,10 @@ BAD = {
         edited(lambda lines: [*lines[:3], "nan," + lines[3].partition(",")[2]]),
         "row 4, column .*: 'nan' is not a finite number",
     ),
-    "infinite": (edited(lambda lines: [*lines, "inf," + lines[1].partition(",")[2]]), "row 14, .* is not a finite"),
+    "infinite": (
+        edited(lambda lines: [*lines, "inf," + lines[1].partition(",")[2]]),
+        "row 14, .* is not a finite number",
+    ),
     "an empty cell": (edited(lambda lines: [*lines, "," + lines[1].partition(",")[2]]), "row 14, .* is not a finite"),
     "too many cells": (edited(lambda lines: [*lines, lines[1] + ",5"]), "not a table"),
     "another unit": (

@@ -372,7 +372,7 @@ def test_a_setting_leaves_the_path_of_a_stage_that_states_one(tmp_path):
 
 
 def test_missing_scene():
-    with pytest.raises(mic.SceneError, match="no such"):
+    with pytest.raises(mic.SceneError, match="no such file"):
         mic.load_scene("nowhere/scene.toml")
 
 
