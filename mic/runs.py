@@ -27,54 +27,54 @@ from mic.process.evaluation import Evaluation
 from mic.process.model import ReducedModel
 from mic.process.plan import plan_assembly
 from mic.process.stiffness import coefficients
-from mic.results.block_statistics import BlockSamples
+from mic.results.block_samples import BlockSamples
 from mic.results.contact_sums import Sums
 from mic.results.cost_estimate import duration, forecast
 from mic.results.fields import write_fields
 from mic.results.low_rank_forces import Condensed
 from mic.results.mesh_error import write_accuracy
-from mic.results.outcome import Outcome, Written, read_outcome
+from mic.results.outcome import Outcome, TableCache, read_outcome
 from mic.results.run_folder import Block, RunFolder, keeps, versions
 from mic.results.run_identity import identity, inputs
 from mic.results.sample_tables import tables
 from mic.results.schema import CONTACTS
-from mic.results.summary import write_path_study, write_summary, write_tables
+from mic.results.table_writer import write_path_study, write_summary, write_tables
 from mic.scene import Scene
 from mic.system.files import clean
 from mic.system.lock import locked
 
-__all__ = ["Listener", "conclude", "finished", "hold", "read_run", "run", "sample_into", "write_evaluation"]
+__all__ = ["Progress", "conclude", "finished", "hold", "read_run", "run", "sample_into", "write_evaluation"]
 
-GROWTH = 1.3  # of the samples, from one look at what they leave to the next
-LONG = 3600.0  # s; a run that takes longer says so before it begins
+GROWTH = 1.3  # factor on the samples between two accuracy checks
+LONG = 3600.0  # s; a longer run reports its expected time before it starts
 
 
-class Listener:
-    """What a run tells while it goes on; this one hears nothing."""
+class Progress:
+    """Callbacks of a run; these do nothing."""
 
-    def say(self, sentence: str) -> None:
-        """One line of text for the user."""
+    def report(self, sentence: str) -> None:
+        """Show one line of text to the user."""
 
     def sampling(self, laws: Sequence[str], samples: int) -> AbstractContextManager[Callable[[str, int], None]]:
-        """Entered for the Monte Carlo; what it gives is called with (law, number of samples) after each block."""
+        """Context of the Monte Carlo; its value is called with (law, number of samples) after each block."""
         return nullcontext(lambda law, count: None)
 
-    def gathered(self, outcome: Outcome) -> None:
-        """What the samples and the study of their path gave; tables and fields follow."""
+    def statistics_ready(self, outcome: Outcome) -> None:
+        """Called with samples and path study complete, before tables and fields are written."""
 
 
 def run(
     scene: Scene,
     folder: Path,
     cache: Path,
-    listener: Listener | None = None,
+    listener: Progress | None = None,
     replace: bool = False,
     strict: bool = False,
 ) -> Outcome | None:
     """Run the Monte Carlo of a scene into a results folder.
 
-    Influence coefficients and meshes are computed once and cached. Finished samples of the same run are kept, see
-    :func:`sample_into`. Under MPI a collective call that shares the samples out.
+    Influence coefficients and meshes are computed once and cached. Finished samples of the same run are reused, see
+    :func:`sample_into`. Under MPI this is a collective call.
 
     Parameters
     ----------
@@ -82,7 +82,7 @@ def run(
     folder : Path
     cache : Path
         Folder of generated meshes and influence coefficients.
-    listener : Listener, optional
+    listener : Progress, optional
     replace : bool
         Whether results of another run in the folder may be removed.
     strict : bool
@@ -98,51 +98,49 @@ def run(
     SceneError, MissingProvider, RunError, FormatError, StorageError
     """
     world, clock, folder = communicator(), _Clock(), Path(folder)
-    listener = listener or Listener()
+    listener = listener or Progress()
     with hold(folder, listener):
         clean([Path(cache) / "meshes", Path(cache) / "influence"])
         with clock("meshes and pairs"):
-            listener.say(f"{scene.name}: meshing and pairing …")
-            say = lambda line: listener.say(f"{line} …")
-            assembly, warnings = on_first(world, lambda: _judged(scene, cache, say, listener, strict))
-            for part in assembly.scene.parts:
-                for sentence in repair_summary(part, assembly.decks[part.name]) if part.name in assembly.decks else ():
-                    listener.say(f"note: {sentence}")
-            scene = assembly.scene  # the first process's, should the file have changed meanwhile
+            listener.report(f"{scene.name}: meshing and pairing …")
+            say = lambda line: listener.report(f"{line} …")
+            assembly, warnings = on_first(world, lambda: _assembled(scene, cache, say, listener, strict))
+            _report_repairs(assembly, listener)
+            scene = assembly.scene  # that of the first process, in case the file has changed
         laws, samples, seed = scene.report.laws, scene.monte_carlo.samples, scene.monte_carlo.seed
 
         def prepare() -> None:
             expected = forecast(assembly, laws, samples, cores=len(os.sched_getaffinity(0)))
             expected.check(folder)
             if expected.seconds > LONG:
-                listener.say(f"{samples} samples under {len(laws)} laws: {expected}")
+                listener.report(f"{samples} samples under {len(laws)} laws: {expected}")
             _prepare(folder, assembly, laws, samples, seed, listener, replace, warnings)
             RunFolder(folder).keep_inputs(assembly)
 
-        on_first(world, prepare)  # a folder that cannot be used is refused before anything is computed
+        on_first(world, prepare)  # reject an unusable folder before computing
         with clock("influence coefficients"):
             influence, cached = coefficients(assembly, cache, say, world)
             reused = [name for name, hit in cached.items() if hit]
             if reused:
-                listener.say(f"influence coefficients of {', '.join(reused)}: reused from {cache}")
+                listener.report(f"influence coefficients of {', '.join(reused)}: reused from {cache}")
         if scene.report.accuracy:
             with clock("accuracy of the meshes"):
                 on_first(world, lambda: write_accuracy(folder, estimate_accuracy(assembly, cache, say)))
         with clock("reduced model"):
             model = shared(world, lambda: _reduced(assembly, influence))
-            influence.clear()  # it lies in the model now
+            influence.clear()  # the model holds it
             notes = model.process().redundant + frozen_gaps(model)
             for sentence in notes:
-                listener.say(f"note: {sentence}")
+                listener.report(f"note: {sentence}")
         with clock("Monte Carlo"):
-            written = Written()
+            written = TableCache()
             found = _sampled(folder, model, laws, samples, seed, listener, written)
             samples = on_first(world, lambda: RunFolder(folder).record()["samples"])
         if world is not None and world.rank > 0:
             return None
         for law, count in found.items():
             if count:
-                listener.say(f"{law}: {count} of {samples} samples found finished in {folder}")
+                listener.report(f"{law}: {count} of {samples} samples found finished in {folder}")
         return conclude(folder, clock.seconds, listener, cache, model, written)
 
 
@@ -152,13 +150,13 @@ def sample_into(
     laws: Sequence[str],
     samples: int,
     seed: int,
-    listener: Listener | None = None,
+    listener: Progress | None = None,
     replace: bool = False,
 ) -> dict[str, int]:
     """The Monte Carlo of a reduced model into a results folder, without statistics; under MPI a collective call.
 
-    Finished samples of the same run (:mod:`mic.results.run_identity`) that the folder holds already are kept, also those
-    that lie beyond the samples asked for or under other laws; a folder of another run is refused.
+    Finished samples of the same run (:mod:`mic.results.run_identity`) stay in the folder, including those beyond the
+    requested number or of other laws; a folder of another run is refused.
 
     Parameters
     ----------
@@ -166,7 +164,7 @@ def sample_into(
     model : ReducedModel
     laws : sequence of str
     samples, seed : int
-    listener : Listener, optional
+    listener : Progress, optional
     replace : bool
         Whether results of another run in the folder may be removed.
 
@@ -179,31 +177,39 @@ def sample_into(
     ------
     RunError, StorageError
     """
-    folder, listener = Path(folder), listener or Listener()
+    folder, listener = Path(folder), listener or Progress()
     with hold(folder, listener):
         on_first(communicator(), lambda: _prepare(folder, model, laws, samples, seed, listener, replace))
-        return _sampled(folder, model, laws, samples, seed, listener, Written())
+        return _sampled(folder, model, laws, samples, seed, listener, TableCache())
 
 
-def _judged(scene: Scene, cache: Path, say, listener: Listener, strict: bool) -> tuple[Assembly, list[str]]:
-    """The scene on its meshes, its process seen to be one, and what is to be warned of, which is said at once."""
+def _assembled(scene: Scene, cache: Path, say, listener: Progress, strict: bool) -> tuple[Assembly, list[str]]:
+    """The assembly with a valid process plan, and its warnings, which are reported at once."""
     try:
         assembly = assemble(scene, cache, progress=say, check=plan_assembly)
         plan_assembly(assembly)
     except SceneError:
         for warned in find_warnings_unplaced(scene, loadable_parts(scene, cache)):
-            listener.say(f"warning: {warned}")
+            listener.report(f"warning: {warned}")
         raise
     warnings = find_warnings(scene, assembly, cache)
     if strict:
         raise_warnings(warnings)
     for warned in warnings:
-        listener.say(f"warning: {warned}")
+        listener.report(f"warning: {warned}")
     return assembly, [str(warned) for warned in warnings]
 
 
+def _report_repairs(assembly: Assembly, listener: Progress) -> None:
+    """Report the repairs of the parts' meshes."""
+    for part in assembly.scene.parts:
+        if part.name in assembly.decks:
+            for sentence in repair_summary(part, assembly.decks[part.name]):
+                listener.report(f"note: {sentence}")
+
+
 def _reduced(assembly: Assembly, influence: dict[str, InfluenceCoefficients]) -> ReducedModel:
-    """The reduced model, with all that it prepares once for all laws."""
+    """The reduced model, including what all laws share."""
     model = ReducedModel.build(assembly, influence)
     model.eliminations  # noqa: B018
     model.forecast  # noqa: B018
@@ -213,7 +219,7 @@ def _reduced(assembly: Assembly, influence: dict[str, InfluenceCoefficients]) ->
 def _prepare(
     folder, source: Assembly | ReducedModel, laws, samples, seed, listener, replace, warnings: Sequence[str] = ()
 ) -> None:
-    """The folder made ready for a run, or refused."""
+    """Prepare the folder for a run, or raise if it belongs to another run."""
     record = {
         "scene": source.scene.name,
         "samples": samples,
@@ -225,12 +231,14 @@ def _prepare(
         "warnings": list(warnings),
     }
     for sentence in RunFolder(folder).prepare(record, source.scene.report, replace):
-        listener.say(sentence)
+        listener.report(sentence)
 
 
-def _sampled(folder, model: ReducedModel, laws, samples, seed, listener, written: Written) -> dict[str, int]:
-    """So many samples, or as many of them as the accuracy takes that the scene asks for: whole blocks, each time a
-    third more, so that the same are drawn however often a run is interrupted."""
+def _sampled(folder, model: ReducedModel, laws, samples, seed, listener, written: TableCache) -> dict[str, int]:
+    """Sample until the required accuracy or number of samples is reached.
+
+    Checks come after whole blocks, each with a third more samples, so that an interrupted run draws the same ones.
+    """
     accuracy, world = model.scene.monte_carlo.accuracy, communicator()
     if accuracy is None:
         return _sample(folder, model, laws, samples, seed, listener, written)
@@ -239,7 +247,7 @@ def _sampled(folder, model: ReducedModel, laws, samples, seed, listener, written
     found: dict[str, int] = {}
 
     def look() -> float:
-        """What the 6σ of so many samples leave; they are all that the folder has to hold from now on."""
+        """Uncertainty of 6σ with these samples, which become the number the folder needs."""
         store.write_record(store.record() | {"samples": judged})
         return read_outcome(folder, model, written).uncertainty
 
@@ -252,13 +260,13 @@ def _sampled(folder, model: ReducedModel, laws, samples, seed, listener, written
         left = on_first(world, look)
         if left <= accuracy or end == samples:
             enough = "" if left <= accuracy else "; more samples may be had by --samples"
-            listener.say(f"{end} samples: every 6σ is known to {left:.2%} ({accuracy:.2%} asked for){enough}")
+            listener.report(f"{end} samples: every 6σ is known to {left:.2%} ({accuracy:.2%} asked for){enough}")
             break
     return found
 
 
-def _sample(folder, model: ReducedModel, laws, samples, seed, listener, written: Written) -> dict[str, int]:
-    """The samples that a folder lacks, `written` there; it was made ready by the first process."""
+def _sample(folder, model: ReducedModel, laws, samples, seed, listener, written: TableCache) -> dict[str, int]:
+    """Compute and write the missing samples of a prepared folder."""
     store, world = RunFolder(folder), communicator()
     whose = identity(model, seed)
     there: dict[str, np.ndarray] = {}
@@ -285,9 +293,9 @@ def _sample(folder, model: ReducedModel, laws, samples, seed, listener, written:
 
     def expect(seconds: float) -> None:
         if seconds > LONG:
-            listener.say(
-                f"By the first assemblies, the samples that are left take about {duration(seconds)}. What is finished "
-                'is kept whenever the run is stopped; path = "one-step" in the stages takes a fraction.'
+            listener.report(
+                f"The remaining samples take about {duration(seconds)}, estimated from the first. Finished samples "
+                'stay stored if the run is stopped; path = "one-step" in the stages takes a fraction.'
             )
 
     with listener.sampling(laws, samples) as advance:
@@ -297,9 +305,10 @@ def _sample(folder, model: ReducedModel, laws, samples, seed, listener, written:
 def write_evaluation(
     store: RunFolder, block: Block, identity: str, model: ReducedModel, evaluation: Evaluation
 ) -> dict[str, pd.DataFrame]:
-    """Write what a block of samples gave: its tables, which are returned, and, where fields are asked for, its forces.
-    Of the first samples contact pairs and forces are kept, as many as the scene's report says; of the others what they
-    add up to."""
+    """Write the tables of a block of samples, and its forces if fields are requested; returns the tables.
+
+    Contact pairs and forces are stored for as many samples as the scene's report states; sums for the others.
+    """
     found, report = tables(model, evaluation, block.first), model.scene.report
     if keeps(report, block):
         forces = {"force": evaluation.functional_force, "motion": evaluation.motion} if report.fields else None
@@ -317,7 +326,7 @@ def write_evaluation(
 
 
 @contextmanager
-def hold(folder: Path, listener: Listener | None = None) -> Iterator[None]:
+def hold(folder: Path, listener: Progress | None = None) -> Iterator[None]:
     """Hold the lock of a results folder (:mod:`mic.system.lock`); under MPI the first process does, for all.
 
     Raises
@@ -329,14 +338,16 @@ def hold(folder: Path, listener: Listener | None = None) -> Iterator[None]:
 
         def take() -> None:
             if stack.enter_context(locked(folder)):
-                (listener or Listener()).say(f"{folder}: an earlier run had ended without letting go; taken over.")
+                (listener or Progress()).report(
+                    f"{folder}: taking over the lock of an interrupted run."
+                )
 
         on_first(communicator(), take)
         yield
 
 
 def finished(folder: Path, laws: Sequence[str], samples: int) -> int:
-    """How many of the samples that were asked for are finished in a results folder, over all laws."""
+    """Number of requested samples that are finished in a results folder, over all laws."""
     store = RunFolder(Path(folder))
     return sum(int((store.finished(law, samples) < samples).sum()) for law in laws)
 
@@ -344,10 +355,10 @@ def finished(folder: Path, laws: Sequence[str], samples: int) -> int:
 def conclude(
     folder: Path,
     wall_time: dict[str, float] | None = None,
-    listener: Listener | None = None,
+    listener: Progress | None = None,
     cache: Path | None = None,
     model: ReducedModel | None = None,
-    written: Written | None = None,
+    written: TableCache | None = None,
 ) -> Outcome:
     """Statistics and fields of a results folder, finished or interrupted, computed anew from its samples.
 
@@ -356,40 +367,40 @@ def conclude(
     folder : Path
     wall_time : dict of str to float, optional
         Seconds by phase so far, for the record.
-    listener : Listener, optional
+    listener : Progress, optional
     cache : Path, optional
         The cache folder, where fields of unit forces are kept; default: fields are solved for.
     model : ReducedModel, optional
-        The run's own, should it be at hand.
-    written : mic.results.outcome.Written, optional
-        Tables that need not be read.
+        Model of the run, if already loaded.
+    written : mic.results.outcome.TableCache, optional
+        Tables in memory.
 
     Raises
     ------
     RunError, FormatError, StorageError
     """
     clock, folder = _Clock(), Path(folder)
-    RunFolder(folder).record()  # a folder that holds no run is left as it is
+    RunFolder(folder).record()  # raises if the folder holds no run
     with locked(folder):
-        return _conclude(folder, clock, wall_time or {}, listener or Listener(), cache, model, written)
+        return _conclude(folder, clock, wall_time or {}, listener or Progress(), cache, model, written)
 
 
 def _conclude(
     folder: Path,
     clock: _Clock,
     wall_time: dict[str, float],
-    listener: Listener,
+    listener: Progress,
     cache: Path | None,
     model: ReducedModel | None,
-    written: Written | None,
+    written: TableCache | None,
 ) -> Outcome:
     with clock("statistics"):
         outcome = read_outcome(folder, model, written)
         for sentence in outcome.damaged:
-            listener.say(sentence)
+            listener.report(sentence)
     with clock("error of the path"):
         write_path_study(outcome)
-    listener.gathered(outcome)
+    listener.statistics_ready(outcome)
     with clock("statistics"):
         write_tables(outcome)
     with clock("fields"):

@@ -12,9 +12,10 @@ from typer.testing import CliRunner
 from mic.options import app
 from mic.report.style import change
 from mic.report.verdict import answer
-from mic.results.error_sources import error_budget, whole_yield
+from mic.results.error_sources import error_budget
 from mic.results.outcome import read_outcome
 from mic.results.schema import ACCURACY, CONTRIBUTORS, DENSITY, FRICTION_EFFECTS, LINEARITY, ORDERS, RARE, REMEDIES
+from mic.results.statistic_tables import whole_yield
 from mic.runs import run
 
 SAMPLES = 30

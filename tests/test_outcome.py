@@ -12,9 +12,9 @@ from mic.errors import FormatError, RunError
 from mic.execution.monte_carlo import BLOCK
 from mic.model.assembly import assemble
 from mic.process.evaluation import Evaluation
-from mic.results.outcome import Written, read_outcome
+from mic.results.outcome import TableCache, read_outcome
 from mic.results.run_folder import Block, RunFolder
-from mic.results.summary import write_summary, write_tables
+from mic.results.table_writer import write_summary, write_tables
 from mic.runs import sample_into, write_evaluation
 from mic.statistics import estimates
 from mic.statistics.capability import centred_capability
@@ -148,10 +148,10 @@ def test_what_was_just_written_is_not_read_again_as_far_as_there_is_room(folder,
     store = RunFolder(folder)
     whose, expected = store.record()["identity"], read_outcome(folder)
     every = [block for law in LAWS for block in store.blocks(law)]
-    written = Written()
+    written = TableCache()
     for block in every:
         written.keep(block, store.read_block(block, whose))
-    full = Written(sum(frame.memory_usage(index=False).sum() for frame in written[every[0]].values()))
+    full = TableCache(sum(frame.memory_usage(index=False).sum() for frame in written[every[0]].values()))
     for block in every:
         full.keep(block, written[block])
     assert list(written) == every and list(full) == every[:1]
@@ -339,7 +339,7 @@ def test_statistics_block_by_block_are_those_of_all_samples_at_once(folder):
 def test_samples_asked_for_by_number_are_those_samples(folder, monkeypatch):
     fail(folder, "coulomb", {3: ("clamp", "not converged")})
     whole, few = read_outcome(folder), (2, 7, BLOCK + 4)
-    monkeypatch.setattr("mic.results.outcome.ROOM", 0)  # nothing at hand: all is read again
+    monkeypatch.setattr("mic.results.outcome.CACHE_SIZE", 0)  # nothing at hand: all is read again
     outcome = read_outcome(folder)
     assert not any(outcome.kept.values()) and any(whole.kept.values())
     place = np.searchsorted(outcome.sample_numbers("coulomb"), few)

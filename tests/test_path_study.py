@@ -11,9 +11,10 @@ from mic.contact.path import Followed, Increments
 from mic.process.process import Process
 from mic.results import path_error
 from mic.results.outcome import read_outcome
-from mic.results.path_error import PathStudy, tighter
+from mic.results.path_effect import PathStudy
+from mic.results.path_error import tighter
 from mic.results.schema import RESOLUTIONS
-from mic.results.summary import write_path_study, write_tables
+from mic.results.table_writer import write_path_study, write_tables
 from mic.runs import sample_into
 from mic.statistics.draw import draw
 

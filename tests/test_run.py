@@ -247,4 +247,4 @@ def test_a_run_that_takes_long_says_so_after_its_first_samples(lap_model, tmp_pa
     monkeypatch.setattr("mic.runs.LONG", long)
     heard = Heard()
     sample_into(tmp_path, lap_model, ["frictionless"], 3, 4, listener=heard)
-    assert any("samples that are left take about" in sentence for sentence in heard.sentences) == said
+    assert any("The remaining samples take about" in sentence for sentence in heard.sentences) == said

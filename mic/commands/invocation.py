@@ -17,7 +17,8 @@ from mic.process.plan import plan_assembly
 from mic.process.stiffness import coefficients
 from mic.results.run_folder import RunFolder
 from mic.results.run_identity import identity
-from mic.runs import Listener, hold
+from mic.runs import Progress as RunProgress
+from mic.runs import hold
 from mic.scene import load_scene
 from mic.system.console import plain
 from mic.system.disk_cache import cache_folder
@@ -62,13 +63,13 @@ def requested(scene, laws, samples=None, seed=None, backend=None):
     return scene.model_copy(update=changes)
 
 
-class OnConsole(Listener):
+class OnConsole(RunProgress):
     """Shows a run on the console."""
 
     def __init__(self, console):
         self.console = console
 
-    def say(self, sentence):
+    def report(self, sentence):
         self.console.print(plain(sentence), highlight=False, soft_wrap=True)
 
     @contextmanager

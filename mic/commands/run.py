@@ -34,7 +34,7 @@ class Drawing(OnConsole):
 
     ahead: Ahead | None = None
 
-    def gathered(self, outcome):
+    def statistics_ready(self, outcome):
         self.end()
         self.ahead = Ahead(outcome)
 

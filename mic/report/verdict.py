@@ -9,9 +9,10 @@ import numpy as np
 
 from mic.report.driver_sentences import named, signed, unit_of
 from mic.report.style import change, number, percent
-from mic.results.error_sources import Source, error_budget, whole_yield
+from mic.results.error_sources import Source, error_budget
 from mic.results.outcome import Outcome
 from mic.results.schema import CONTRIBUTORS, FRICTION_EFFECTS, LINEARITY, RARE, REMEDIES
+from mic.results.statistic_tables import whole_yield
 
 __all__ = ["SHOWN", "Answer", "answer"]
 

@@ -1,24 +1,20 @@
-"""What the contact pairs of one block's samples add up to.
+"""Moments and counts of the contact pairs over the samples of one block.
 
-Beyond the first samples of a long run the process that evaluated a block adds them up, so that nobody need keep each
-pair of each sample, nor read it again.
+Beyond the first samples of a long run they replace the contact pairs of single samples.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from mic.contact.states import STATES
 from mic.model.nuggets import nuggets
+from mic.results.block_samples import BlockSamples
 from mic.statistics.estimates import Moments
 from mic.system.matrix_product import one_thread
-
-if TYPE_CHECKING:
-    from mic.results.block_statistics import BlockSamples
 
 __all__ = ["Sums"]
 
@@ -44,7 +40,7 @@ class Sums:
     @classmethod
     @one_thread  # the same bits on any number of them
     def of(cls, block: BlockSamples, model) -> Sums:
-        """Those of a block that has its contact pairs.
+        """Sums over a block with its contact pairs.
 
         Parameters
         ----------

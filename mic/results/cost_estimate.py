@@ -1,4 +1,4 @@
-"""What a run will take, foretold before anything is computed: so that one that cannot end is not begun."""
+"""Lower bounds of time and disk space of a run, checked before it starts."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from mic.process.plan import plan_stages
 
 __all__ = ["Forecast", "duration", "forecast"]
 
-# Least figures: dense assemblies and hard contact problems take several times as long.
+# Lower bounds: dense assemblies and hard contact problems take several times as long.
 SECONDS = 1e-5  # one contact pair in one increment of one sample, on one core
 BYTES = 40  # one contact pair of one sample in one stage, where it is kept
 PER_SAMPLE = 300  # bytes, whatever the scene

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 import pandas as pd
@@ -13,19 +11,16 @@ from mic.contact.friction import Friction
 from mic.contact.law_comparison import compare_laws
 from mic.contact.working_set import PathForecast
 from mic.process.process import contact_solver
-from mic.results.schema import FRICTION
+from mic.results.run_samples import RunSamples
 
-if TYPE_CHECKING:
-    from mic.results.outcome import Outcome
-
-__all__ = ["SCALES", "SAMPLES", "read_friction", "study_friction"]
+__all__ = ["SCALES", "SAMPLES", "study_friction"]
 
 SAMPLES = 12  # evenly spread over the valid ones whose pairs are kept
 SCALES = (0.1, 0.4, 0.7, 1.0, 1.5, 2.0)  # multiples of the scene's friction
 THREADS = 2
 
 
-def study_friction(outcome: Outcome) -> pd.DataFrame | None:
+def study_friction(outcome: RunSamples) -> pd.DataFrame | None:
     """Solve samples in the first stage that resolves contact, under every law, with all friction coefficients scaled.
 
     All that the stage does is done in one step: laws are compared here, not paths. The displacements without contact
@@ -66,14 +61,3 @@ def study_friction(outcome: Outcome) -> pd.DataFrame | None:
         return contact_solver(contacts, S, response.diagonal[:rows], friction, step, forecast, **settings)
 
     return compare_laws(S, b, [scale * coefficient for scale in SCALES], threads=THREADS, solver=solver)
-
-
-def read_friction(folder: Path) -> pd.DataFrame | None:
-    """The study as the run stored it; None where it stored none.
-
-    Raises
-    ------
-    FormatError
-        If the file is not what :data:`mic.results.schema.FRICTION` declares.
-    """
-    return FRICTION.read(folder, "call `mic report` on the run folder")

@@ -1,4 +1,4 @@
-"""What the meshes of a run leave, as a table of its folder: written by the run, read by the report."""
+"""Table of estimated mesh errors: written by the run, read by the report."""
 
 from __future__ import annotations
 

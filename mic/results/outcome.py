@@ -1,316 +1,66 @@
-"""The outcome of a run: its folder read back, block by block.
+"""The outcome of a run: samples, statistics and studies of its folder.
 
-Everything is read from the files of the run folder, so that an interrupted run, or one carried here from another
-machine, can be read too. Samples that failed, or are not there yet, enter no statistic; they are counted and named.
-
-One pass over the blocks gathers the statistics and lets the samples go, so that a million of them take no more memory
-than ten thousand. What asks for samples reads them again, those that it names and no others.
+One pass over the blocks accumulates the statistics and discards the samples, so memory does not grow with their
+number. Accessors of single samples read the blocks that hold them again.
 """
 
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Mapping
 from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pandas as pd
-from numpy.typing import ArrayLike
 
-from mic.compliance.part import Part
 from mic.errors import FormatError, RunError
 from mic.process.model import ReducedModel
-from mic.results import summary
-from mic.results.block_statistics import BlockSamples, Digest
-from mic.results.friction_sweep import read_friction
-from mic.results.path_error import PathStudy, read_path_study
+from mic.results import statistic_tables
+from mic.results.block_samples import BlockSamples
+from mic.results.block_statistics import Digest
 from mic.results.run_folder import Block, RunFolder
 from mic.results.run_identity import differences, inputs
-from mic.results.schema import CONTACTS, DATASETS, Table
-from mic.scene.samples import DESIGNS
-from mic.statistics import estimates
+from mic.results.run_samples import RunSamples
+from mic.results.schema import CONTACTS, DATASETS
+from mic.results.summary import summary
 
-__all__ = ["Outcome", "Written", "read_outcome"]
+__all__ = ["Outcome", "TableCache", "read_outcome"]
 
-ROOM = 48_000_000  # bytes of tables that are kept at hand
+CACHE_SIZE = 48_000_000  # bytes of tables in memory
 
 
-@dataclass(frozen=True)
-class Outcome:
-    """What a run folder holds.
-
-    Arrays over samples have one entry for each *valid* sample of a law, one that is there and did not fail, in
-    ascending order of the samples' numbers.
-
-    Attributes
-    ----------
-    folder : Path
-    record : dict
-        ``run.json``: scene, samples and seed asked for, laws, identity, versions, and ``wall_time`` (s by phase) where
-        known.
-    model : ReducedModel
-    blocks : dict of str to list of Block
-        By law, the blocks that were read.
-    digests : dict of str to Digest
-        By law, what the statistics need of them.
-    damaged : tuple of str
-        One sentence for each block that was left out since it could not be read.
-    kept : dict of Block to dict of str to DataFrame
-        Tables of the first blocks, by name, so that few samples need not be read twice.
-    """
-
-    folder: Path
-    record: dict
-    model: ReducedModel
-    blocks: Mapping[str, list[Block]]
-    digests: Mapping[str, Digest]
-    damaged: tuple[str, ...] = ()
-    kept: Mapping[Block, Mapping[str, pd.DataFrame]] = field(default_factory=dict, repr=False)
-
-    @property
-    def laws(self) -> list[str]:
-        """Laws with at least one finished sample, in the order in which they were asked for."""
-        return [law for law in self.record["laws"] if self.digests[law].found]
-
-    @cached_property
-    def stages(self) -> list[str]:
-        """Stages that resolve contact, in their order in the process."""
-        found = {stage for law in self.laws for stage in self.digests[law].stages}
-        return [name for stage in self.model.scene.stages if (name := str(stage.name)) in found]
-
-    @property
-    def zones(self) -> list[str]:
-        """Contact zones of the scene."""
-        return [zone.name for zone in self.model.scene.zones]
-
-    @property
-    def has_slip(self) -> bool:
-        """Whether tangential motion was modelled."""
-        return len(self.model.contacts) > 0 and self.model.contacts.dimension == 3
-
-    @property
-    def failed(self) -> dict[str, list[int]]:
-        """Numbers of the failed samples, by law."""
-        return {law: digest.failed for law, digest in self.digests.items()}
-
-    @property
-    def rescued(self) -> dict[str, list[int]]:
-        """Numbers of the valid samples whose path could not be followed and took plain increments, by law."""
-        return {law: digest.rescued for law, digest in self.digests.items()}
-
-    @property
-    def unbuilt(self) -> dict[str, list[int]]:
-        """Numbers of the valid samples in which a clamp or gun of limited force did not reach its position, by law."""
-        return {law: digest.unbuilt for law, digest in self.digests.items()}
-
-    @property
-    def missing(self) -> dict[str, int]:
-        """Samples that were asked for and are not in the folder, by law; all zero for a finished run."""
-        return {law: self.record["samples"] - digest.found for law, digest in self.digests.items()}
-
-    @property
-    def uncertainty(self) -> float:
-        """Half of the 95 % interval of the 6σ of a key characteristic, as a share of it: of the one that is known
-        worst under any law, by regression where that is narrower; infinite where one is not known."""
-        worst = 0.0
-        for law in self.laws:
-            digest = self.digests[law]
-            plain = estimates.six_sigma(digest.moments["measurements",])
-            value, low, high = (np.atleast_1d(part) for part in (plain.value, plain.low, plain.high))
-            better = digest.regression.improved() if digest.regression else None
-            if better is not None:
-                own = better.kind != "plain"
-                value, low, high = (np.where(own, 6 * s, x) for s, x in zip(better.sigma, (value, low, high)))
-            with np.errstate(invalid="ignore", divide="ignore"):
-                share = np.where(value > 0, 0.5 * (high - low) / value, 0.0)
-            worst = max(worst, float(np.where(np.isnan(value) | np.isnan(share), np.inf, share).max(initial=0.0)))
-        return worst if self.laws else float("inf")
-
-    @property
-    def together(self) -> int:
-        """Samples that the design makes together: those of one group are not independent; 1 where all are."""
-        return DESIGNS[self.model.scene.monte_carlo.design]
-
-    @cached_property
-    def parts(self) -> tuple[Part, ...]:
-        """The parts with their meshes, as the run kept them; none where it did not."""
-        return RunFolder(self.folder).parts(self.model.scene)
-
-    # ---------------------------------------------------------------------------------------------- samples
-    # Each takes the numbers of the valid samples that are wanted, in ascending order; by default all of them, which
-    # takes memory in proportion.
-
-    def sample_numbers(self, law: str) -> np.ndarray:
-        """(n,) numbers of the valid samples."""
-        return self._numbers[law]
-
-    def deviation(self, law: str, name: str, samples: ArrayLike | None = None) -> np.ndarray:
-        """(n,) drawn values of a deviation, N or mm."""
-        return self._gathered(law, samples, lambda block: block.column("deviations", "value", deviation=name))
-
-    def residual(self, law: str, stage: str, samples: ArrayLike | None = None) -> np.ndarray:
-        """(n,) certificate residuals of a stage."""
-        return self._gathered(law, samples, lambda block: block.column("resolutions", "residual", stage=stage))
-
-    def path_error(self, law: str, stage: str, samples: ArrayLike | None = None) -> np.ndarray:
-        """(n,) estimated error that the path up to a stage's end left, mm (:data:`mic.results.schema.RESOLUTIONS`)."""
-        return self._gathered(law, samples, lambda block: block.column("resolutions", "path_error", stage=stage))
-
-    def tangential(self, law: str, stage: str, zone: str, samples: ArrayLike | None = None) -> np.ndarray:
-        """(n,) RMS tangential displacement of a zone in a stage, that of open contacts included, mm.
-
-        NaN where no tangential motion was modelled.
-        """
-        return self._motion(law, stage, zone, "rms_tangential", samples)
-
-    def slip(self, law: str, stage: str, zone: str, samples: ArrayLike | None = None) -> np.ndarray:
-        """(n,) RMS slip under load of a zone in a stage, mm; NaN where no friction was modelled."""
-        return self._motion(law, stage, zone, "rms_slip", samples)
-
-    def _motion(self, law, stage, zone, column, samples):
-        """(n,) a column of the dataset `slips`."""
-        if not self.has_slip:
-            return self._gathered(law, samples, lambda block: np.full(len(block.numbers), np.nan))
-        return self._gathered(law, samples, lambda block: block.column("slips", column, stage=stage, zone=zone))
-
-    def measured(self, law: str, name: str, samples: ArrayLike | None = None) -> np.ndarray:
-        """(n,) values of a measurement, mm from nominal."""
-        return self._gathered(law, samples, lambda block: block.column("measurements", "value", measurement=name))
-
-    def contact(self, law: str, stage: str, column: str, samples: ArrayLike | None = None) -> np.ndarray:
-        """One quantity of all m contact pairs, (n, m).
-
-        Parameters
-        ----------
-        column : str
-            ``f_n, f_t1, f_t2`` (N), ``u_n, u_t1, u_t2`` (mm), ``state`` (index into ``mic.contact.states.STATES``), or
-            the magnitudes ``f_t`` (N) and ``u_t`` (mm) of the tangential parts; ``path_stick`` and ``path_slip``, the
-            shares of the stage's path.
-
-        Raises
-        ------
-        RunError
-            For samples whose pairs are not kept, see :meth:`with_pairs`.
-        """
-        wanted, kept = self.sample_numbers(law) if samples is None else np.asarray(samples), self.with_pairs(law)
-        if not np.isin(wanted, kept).all():
-            raise RunError(
-                f"{self.folder}: keeps the contact pairs of {len(kept)} samples under {law}, and others are asked for; "
-                "ask for those (Outcome.with_pairs), or run again with more contacts in [report]"
-            )
-        width = len(self.model.contacts)
-        return self._gathered(law, samples, lambda block: block.contact(stage, column), (width,))
-
-    def with_pairs(self, law: str) -> np.ndarray:
-        """(n,) numbers of the valid samples whose contact pairs are kept: the first ones, as many as the scene's report
-        asks for under ``contacts``."""
-        numbers, kept = self.sample_numbers(law), np.zeros(0, dtype=int)
-        for block in self.blocks[law]:
-            if RunFolder(self.folder).keeps_pairs(block):
-                own = (numbers >= block.first) & (numbers < block.first + block.count)
-                kept = np.append(kept, numbers[own])
-        return kept
-
-    def failures(self, law: str) -> pd.DataFrame:
-        """Why samples failed: ``sample, stage, residual, status``.
-
-        One row per failed sample and stage that did not converge.
-        """
-        return self.digests[law].failures
-
-    def worst_residual(self, law: str) -> float:
-        """Largest certificate residual of the valid samples over all stages.
-
-        0 where no contact is resolved, NaN without samples.
-        """
-        if not len(self.sample_numbers(law)):
-            return float("nan")
-        moments = self.digests[law].moments
-        return max((float(moments["resolutions", stage, "residual"].high) for stage in self.stages), default=0.0)
-
-    @cached_property
-    def _numbers(self) -> dict[str, np.ndarray]:
-        return {law: digest.numbers for law, digest in self.digests.items()}
-
-    def _gathered(
-        self,
-        law: str,
-        samples: ArrayLike | None,
-        read: Callable[[BlockSamples], np.ndarray],
-        shape: tuple[int, ...] = (),
-    ) -> np.ndarray:
-        """What `read` makes of the blocks, for the samples wanted."""
-        wanted = None if samples is None else np.unique(samples)
-        found = []
-        for block in self.blocks[law]:
-            if wanted is None:
-                found.append(read(self._block(block)))
-            elif np.searchsorted(wanted, block.first) < np.searchsorted(wanted, block.first + block.count):
-                samples_of = self._block(block)
-                found.append(read(samples_of)[np.isin(samples_of.numbers, wanted)])
-        values = np.concatenate(found) if found else np.zeros((0, *shape))
-        if wanted is not None and len(values) != len(wanted):
-            raise KeyError(f"law {law!r}: some of the samples asked for are not among its valid ones")
-        return values
-
-    def _block(self, block: Block) -> BlockSamples:
-        folder, whose = RunFolder(self.folder), self.record["identity"]
-        tables = _Tables(lambda name: folder.read_dataset(block, name, whose), self.kept.get(block, {}))
-        return BlockSamples(tables, len(self.model.contacts), self.record["samples"])
-
-    # ---------------------------------------------------------------------------------------------- statistics
+class Outcome(RunSamples):
+    """Samples and statistics of a run."""
 
     @cached_property
     def zone_statistics(self) -> pd.DataFrame:
         """Motion of each zone along its surfaces: :data:`mic.results.schema.ZONE_STATISTICS`."""
-        return summary.zone_statistics(self)
+        return statistic_tables.zone_statistics(self)
 
     @cached_property
     def contact_statistics(self) -> pd.DataFrame:
         """Forces and states of each contact pair: :data:`mic.results.schema.CONTACT_STATISTICS`."""
-        return summary.contact_statistics(self)
+        return statistic_tables.contact_statistics(self)
 
     @cached_property
     def measurement_statistics(self) -> pd.DataFrame:
         """Key characteristics against their limits: :data:`mic.results.schema.MEASUREMENT_STATISTICS`."""
-        return summary.measurement_statistics(self)
+        return statistic_tables.measurement_statistics(self)
 
     @cached_property
     def profile_statistics(self) -> pd.DataFrame:
         """Maps of deviation: :data:`mic.results.schema.PROFILE_STATISTICS`."""
-        return summary.profile_statistics(self)
+        return statistic_tables.profile_statistics(self)
 
     @cached_property
     def limit_statistics(self) -> pd.DataFrame:
         """Clamps and guns of limited force: :data:`mic.results.schema.LIMIT_STATISTICS`."""
-        return summary.limit_statistics(self)
-
-    @cached_property
-    def path_study(self) -> PathStudy | None:
-        """What a tighter path changes: :mod:`mic.results.path_error`; None where not stored."""
-        return read_path_study(self.folder)
-
-    @cached_property
-    def friction_study(self) -> pd.DataFrame | None:
-        """The laws compared as friction grows: :data:`mic.results.schema.FRICTION`; None where not stored."""
-        return read_friction(self.folder)
-
-    def study(self, table: Table) -> pd.DataFrame | None:
-        """A table of :data:`mic.results.schema.STUDIES`, or that of the meshes' accuracy; None where not stored.
-
-        Raises
-        ------
-        FormatError
-            If the file is not what the table declares.
-        """
-        return table.read(self.folder, "call the command that wrote it on the run folder again")
+        return statistic_tables.limit_statistics(self)
 
     def summary(self) -> dict:
         """The outcome in one JSON-ready dict (``summary.json``), see :func:`mic.results.summary.summary`."""
-        return summary.summary(self)
+        return summary(self, self.zone_statistics, self.measurement_statistics, self.limit_statistics)
 
     # ---------------------------------------------------------------------------------------------- old names
 
@@ -346,53 +96,40 @@ class Outcome:
         return whole
 
 
-class _Tables(dict[str, pd.DataFrame]):
-    """The tables of a block, each read when it is first asked for."""
+class TableCache(dict[Block, Mapping[str, pd.DataFrame]]):
+    """Tables of the blocks that this process has just written, up to a total size."""
 
-    def __init__(self, read: Callable[[str], pd.DataFrame], kept: Mapping[str, pd.DataFrame]) -> None:
-        super().__init__(kept)
-        self._read = read
-
-    def __missing__(self, name: str) -> pd.DataFrame:
-        self[name] = self._read(name)
-        return self[name]
-
-
-class Written(dict[Block, Mapping[str, pd.DataFrame]]):
-    """Tables of blocks that this process has just written into a folder that it holds, and need not read; the first
-    ones, as far as there is room."""
-
-    def __init__(self, room: int = ROOM) -> None:
+    def __init__(self, size: int = CACHE_SIZE) -> None:
         super().__init__()
-        self._room = room  # bytes
+        self._free = size  # bytes
 
     def keep(self, block: Block, tables: Mapping[str, pd.DataFrame]) -> bool:
-        """Those of one block, all or none; whether they are kept."""
+        """Store all tables of a block if they fit; returns whether they are stored."""
         if block not in self:
             size = sum(int(frame.memory_usage(index=False).sum()) for frame in tables.values())
-            if size <= self._room:
+            if size <= self._free:
                 self[block] = tables
-                self._room -= size
+                self._free -= size
         return block in self
 
 
 def read_outcome(
     folder, model: ReducedModel | None = None, written: Mapping[Block, Mapping[str, pd.DataFrame]] | None = None
 ) -> Outcome:
-    """Read a run folder, finished or not.
+    """Read a run folder, finished or interrupted.
 
     Parameters
     ----------
     folder : path-like
     model : ReducedModel, optional
-        The run's own, should it be at hand.
-    written : Written, optional
-        Tables that need not be read.
+        Model of the run, if already loaded.
+    written : TableCache, optional
+        Tables in memory.
 
     Raises
     ------
     RunError
-        If it is no run folder.
+        If the folder holds no run.
     FormatError
         If its record or model cannot be read. A block that cannot be read counts as missing.
     """
@@ -401,7 +138,7 @@ def read_outcome(
     model = model or _model(store, record)
     blocks: dict[str, list[Block]] = {law: [] for law in record["laws"]}
     digests = {law: Digest() for law in record["laws"]}
-    damaged, room = [], ROOM
+    damaged, room = [], CACHE_SIZE
     kept: dict[Block, dict[str, pd.DataFrame]] = {}
     for law in record["laws"]:
         for block in store.blocks(law, record["samples"]):
@@ -415,16 +152,16 @@ def read_outcome(
             digests[law].add(samples, model, sums)
             blocks[law].append(block)
             kept[block] = {}
-            for name, frame in tables.items():
+            for name, frame in tables.items():  # contact tables get half of the cache; the others are small
                 size = int(frame.memory_usage(index=False).sum())
-                if size <= (room - ROOM // 2 if name == "contacts" else room):  # the others are small, and asked often
+                if size <= (room - CACHE_SIZE // 2 if name == "contacts" else room):
                     kept[block][name], room = frame, room - size
-            del tables, frame  # before the next are read
+            del tables, frame  # frees memory before the next block
     return Outcome(store.path, record, model, blocks, digests, tuple(damaged), kept)
 
 
 def _model(store: RunFolder, record: Mapping[str, Any]) -> ReducedModel:
-    """The model of a run folder; it must be the one that the record speaks of."""
+    """The model of a run folder, checked against the identity in its record."""
     path = store.path / "model.npz"
     try:
         model = ReducedModel.load(path)
@@ -437,7 +174,7 @@ def _model(store: RunFolder, record: Mapping[str, Any]) -> ReducedModel:
 
 
 def _wide(tables: Mapping[str, pd.DataFrame]) -> pd.DataFrame:
-    """The samples with everything else as columns ``KIND:KEY:KEY``."""
+    """One row per sample, with other quantities as columns ``KIND:KEY:KEY``."""
     wide = tables["samples"].copy()
     columns = {}
     for _, row in tables["deviations"].groupby("deviation", observed=True, sort=False):
@@ -449,7 +186,7 @@ def _wide(tables: Mapping[str, pd.DataFrame]) -> pd.DataFrame:
         for zone, slips in tables["slips"][tables["slips"]["stage"] == stage].groupby(
             "zone", observed=True, sort=False
         ):
-            columns[f"slip:{stage}:{zone}"] = slips["rms_tangential"].to_numpy()  # what was called slip then
+            columns[f"slip:{stage}:{zone}"] = slips["rms_tangential"].to_numpy()
     for name, rows in tables["measurements"].groupby("measurement", observed=True, sort=False):
         columns[f"measurement:{name}"] = rows["value"].to_numpy()
     return wide.assign(**columns)

@@ -1,16 +1,12 @@
-"""What the path left in the results of a run: its first samples once more on a tighter one, pair by pair.
+"""Path error of a run: its first samples repeated on a tighter load path.
 
-The same assemblies on two paths differ by what the paths leave alone: no scatter comes between, so that a dozen of them
-tell an effect that a dozen others would hide.
+Both runs use the same assemblies, so their differences contain no sampling scatter and a dozen samples suffice.
 """
 
 from __future__ import annotations
 
 import os
-from dataclasses import dataclass, replace
-from functools import cached_property
-from pathlib import Path
-from typing import TYPE_CHECKING
+from dataclasses import replace
 
 import numpy as np
 import pandas as pd
@@ -19,102 +15,17 @@ from mic.contact.laws import LAWS
 from mic.contact.path import Increments
 from mic.contact.path import Path as ContactPath
 from mic.process.process import Process
+from mic.results.path_effect import PathStudy
+from mic.results.run_samples import RunSamples
 from mic.results.sample_tables import tables
-from mic.results.schema import PATH, PATH_ERRORS, SLIPS
+from mic.results.schema import SLIPS
 
-if TYPE_CHECKING:
-    from mic.results.outcome import Outcome
-
-__all__ = ["SAMPLES", "SMALLEST", "Effect", "PathStudy", "read_path_study", "study_path", "tighter"]
+__all__ = ["SAMPLES", "study_path", "tighter"]
 
 SAMPLES = 12  # the first valid ones
-TOLERANCE = 1 / 16  # of the path's: of second order, it leaves about a sixth of the error
-INCREMENTS = 4  # times as many: of first order, they leave a quarter of the error
-SMALLEST = 0.01  # mm: of less than this no share is told; a hundredth of it nobody can measure
+TOLERANCE = 1 / 16  # factor on the path tolerance; the error is of second order and falls to about a sixth
+INCREMENTS = 4  # factor on the increments; the error is of first order and falls to a quarter
 _ZONES = ("rms_tangential", "rms_slip")
-
-
-@dataclass(frozen=True)
-class Effect:
-    """What a tighter path changes of a figure.
-
-    Attributes
-    ----------
-    change : float
-        mm; NaN where it is not known.
-    share : float
-        Of the figure; NaN where that is below :data:`SMALLEST`.
-    """
-
-    change: float
-    share: float
-
-
-@dataclass(frozen=True)
-class PathStudy:
-    """Samples of a run beside their repetitions.
-
-    Attributes
-    ----------
-    pairs : DataFrame
-        As :data:`mic.results.schema.PATH` declares it.
-    errors : DataFrame
-        As :data:`mic.results.schema.PATH_ERRORS` declares it.
-    """
-
-    pairs: pd.DataFrame
-    errors: pd.DataFrame
-
-    @property
-    def left_out(self) -> int:
-        """Repetitions that did not converge, over all laws."""
-        return len(self.pairs.loc[~self.pairs["converged"], ["law", "sample"]].drop_duplicates())
-
-    def repeated(self, law: str) -> int:
-        """Samples that stand beside their repetition."""
-        found = self.pairs[(self.pairs["law"] == law) & self.pairs["converged"]]
-        return int(found["sample"].nunique())
-
-    def effects(self, law: str, quantity: str, name: str, stage: str | None = None) -> tuple[Effect, Effect]:
-        """What a tighter path changes of mean and 6σ.
-
-        Parameters
-        ----------
-        law, quantity, name : str
-        stage : str, optional
-            Not for measurements.
-        """
-        found = self._beside.get((law, quantity, name, None if quantity == "measurement" else stage))
-        if found is None:
-            return _UNKNOWN, _UNKNOWN
-        value, tight = found
-        change = float(np.mean(tight - value))
-        if len(value) < 2:
-            return _effect(change, float(value[0]) if quantity != "measurement" else 0.0), _UNKNOWN
-        spread, tight_spread = (6 * float(np.std(x, ddof=1)) for x in (value, tight))
-        return (
-            _effect(change, spread if quantity == "measurement" else float(np.mean(value))),
-            _effect(tight_spread - spread, spread),
-        )
-
-    @cached_property
-    def _beside(self) -> dict[tuple, tuple[np.ndarray, np.ndarray]]:
-        """Values in the run and on the tighter path, of the repetitions that converged."""
-        groups = self.pairs[self.pairs["converged"]].groupby(["law", "quantity", "name", "stage"], sort=False)
-        return {
-            (law, quantity, name, None if quantity == "measurement" else stage): (
-                rows["value"].to_numpy(),
-                rows["tighter"].to_numpy(),
-            )
-            for (law, quantity, name, stage), rows in groups
-        }
-
-
-_UNKNOWN = Effect(float("nan"), float("nan"))
-
-
-def _effect(change: float, figure: float) -> Effect:
-    return Effect(change, change / figure if figure >= SMALLEST else float("nan"))
 
 
 def tighter(path: ContactPath) -> ContactPath:
@@ -124,7 +35,7 @@ def tighter(path: ContactPath) -> ContactPath:
     return replace(path, tolerance=TOLERANCE * path.tolerance)
 
 
-def study_path(outcome: Outcome) -> PathStudy | None:
+def study_path(outcome: RunSamples) -> PathStudy | None:
     """Take the first valid samples of every law with friction through the process once more, on a tighter path.
 
     Returns
@@ -201,16 +112,3 @@ def _errors(outcome, law, numbers, evaluation, converged) -> pd.DataFrame:
             )
         )
     return pd.concat(frames, ignore_index=True)
-
-
-def read_path_study(folder: Path) -> PathStudy | None:
-    """The study as the run stored it; None where it stored none.
-
-    Raises
-    ------
-    FormatError
-        If a file is not what :data:`mic.results.schema.PATH` or :data:`~mic.results.schema.PATH_ERRORS` declares.
-    """
-
-    pairs, errors = (table.read(folder, "call `mic report` on the run folder") for table in (PATH, PATH_ERRORS))
-    return None if pairs is None or errors is None else PathStudy(pairs, errors)

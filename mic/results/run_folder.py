@@ -1,18 +1,18 @@
-"""The folder of a run: what it is called, how it is written, and what it takes to be believed when it is read.
+"""Read and write the folder of a run, and check that its files belong to it.
 
 Readable at any moment. An interrupted run is completed by a second call; a file that cannot be read counts as absent.
 Every block names the identity of the run that it belongs to (:mod:`mic.results.run_identity`), and is used by no other.
-What another run or anybody else has left here is never removed, unless the user says so and the program wrote it.
+Files of other runs are removed only with `--replace`, and only if the program wrote them.
 
 ========================================= ==============================================================================
-``.lock``                                 who writes here now
+``.lock``                                 process that is writing to the folder
 ``run.json``                              the record: scene, samples, seed, laws, identity, inputs, versions, wall time
 ``model.npz``                             the reduced model
-``parts.npz``, ``paper.toml``             what fields and report need beside the results
+``parts.npz``, ``paper.toml``             further inputs of fields and report
 ``TABLE/law=LAW/FIRST-LAST.parquet``      the datasets of :data:`mic.results.schema.DATASETS`, one file per block
-``sums/law=LAW/FIRST-LAST.npz``           what the contact pairs of a block add up to that keeps none
-``forces/law=LAW/FIRST-LAST.npz``         forces and motions in the last stage, only where fields are asked for
-``condensed/law=LAW/FIRST-LAST.npz``      fewer rows in place of the forces of such a block
+``sums/law=LAW/FIRST-LAST.npz``           moments of a block without stored contact pairs
+``forces/law=LAW/FIRST-LAST.npz``         forces and motions in the last stage, if fields are requested
+``condensed/law=LAW/FIRST-LAST.npz``      low-rank factor of the forces of such a block
 ``tables/*.csv``, ``summary.json``        statistics
 ``fields/``                               displacement fields
 ========================================= ==============================================================================
@@ -176,7 +176,7 @@ class RunFolder:
     # ---------------------------------------------------------------------------------------------- blocks of samples
 
     def prepare(self, record: Mapping[str, Any], report: Report, replace: bool = False) -> list[str]:
-        """Make the folder ready for a run, or refuse it; to be called under its lock, before anything else is written.
+        """Prepare the folder for a run, or reject it. Call under its lock, before any other write.
 
         Finished samples of the same run stay, however many are asked for and under which laws. What cannot be read is
         set aside. A folder of another run is refused, or with `replace` freed of the files that a run writes.
@@ -230,12 +230,12 @@ class RunFolder:
         try:
             return self.record(), []
         except FormatError as problem:
-            told = _told(path)
-            if told is not None and told[0] != _RUN.kind:
+            stated = _kind_and_format(path)
+            if stated is not None and stated[0] != _RUN.kind:
                 raise RunError(
                     f"{path}: was written by something else than a run; name another folder with --out"
                 ) from None
-            if told is None or told[1] == _RUN.version:
+            if stated is None or stated[1] == _RUN.version:
                 return None, [_aside(path)]
             if not replace:
                 raise RunError(f"{str(problem).partition(';')[0]}; {_REPLACE}") from None
@@ -454,7 +454,7 @@ class RunFolder:
     # ---------------------------------------------------------------------------------------------- kept inputs
 
     def keep_inputs(self, assembly) -> None:
-        """Copy into the folder what fields and report need beside the results, so that it can be read on any machine.
+        """Copy into the folder further inputs of fields and report, so that it can be read on any machine.
 
         These are the parts with their retained functionals (``parts.npz``) and, if the scene's folder has one, the
         published figures (``paper.toml``) to set beside the results.
@@ -572,7 +572,7 @@ def _aside(path: Path) -> str:
     return f"{path}: cut short or damaged; set aside as {aside.name if aside else path.name} and written anew."
 
 
-def _told(path: Path) -> tuple[Any, Any] | None:
+def _kind_and_format(path: Path) -> tuple[Any, Any] | None:
     """Kind and format that a JSON file states, None where it states none; None for all where it cannot be read."""
     try:
         content = json.loads(path.read_text(encoding="utf-8"))

@@ -2,16 +2,16 @@
 
 from mic.results.parquet import read_table, write_table
 from mic.results.schema import CONTACTS, MEASUREMENTS, RESOLUTIONS, SAMPLES, SLIPS
-from mic.runs import Listener
+from mic.runs import Progress
 
 
-class Heard(Listener):
+class Heard(Progress):
     """Keeps what a run says, and may stop it after a number of blocks."""
 
     def __init__(self, stop_after=None):
         self.sentences, self.left = [], stop_after
 
-    def say(self, sentence):
+    def report(self, sentence):
         self.sentences.append(sentence)
 
     def sampling(self, laws, samples):

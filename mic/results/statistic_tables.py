@@ -1,0 +1,268 @@
+"""Statistics of zones, contacts, key characteristics, profiles and force limits as tables."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from mic.contact.laws import LAWS
+from mic.contact.states import STATES
+from mic.results.path_effect import Effect
+from mic.results.run_samples import RunSamples
+from mic.results.schema import (
+    CONTACT_STATISTICS,
+    LIMIT_STATISTICS,
+    MEASUREMENT_STATISTICS,
+    PROFILE_STATISTICS,
+    SLIPS,
+    ZONE_STATISTICS,
+    Table,
+)
+from mic.statistics import capability, estimates
+from mic.statistics.estimates import Estimate, Moments
+from mic.statistics.regression import Improved
+
+__all__ = [
+    "contact_statistics",
+    "limit_statistics",
+    "measurement_statistics",
+    "profile_statistics",
+    "whole_yield",
+    "zone_statistics",
+]
+
+GROUPS = 100  # of samples for the jackknife
+MEASURED = ("mean", "sigma", "six_sigma", "min", "max", "cp", "cpk", "share_outside")
+IMPROVED = ("improved_mean", "improved_six_sigma")
+FIGURES = ("mean", "six_sigma")  # of a path study
+MOTIONS = ("rms_tangential", "rms_slip")
+PRESSED = {"normal_force": "all", "normal_force_clear": "clear"}  # pairs whose forces are summed
+
+
+def whole_yield(outcome: RunSamples, law: str) -> Estimate:
+    """Share of the assemblies whose key characteristics are all within their limits.
+
+    The interval assumes independent samples; it is NaN for designs that make samples in groups.
+    """
+    digest, samples = outcome.digests[law], len(outcome.sample_numbers(law))
+    beyond = int(digest.counts["any outside",]) if samples else 0
+    found = estimates.share(samples - beyond, samples)
+    return found if outcome.together == 1 else replace(found, low=np.nan * found.value, high=np.nan * found.value)
+
+
+def zone_statistics(outcome: RunSamples) -> pd.DataFrame:
+    """Motion and normal force of each zone, :data:`mic.results.schema.ZONE_STATISTICS`."""
+    rows = []
+    pairs = np.bincount(outcome.model.contacts.zone, minlength=len(outcome.zones))
+    for law in outcome.laws:
+        samples = len(outcome.sample_numbers(law))
+        unknown = Moments.of(np.full((samples, len(outcome.zones)), np.nan))  # no tangential motion was modelled
+        for stage in outcome.stages:
+            moments = {
+                column: outcome.digests[law].moments.get(("slips", stage, column), unknown)
+                for column in SLIPS.names[3:]
+            }
+            for z, (zone, count) in enumerate(zip(outcome.model.scene.zones, pairs)):
+                own = {column: found.at(z) for column, found in moments.items()}
+                row = {
+                    "law": law,
+                    "stage": stage,
+                    "zone": zone.name,
+                    "contacts": int(count),
+                    "friction": _coefficient(zone, LAWS[law], stage),
+                    "samples": samples,
+                }
+                for motion in MOTIONS:
+                    row |= _mean_and_spread(
+                        f"_{motion}",
+                        (estimates.mean(own[motion]), estimates.six_sigma(own[motion])),
+                        _effects(outcome, law, motion, zone.name, stage),
+                    )
+                for column in ("slip_length", "friction_work"):
+                    row |= _spread(f"mean_{column}", estimates.mean(own[column]))
+                for name, which in PRESSED.items():
+                    force = outcome.digests[law].moments["pressed", stage, which].at(z)
+                    row |= _spread(f"mean_{name}", estimates.mean(force))
+                    row |= _spread(f"six_sigma_{name}", estimates.six_sigma(force))
+                rows.append(row | {state: estimates.mean(own[state]).value for state in STATES})
+    return _frame(ZONE_STATISTICS, pd.DataFrame(rows), outcome.together == 1)
+
+
+def _coefficient(zone, law, stage: str) -> float:
+    """μ of a zone under a law in a stage; NaN where it depends on pressure."""
+    if not law.frictional:
+        return 0.0
+    return math.nan if law.varies and zone.pressure_pieces() is not None else zone.coefficient(stage)
+
+
+def contact_statistics(outcome: RunSamples) -> pd.DataFrame:
+    """Forces and states of each contact pair, :data:`mic.results.schema.CONTACT_STATISTICS`."""
+    frames = []
+    m = len(outcome.model.contacts)
+    zone = np.array(outcome.zones, dtype=object)[outcome.model.contacts.zone] if m else np.zeros(0, dtype=object)
+    for law in outcome.laws:
+        digest, samples = outcome.digests[law], len(outcome.sample_numbers(law))
+        for stage in outcome.stages:
+            f_n, u_n = (digest.moments["contacts", stage, column] for column in ("f_n", "u_n"))
+            columns = {"law": law, "stage": stage, "zone": zone, "contact": np.arange(m), "samples": samples}
+            columns |= _spread("mean_f_n", estimates.mean(f_n)) | _spread("six_sigma_f_n", estimates.six_sigma(f_n))
+            columns["mean_gap"] = estimates.mean(u_n).value
+            if outcome.has_slip:
+                force, motion = (digest.moments["contacts", stage, column] for column in ("f_t", "u_t"))
+                columns |= _spread("mean_slip_force", estimates.mean(force))
+                columns |= _spread("six_sigma_slip_force", estimates.six_sigma(force))
+                columns |= _spread("mean_tangential", estimates.mean(motion))
+            for name, count in zip(STATES, digest.counts["states", stage]):
+                columns |= _spread(name, estimates.share(count, samples))
+            if outcome.has_slip:
+                stick, slip = (
+                    estimates.mean(digest.moments["contacts", stage, column]).value
+                    for column in ("path_stick", "path_slip")
+                )
+                columns |= {"path_open": 1.0 - stick - slip, "path_stick": stick, "path_slip": slip}
+            frames.append(pd.DataFrame(columns, index=np.arange(m)))
+    return _frame(
+        CONTACT_STATISTICS, pd.concat(frames, ignore_index=True) if frames else pd.DataFrame(), outcome.together == 1
+    )
+
+
+def measurement_statistics(outcome: RunSamples) -> pd.DataFrame:
+    """Key characteristics against their limits, :data:`mic.results.schema.MEASUREMENT_STATISTICS`."""
+    rows = []
+    for law in outcome.laws:
+        digest = outcome.digests[law]
+        regression = digest.regression.improved() if digest.regression else None
+        for k, item in enumerate(outcome.model.scene.measurements):
+            x = digest.moments["measurements",].at(k)
+            moments: tuple[Estimate, ...] = (
+                estimates.mean(x),
+                estimates.sigma(x),
+                estimates.six_sigma(x),
+                estimates.minimum(x),
+                estimates.maximum(x),
+                capability.capability(x, math.nan if item.one_sided else item.lower, item.upper),
+                capability.centred_capability(x, *item.bounds),
+                estimates.share(digest.counts["outside",][k], x.n),
+            )
+            if outcome.together > 1:
+                moments = _by_groups(outcome, law, item, moments)
+            row = {
+                "law": law,
+                "measurement": item.name,
+                "lower": item.lower,
+                "upper": item.upper,
+                "samples": moments[0].used,
+            }
+            found = dict(zip(MEASURED, moments))
+            effects = dict(zip(FIGURES, _effects(outcome, law, "measurement", item.name)))
+            for name, estimate in found.items():
+                row |= _spread(name, estimate) | (_change(name, effects[name]) if name in effects else {})
+            rows.append(row | _improved(regression, k))
+    return _frame(MEASUREMENT_STATISTICS, pd.DataFrame(rows))
+
+
+def _improved(regression: Improved | None, k: int) -> dict[str, Any]:
+    """Regression estimates of a key characteristic; empty without a regression."""
+    if regression is None:
+        regression = Improved.none(k + 1)
+    found = {"improved": str(regression.kind[k]), "explained": float(regression.explained[k])}
+    for name, values in (("mean", regression.mean), ("six_sigma", 6 * regression.sigma)):
+        found |= dict(zip((f"improved_{name}{end}" for end in ("", "_low", "_high")), values[:, k].tolist()))
+    return found
+
+
+def profile_statistics(outcome: RunSamples) -> pd.DataFrame:
+    """Maps of deviation, :data:`mic.results.schema.PROFILE_STATISTICS`."""
+    frames = []
+    for law in outcome.laws:
+        for item in outcome.model.scene.measurements:
+            if item.points is None:
+                continue
+            x = outcome.digests[law].moments["profiles", item.name]
+            columns = {"law": law, "measurement": item.name, "point": np.arange(len(item.points))}
+            columns |= dict(zip("xyz", np.array(item.points).T))
+            mean, six_sigma = estimates.mean(x), estimates.six_sigma(x)
+            if outcome.together > 1:  # grouped samples have no interval from moments
+                none = np.full(len(item.points), np.nan)
+                mean, six_sigma = (replace(each, low=none, high=none) for each in (mean, six_sigma))
+            columns |= {"samples": mean.used} | _spread("mean", mean) | _spread("six_sigma", six_sigma)
+            frames.append(pd.DataFrame(columns))
+    return _frame(PROFILE_STATISTICS, pd.concat(frames, ignore_index=True) if frames else pd.DataFrame())
+
+
+def _by_groups(outcome: RunSamples, law: str, item, moments: tuple[Estimate, ...]) -> tuple[Estimate, ...]:
+    """The estimates in :data:`MEASURED`'s order, with jackknife intervals over groups of samples."""
+    x, group = outcome.measured(law, item.name), outcome.sample_numbers(law) // outcome.together % GROUPS
+    mean, sigma, six_sigma, least, most = moments[:5]
+
+    def cpk(values):
+        return capability.centred_capability(values, *item.bounds).value
+
+    def share(values):
+        return float(capability.outside(values, item.lower, item.upper) / max(np.isfinite(values).sum(), 1))
+
+    mean = estimates.grouped(x, group, lambda values: estimates.mean(values).value)
+    sigma = estimates.grouped(x, group, lambda values: estimates.sigma(values).value, size=True)
+    six_sigma = replace(six_sigma, low=6 * sigma.low, high=6 * sigma.high)
+    cp = replace(moments[5], low=moments[5].value * sigma.value / sigma.high,
+                 high=moments[5].value * sigma.value / sigma.low)  # fmt: skip
+    outside = estimates.grouped(x, group, share)
+    outside = replace(outside, low=np.maximum(outside.low, 0.0), high=np.minimum(outside.high, 1.0))
+    return mean, sigma, six_sigma, least, most, cp, estimates.grouped(x, group, cpk), outside
+
+
+def limit_statistics(outcome: RunSamples) -> pd.DataFrame:
+    """Clamps and guns of limited force, :data:`mic.results.schema.LIMIT_STATISTICS`."""
+    scene, rows = outcome.model.scene, []
+    limit = {clamp.name: clamp.limit for clamp in scene.clamps if clamp.limit is not None}
+    limit |= {weld.name: weld.gun for weld in scene.welds if weld.gun is not None}
+    for law in outcome.laws:
+        digest, samples = outcome.digests[law], len(outcome.sample_numbers(law))
+        for key, short in digest.counts.items():
+            if key[0] != "short":
+                continue
+            _, stage, name = key
+            pushed, left, needed = (digest.moments["limits", stage, name, of] for of in ("pushed", "left", "needed"))
+            row = {"law": law, "stage": stage, "name": name, "limit": float(limit[name]), "samples": samples}
+            row |= {"short": int(short)} | _spread("share_short", estimates.share(short, samples))
+            row |= _spread("mean_pushed", estimates.mean(pushed))
+            most = float(needed.high) if needed.n > 0 else math.nan
+            rows.append(row | {"max_left": float(left.high), "max_needed": most})
+    return _frame(LIMIT_STATISTICS, pd.DataFrame(rows), outcome.together == 1)
+
+
+def _frame(table: Table, frame: pd.DataFrame, independent: bool = True) -> pd.DataFrame:
+    """The table; intervals are NaN if samples are not independent."""
+    if not independent:
+        bounds = [name for name in frame.columns if name.endswith(("_low", "_high"))]
+        frame = frame.assign(**dict.fromkeys(bounds, math.nan))
+    return frame if len(frame) else table.empty()
+
+
+def _spread(name: str, estimate: Estimate) -> dict[str, Any]:
+    return {name: estimate.value, f"{name}_low": estimate.low, f"{name}_high": estimate.high}
+
+
+def _effects(
+    outcome: RunSamples, law: str, quantity: str, name: str, stage: str | None = None
+) -> tuple[Effect, Effect]:
+    """Effect of a tighter load path on mean and 6σ; NaN if unknown."""
+    study = outcome.path_study
+    unknown = Effect(float("nan"), float("nan"))
+    return (unknown, unknown) if study is None else study.effects(law, quantity, name, stage)
+
+
+def _change(name: str, effect: Effect) -> dict[str, float]:
+    return {f"{name}_path": effect.change, f"{name}_path_share": effect.share}
+
+
+def _mean_and_spread(suffix, estimates, effects) -> dict[str, Any]:
+    """Mean and 6σ with their intervals and path effects."""
+    row: dict[str, Any] = {}
+    for name, estimate, effect in zip(FIGURES, estimates, effects):
+        row |= _spread(name + suffix, estimate) | _change(name + suffix, effect)
+    return row
