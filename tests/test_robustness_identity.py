@@ -14,7 +14,7 @@ from mic.geometry.load import load_part
 from mic.model.assembly import assemble
 from mic.results.outcome import read_outcome
 from mic.results.run_identity import identity, inputs
-from mic.runs import Listener, conclude, read_run, sample_into
+from mic.runs import Progress, conclude, read_run, sample_into
 from mic.scene.part import Part
 from mic.system.files import save_json
 
@@ -41,11 +41,11 @@ READERS = {
 }
 
 
-class Heard(Listener):
+class Heard(Progress):
     def __init__(self):
         self.sentences = []
 
-    def say(self, sentence):
+    def report(self, sentence):
         self.sentences.append(sentence)
 
 

@@ -218,7 +218,7 @@ class Table:
 
 def _columns(declared: dict[str, Any]) -> list[Column]:
     """The column, or the family of columns, that an entry of ``schema.toml`` declares."""
-    entry = {"type": "float64", "unit": "", "optional": False, "shape": ""} | declared
+    entry: dict[str, Any] = {"type": "float64", "unit": "", "optional": False, "shape": ""} | declared
     name, unit, meaning, optional = (entry[key] for key in ("name", "unit", "meaning", "optional"))
 
     def number(suffix: str, text: str, unit: str = unit, optional: bool = optional) -> Column:

@@ -1,4 +1,8 @@
-"""Random deviations of the scene, one independent stream per sample, or per group of samples that a design makes."""
+"""Sample the deviations of a scene: one independent random stream per sample, or per group of samples of a design.
+
+``scipy.stats.qmc`` makes Latin hypercubes and Sobol sequences. Independent and antithetic samples use counter-based
+streams instead, so that a sample depends only on the seed and its number.
+"""
 
 from __future__ import annotations
 
@@ -10,17 +14,17 @@ from mic.scene.samples import DESIGNS
 
 __all__ = ["draw", "keys", "numbers", "placed", "values_of"]
 
-EDGE = 1e-16  # probabilities are kept this far within (0, 1)
-GROUPS = 1  # word of the counter that tells the streams of groups from those of samples
+EDGE = 1e-16  # distance of probabilities from 0 and 1
+GROUPS = 1  # counter word that separates streams of groups from those of samples
 
 
 def draw(scene, seed: int, first: int, count: int) -> np.ndarray:
     """Deviations of samples ``first … first + count - 1``: those that the scene gives, or drawn ones.
 
-    Each sample has its own counter-based stream, keyed by the seed and the sample's number, so its values depend
-    neither on how samples are batched nor on the order in which they are drawn. Deviations with scores take those of
-    one measured piece, the same for a whole batch, drawn after the distributions. A design that makes several samples
-    together has one stream for each such group, keyed by the seed and the group's number.
+    Each sample has its own counter-based stream, keyed by the seed and the sample's number, so its values do not
+    depend on batches or order. Deviations with
+    scores use those of one measured piece, the same for a whole batch. A design that makes samples in groups has one
+    stream per group, keyed by the seed and the group's number.
 
     Parameters
     ----------
@@ -31,7 +35,7 @@ def draw(scene, seed: int, first: int, count: int) -> np.ndarray:
     Returns
     -------
     (count, p) array
-        In the units of the scene's deviations; of given samples, as many as there are.
+        In the units of the scene's deviations; fewer rows if the scene gives fewer samples.
     """
     if scene.monte_carlo.values is not None:
         return np.array(scene.monte_carlo.values[first : first + count]).reshape(-1, len(scene.deviations))
@@ -49,12 +53,12 @@ def draw(scene, seed: int, first: int, count: int) -> np.ndarray:
 
 
 def keys(scene) -> list[tuple[str, str]]:
-    """What each independent number of a sample is for: ``("deviation", name)``, then ``("batch", name)`` of pieces."""
+    """Purposes of the random numbers of a sample: ``("deviation", name)``, then ``("batch", name)`` of pieces."""
     return [*(("deviation", item.name) for item in scene.deviations), *(("batch", name) for name in _batches(scene))]
 
 
 def numbers(scene) -> int:
-    """How many independent numbers a sample takes: one for each deviation, and one for each batch of pieces."""
+    """Number of independent random numbers per sample: one for each deviation and each batch of pieces."""
     return len(keys(scene))
 
 
@@ -98,7 +102,7 @@ def values_of(scene, normal: np.ndarray, flat: np.ndarray, which: np.ndarray) ->
 
 def _designed(design: str, seed: int, first: int, count: int, d: int) -> np.ndarray:
     """(count, d) probabilities of samples of a design."""
-    from scipy.stats import qmc  # which takes a quarter of a second to load, for designs alone
+    from scipy.stats import qmc  # slow to import, needed for designs only
 
     size, found = DESIGNS[design], []
     for group in range(first // size, -(-(first + count) // size)):
@@ -117,9 +121,9 @@ def _designed(design: str, seed: int, first: int, count: int, d: int) -> np.ndar
 
 
 def _correlated(scene, normal: np.ndarray) -> set[int]:
-    """Correlate the standard normals (n, p) of deviations that vary together; returns which these are.
+    """Correlate standard normals (n, p) in place; returns the indices of the correlated deviations.
 
-    ``z = L ε`` is summed term by term: a sample's bits do not hang on those beside it.
+    ``z = L ε`` is summed term by term: a sample's bits do not depend on the other samples.
     """
     names, together = [item.name for item in scene.deviations], set()
     for table in scene.correlations:
@@ -132,7 +136,7 @@ def _correlated(scene, normal: np.ndarray) -> set[int]:
 
 
 def _pieces(scene) -> list[tuple[list[int], np.ndarray]]:
-    """Of each batch of measured pieces, its deviations, and the scores (k, n) that its n pieces have in them."""
+    """For each batch of n measured pieces, its k deviations and their scores (k, n)."""
     return [(own, np.array([scene.deviations[j].scores for j in own])) for own in _batches(scene).values()]
 
 

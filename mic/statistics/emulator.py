@@ -1,16 +1,15 @@
-"""What a model answers between the assemblies that it was asked for, in no time.
+"""Surrogate of a model: smoothing spline through evaluated samples (``scipy.interpolate.RBFInterpolator``).
 
-A cubic spline in several dimensions [1]_ goes through, or close by, what was evaluated:
+The cubic polyharmonic spline [1]_ approximates the evaluations:
 
     h(z) = a + B z + Σ_i w_i ‖D (z − z_i)‖³,        Σ_i w_i = 0,  Σ_i w_i z_i = 0,
 
-so that whatever is linear is met exactly. Contacts that change their state bend h a little almost everywhere; weights
-are damped as far as the distances between neighbours make sense of. D stretches the directions that matter.
+which reproduces linear functions exactly. Changes of contact state make h slightly non-smooth almost everywhere, so the
+spline is smoothed according to the distance between neighbours. D scales directions by their influence.
 
-How far it misses each of the points that it goes by, were it made of the others alone, takes one inverse [2]_: with M
-the matrix of its equations, the one at z_i is missed by w_i / (M⁻¹)_ii. As the mean of a random field the spline also
-has a standard deviation, in units of its own: √(δ − bᵀ M⁻¹ b) between the z_i, b the right side there and δ the
-damping, and (M⁻¹)_ii^−½ at one that is left out.
+Leave-one-out errors take one inverse [2]_ (not in scipy): with M the matrix of the equations, the error at z_i is
+w_i / (M⁻¹)_ii. As the mean of a Gaussian field the spline has the relative standard deviation √(δ − bᵀ M⁻¹ b) between
+the z_i, with right-hand side b and damping δ, and (M⁻¹)_ii^−½ at a sample that is left out.
 
 References
 ----------
@@ -32,26 +31,26 @@ from scipy.spatial.distance import cdist
 __all__ = ["Emulator"]
 
 DAMPED = 0.1  # of the cube of the distance to the nearest neighbour
-LEAST = 0.1  # of the largest: so much every direction matters
-STEP = 1e-4  # to either side, for slopes
+LEAST = 0.1  # of the largest influence: lower bound for every direction
+STEP = 1e-4  # of central differences
 
 
 class Emulator:
-    """A spline through what was evaluated.
+    """A smoothing spline through evaluated samples.
 
     Parameters
     ----------
     z : (n, p) array
         Standard normal numbers; n > p.
     h : (n, k) array
-        What was found there.
+        Outputs there.
 
     Attributes
     ----------
     stretch : (p,) array
-        By which each number is multiplied before distances are taken.
+        Scale of each number in distances.
     damping : float
-        What the spline through the stretched numbers is smoothed with.
+        Smoothing parameter of the spline.
     """
 
     def __init__(self, z: np.ndarray, h: np.ndarray):
@@ -60,7 +59,7 @@ class Emulator:
         steep = np.sqrt((slope**2).mean(axis=1))
         self.stretch = np.sqrt(np.maximum(steep / max(steep.max(), 1e-300), LEAST))
         nearest = KDTree(z * self.stretch).query(z * self.stretch, 2)[0][:, 1]
-        self._known, self._answers = z * self.stretch, h
+        self._known, self._values = z * self.stretch, h
         self.damping = DAMPED * float(np.median(nearest)) ** 3
         self._spline = RBFInterpolator(self._known, h, smoothing=self.damping, kernel="cubic", degree=1)
 
@@ -69,14 +68,13 @@ class Emulator:
         return np.asarray(self._spline(z * self.stretch))
 
     def left_out(self) -> tuple[np.ndarray, np.ndarray]:
-        """(n, k) what was found at each z_i, less what the others alone would tell, and (n,) how far off these are, in
-        the units of :meth:`apart`."""
+        """Leave-one-out errors (n, k) and their relative standard deviations (n,), in the units of :meth:`apart`."""
         n = len(self._known)
         own = np.diag(self._inverse)[:n, None]
-        return self._inverse[:n, :n] @ self._answers / own, 1 / np.sqrt(own[:, 0])
+        return self._inverse[:n, :n] @ self._values / own, 1 / np.sqrt(own[:, 0])
 
     def apart(self, z: np.ndarray) -> np.ndarray:
-        """(m,) standard deviations of the spline at numbers (m, p), but for a factor: how far off what is known is."""
+        """(m,) relative standard deviations of the spline at numbers (m, p)."""
         right = self._right(z * self.stretch)
         square = self.damping - np.einsum("ij,ij->i", right @ self._inverse, right)
         return np.sqrt(np.maximum(square, self.damping))
@@ -94,7 +92,7 @@ class Emulator:
         return np.column_stack([cdist(z, self._known) ** 3, np.ones(len(z)), z])
 
     def slopes(self, z: np.ndarray) -> np.ndarray:
-        """(m, k, p) derivatives there."""
+        """(m, k, p) derivatives at numbers (m, p), by central differences."""
         m, p = z.shape
         moved = z[:, None, :] + STEP * np.concatenate([np.eye(p), -np.eye(p)])
         h = self(moved.reshape(-1, p)).reshape(m, 2, p, -1)

@@ -1,7 +1,7 @@
-"""Deviations as functions of independent standard normal numbers, and their slopes: what searches and posteriors take.
+"""Deviations as functions of independent standard normal numbers, with derivatives.
 
-Distributions, truncation and correlation go in as :func:`mic.statistics.draw.placed` has them. Amplitudes of modes, which
-samples take from measured pieces, are normal here.
+Distributions, truncation and correlation go in as :func:`mic.statistics.draw.placed` has them. Mode
+amplitudes, which samples take from measured pieces, are normal here.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from mic.statistics.draw import values_of
 
 __all__ = ["from_normal", "normal_slopes"]
 
-STEP = 1e-4  # of a standard normal number, to either side: differences are right to some 1e-8
+STEP = 1e-4  # of a standard normal number in central differences; error about 1e-8
 
 
 def from_normal(scene, z: np.ndarray) -> np.ndarray:

@@ -63,7 +63,7 @@ class Improved:
 
     @classmethod
     def none(cls, k: int) -> Improved:
-        """No regression is offered for any of k outputs."""
+        """The result without regression, for k outputs."""
         return cls(np.full(k, "plain", dtype=object), np.full(k, np.nan), *np.full((2, 3, k), np.nan))
 
 
@@ -82,7 +82,7 @@ def kurtosis(item) -> float | None:
 
 @dataclass
 class Regression:
-    """Sums over samples, block by block, so that none need be kept.
+    """Sums over samples, accumulated block by block (numpy: a library fit would need all samples in memory).
 
     Attributes
     ----------

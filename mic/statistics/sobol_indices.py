@@ -1,14 +1,16 @@
-"""Sobol's indices from samples: which share of a variance each input makes alone, and which with all that it acts with.
+"""First-order and total Sobol indices from samples.
+
+Written here because scipy.stats.sobol_indices and SALib have no control variate, excluded samples or BC_a intervals.
 
 Of two independent sets of samples ``a`` and ``b``, and of the sets ``m_i`` that are ``a`` but for input i, which is
 ``b``'s (Jansen's estimators [1]_, [2]_):
 
     V S_i = V − ½ E (y_b − y_mi)²          V T_i = ½ E (y_a − y_mi)²
 
-S_i is the share that input i makes alone, T_i with its interactions; T_i − S_i is what no sum of effects can tell. An
-input may be a group of numbers that belong together, independent of all others.
+S_i is the share of input i alone, T_i includes its interactions. An input may be a group of numbers, independent of
+all others.
 
-What is linear in the inputs is known without sampling noise: of ``l = Σ_i γ_i(x_i)`` the same expectations are
+The linear part has no sampling noise: for ``l = Σ_i γ_i(x_i)`` the same expectations are
 ``Σ_{j≠i} v_j`` and ``v_i`` with ``v_i = Var γ_i``, so that only the rest is estimated (control variate).
 
 References
@@ -32,7 +34,7 @@ __all__ = ["Indices", "Linear", "sobol"]
 
 RESAMPLES = 1000  # of the bootstrap
 AT_ONCE = 2_000_000  # weights of resamples held in memory
-ROUNDING = 1e-12  # of the largest output: what varies less does not
+ROUNDING = 1e-12  # of the largest output; less variation counts as none
 
 
 @dataclass(frozen=True)
@@ -60,7 +62,7 @@ class Indices:
     Attributes
     ----------
     first, total : Estimate of (g, k) arrays
-        S and T. They are not cut to 0 … 1: what lies outside is noise, and shows how much there is.
+        S and T. They are not clipped to 0 … 1; values outside show the noise.
     interaction : Estimate of (k,) arrays
         The largest T_i − S_i.
     sigma : Estimate of (k,) arrays
@@ -88,7 +90,7 @@ def sobol(a, b, mixed, linear: Linear, level: float = LEVEL) -> Indices:
 
     Notes
     -----
-    Samples of which any output is not finite are left out of all, and counted as excluded.
+    Samples with an output that is not finite are excluded everywhere and counted.
     """
     a, b, mixed = (np.asarray(x, dtype=float) for x in (a, b, mixed))
     known = np.isfinite(a).all(1) & np.isfinite(b).all(1) & np.isfinite(mixed).all(2).all(0)
@@ -100,7 +102,7 @@ def sobol(a, b, mixed, linear: Linear, level: float = LEVEL) -> Indices:
     a, b, mixed, γ_a, γ_b = a[known], b[known], mixed[:, known], linear.a[:, known], linear.b[:, known]
     l_a, l_b = γ_a.sum(axis=0), γ_b.sum(axis=0)
     l_mixed = l_a - γ_a + γ_b
-    # What is averaged over the samples, (n, g, k) each: the squares, less the same of the linear part.
+    # Terms averaged over the samples, (n, g, k): squares minus those of the linear part.
     apart = np.moveaxis((b - mixed) ** 2 - (l_b - l_mixed) ** 2, 0, 1) / 2
     moved = np.moveaxis((a - mixed) ** 2 - (l_a - l_mixed) ** 2, 0, 1) / 2
     y, l = (np.stack(pair, axis=1) for pair in ((a, b), (l_a, l_b)))
@@ -126,14 +128,14 @@ def sobol(a, b, mixed, linear: Linear, level: float = LEVEL) -> Indices:
         v = np.maximum(linear.variance + linear.error * stream.standard_normal((r, g, 1)), 0.0)
         draws.append(estimates(weights, v))
     firsts, totals, Vs = (np.concatenate(each) for each in zip(*draws))
-    # What each sample does to the estimates (influence functions), (n, g, k) and (n, k).
+    # Influence functions of the estimates, (n, g, k) and (n, k).
     q = square.mean(axis=1)
     on_V = (q - q.mean(axis=0)) / V
     on_first = -(apart - apart.mean(axis=0)) / V + (1 - first) * on_V[:, None]
     on_total = (moved - moved.mean(axis=0)) / V - total * on_V[:, None]
     still = ~(np.sqrt(V) > ROUNDING * np.abs(np.concatenate([a, b])).max(axis=0))
 
-    def told(value: np.ndarray, drawn: np.ndarray, influence: np.ndarray) -> Estimate:
+    def estimate(value: np.ndarray, drawn: np.ndarray, influence: np.ndarray) -> Estimate:
         low, high = _ends(value, drawn, influence, level)
         value, low, high = (np.where(still, np.nan, x) for x in (value, low, high))
         return _estimate(value, low, high, n, len(known) - n)
@@ -142,10 +144,10 @@ def sobol(a, b, mixed, linear: Linear, level: float = LEVEL) -> Indices:
     largest = np.expand_dims(np.nan_to_num(gap).argmax(axis=0), 0)
     pick = lambda x: np.take_along_axis(x, largest.reshape((1,) * (x.ndim - 2) + largest.shape), axis=-2)[..., 0, :]
     return Indices(
-        told(first, firsts, on_first),
-        told(total, totals, on_total),
-        told(pick(gap), pick(gaps), pick(on_gap)),
-        told(np.sqrt(V), np.sqrt(Vs), on_V / 2),
+        estimate(first, firsts, on_first),
+        estimate(total, totals, on_total),
+        estimate(pick(gap), pick(gaps), pick(on_gap)),
+        estimate(np.sqrt(V), np.sqrt(Vs), on_V / 2),
     )
 
 
@@ -158,7 +160,7 @@ def _ends(value: np.ndarray, drawn: np.ndarray, influence: np.ndarray, level: fl
     drawn : (r, ...) array
         Of the bootstrap.
     influence : (n, ...) array
-        What each sample does to the value.
+        Influence function of the value.
     """
     with np.errstate(invalid="ignore", divide="ignore"):
         below = np.clip((drawn < value).mean(axis=0) + (drawn == value).mean(axis=0) / 2, 1e-3, 1 - 1e-3)
