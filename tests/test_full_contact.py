@@ -16,7 +16,7 @@ from mic.contact.working_set import PENETRATION
 from mic.model.assembly import assemble
 from mic.model.deviated_geometry import deviated_parts, gap_change
 from mic.model.sources import SOURCES
-from mic.process.actions import SUGAR
+from mic.process.actions import STAGE_MOVES
 from mic.statistics.draw import draw
 from verification.scenes import few
 
@@ -121,7 +121,7 @@ STAGES = [
 
 @pytest.mark.slow
 def test_every_kind_of_deviation_and_of_stage_means_the_same_to_both(scene, cache):
-    assert set(DEVIATIONS) == set(SOURCES) and {stage["kind"] for stage in STAGES} == set(SUGAR)
+    assert set(DEVIATIONS) == set(SOURCES) and {stage["kind"] for stage in STAGES} == set(STAGE_MOVES)
     deviations = [{"name": kind, "kind": kind, "sigma": 0.0} | keys for kind, keys in DEVIATIONS.items()]
     table = scene.model_dump()
     table["parts"] = [part | {"density": 7850.0, "expansion": 1.2e-5} for part in table["parts"]]

@@ -14,7 +14,7 @@ import mic
 from mic.model.assembly import assemble
 from mic.model.shape_modes import EXPANDED
 from mic.model.sources import SOURCES
-from mic.process.actions import SUGAR
+from mic.process.actions import STAGE_MOVES
 from mic.scene import SETTINGS, schema
 from mic.scene.reference import reference
 from mic.scene.samples import DESIGNS
@@ -401,7 +401,7 @@ def test_the_words_of_the_schema_are_those_of_the_registries():
     words = lambda table, key: set(get_args(table.model_fields[key].annotation))
     kinds = [words(table, "kind") for table in get_args(get_args(schema.Deviation)[0])]
     assert set().union(*kinds) == {*SOURCES, *EXPANDED}
-    assert words(schema.Stage, "kind") == set(SUGAR)
+    assert words(schema.Stage, "kind") == set(STAGE_MOVES)
     assert words(schema.MonteCarlo, "design") == set(DESIGNS)
     settings = {word for option in words(schema.Scene, "setting") for word in get_args(option)}
     assert settings == set(SETTINGS)

@@ -1,8 +1,8 @@
 """Actions of a stage: how each changes the rows that hold and push the assembly.
 
 An action changes a :class:`Fixture`, the set of rows that hold and push; nothing is solved here. A stage of the scene
-stands for a list of moves (:data:`SUGAR`), each of them actions that happen together. The production solver and the
-full finite-element reference both follow this list.
+stands for a list of moves (:data:`STAGE_MOVES`), each of them actions that happen together. The production solver and
+the full finite-element reference both follow this list.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from mic.model.rows import NORMAL
 from mic.scene.stages import moves_assembly, set_down_in
 
 __all__ = [
-    "SUGAR",
+    "STAGE_MOVES",
     "Action",
     "AddParts",
     "Close",
@@ -416,7 +416,7 @@ def stage_moves(scene) -> Iterator[tuple[Any, list[Move]]]:
     """The stages of a scene, each with its moves."""
     before: list[Move] = []
     for stage in scene.stages:
-        moves = [tuple(move) for move in SUGAR[stage.kind](scene, stage, before)]
+        moves = [tuple(move) for move in STAGE_MOVES[stage.kind](scene, stage, before)]
         before += moves
         yield stage, moves
 
@@ -432,11 +432,8 @@ def _measure(scene, stage, before) -> list[Move]:
     return [(_transfer(scene, stage, own), Read()) if own else (Read(),)]
 
 
-#: Kind of a scene's stage → ``moves(scene, stage, before)``, given the moves of all stages before.
-SUGAR: dict[str, Callable[..., Sequence[Move]]] = {
-    "locate": _locate,
-    "clamp": _clamp,
-    "weld": _weld,
-    "release": _release,
-    "measure": _measure,
+#: Kind of stage, as :class:`mic.scene.process.Stage` names it → ``moves(scene, stage, before)``, given the moves of all
+#: stages before.
+STAGE_MOVES: dict[str, Callable[..., Sequence[Move]]] = {
+    moves.__name__.removeprefix("_"): moves for moves in (_locate, _clamp, _weld, _release, _measure)
 }

@@ -9,6 +9,7 @@ known values of the shape. A few kinds change the contacts or the parts themselv
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import get_args
 
 import numpy as np
 from scipy.sparse import csr_matrix, diags
@@ -22,20 +23,24 @@ from mic.model.sources.shape import ShapeAtPoints
 from mic.model.sources.source import KnownShape, Source
 from mic.model.sources.temperature import Temperature
 from mic.model.sources.thickness import SheetThickness
+from mic.scene import deviation
 
 __all__ = ["SOURCES", "KnownShape", "Source", "sources", "thickness_changes", "thickness_ranges", "with_deviations"]
 
-#: Class by kind in the scene's ``[[deviations]]``; measured shapes and random fields are first expanded into shapes
+#: Class by kind, which the table in the scene names; measured shapes and random fields are first expanded into shapes
 #: (:mod:`mic.model.shape_modes`).
 SOURCES: dict[str, type[Source]] = {
-    "force": CorrectiveForce,
-    "locator": LocatorPosition,
-    "clamp": ClampSetting,
-    "shape": ShapeAtPoints,
-    "gravity": Gravity,
-    "temperature": Temperature,
-    "thickness": SheetThickness,
-    "friction": ZoneFriction,
+    get_args(table.model_fields["kind"].annotation)[0]: source
+    for table, source in (
+        (deviation.ForceDeviation, CorrectiveForce),
+        (deviation.LocatorDeviation, LocatorPosition),
+        (deviation.ClampDeviation, ClampSetting),
+        (deviation.ShapeDeviation, ShapeAtPoints),
+        (deviation.GravityDeviation, Gravity),
+        (deviation.TemperatureDeviation, Temperature),
+        (deviation.ThicknessDeviation, SheetThickness),
+        (deviation.FrictionDeviation, ZoneFriction),
+    )
 }
 
 
