@@ -25,6 +25,7 @@ def scene(*measurements):
     table = tomllib.loads(LAP.read_text())
     for part in table["parts"]:
         part["size"] = "coarse"
+    table["zones"][0]["pairs"] = 2
     table["measurements"] = [{"name": f"M{i}"} | each for i, each in enumerate(measurements)]
     return read_table(table, LAP)
 
@@ -193,12 +194,12 @@ def test_a_placed_scene_comes_back_from_its_own_text(assembled):
     "item, said",
     [
         (between("gap") | {"to": None}, "between two points: give the other as to"),
-        (POINT | LIMITS | {"to": {"part": "upper", "point": [90, 12.5, 1]}}, "point has no other point, remove it"),
+        (POINT | LIMITS | {"to": {"part": "upper", "point": [90, 12.5, 1]}}, "point has no second point, remove it"),
         (between("flush", part="uper"), "there is no part called 'uper'"),
         (between("gap", point=[80, 12.5, 1]), "defines no direction; give a gap with a direction"),
         (between("distance", point=[80, 12.5, 0], part="lower"), "defines no direction"),
         (between("distance", direction=[0, 0, 1]), "a distance is read along the line between its points"),
-        (between("flush", point=[90, 12.5, 40]), "M0): [90.0, 12.5, 40.0] lies 39 mm off part 'upper'"),
+        (between("flush", point=[90, 12.5, 40]), "M0): [90.0, 12.5, 40.0] is 39 mm away from part 'upper'"),
         (between("flush") | {"to": {"part": "upper"}}, "give point = [x, y, z], or node or set or hole"),
         (POINT | LIMITS | {"points": [[1, 2, 0], [3, 4, 0]]}, "points goes with kind parallelism or profile"),
         (LINE | {"kind": "profile", "spacing": 3.0}, "takes either points"),

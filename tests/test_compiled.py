@@ -10,6 +10,8 @@ from mic.system.compilation import MESSAGE
 EVALUATE = """
 import sys
 import mic
+from mic.contact.native.follower import follower
+follower()
 model = mic.ReducedModel.load(sys.argv[1])
 for law in sys.argv[2:]:
     assert not model.evaluate({}, law).failed.any()

@@ -176,7 +176,7 @@ def test_contacts_that_touch_at_no_load_are_followed_from_there(beside):
     themselves, and beside one that presses all along."""
     random = np.random.default_rng(1)
     off, moved = 0.0, 0.0
-    for _ in range(500):
+    for _ in range(150):
         A = random.normal(size=(9, 9))
         S = block_diag(A @ A.T + 0.1 * np.eye(9), np.eye(3 * beside))
         start = np.zeros(9 + 3 * beside)
@@ -215,7 +215,7 @@ def sheets(contacts, samples, seed):
 
 @pytest.fixture(scope="module")
 def followed_sheets():
-    solver, b = sheets(30, 160, seed=5)
+    solver, b = sheets(30, 60, seed=5)
     return solver, b, solver.follow(b), solver.follow(b, path=Increments(1024))
 
 
@@ -242,15 +242,15 @@ def test_a_sample_does_not_hang_on_its_neighbours_nor_on_threads(followed_sheets
     solver, b, found, _ = followed_sheets
     alone = solver.follow(b[7:8])
     np.testing.assert_array_equal(alone.anchor[0], found.anchor[7])
-    threaded = ContactSolver(solver.S, 0.3, threads=2).follow(b)
-    np.testing.assert_array_equal(threaded.anchor, found.anchor)
+    threaded = ContactSolver(solver.S, 0.3, threads=2).follow(b[:20])
+    np.testing.assert_array_equal(threaded.anchor, found.anchor[:20])
 
 
 def test_a_path_in_other_units_is_the_same_path(followed_sheets):
     solver, b, found, _ = followed_sheets
-    scaled = ContactSolver(1e-3 * 1e-6 * solver.S, 0.3).follow(1e-3 * b)  # metres, and force in micronewtons
+    scaled = ContactSolver(1e-3 * 1e-6 * solver.S, 0.3).follow(1e-3 * b[:20])  # metres, and force in micronewtons
     # Within the path Newton's method ends at 1e-5, where other units round otherwise.
-    np.testing.assert_allclose(1e3 * scaled.anchor, found.anchor, atol=1e-5)
+    np.testing.assert_allclose(1e3 * scaled.anchor, found.anchor[:20], atol=1e-5)
 
 
 def test_small_steps_of_the_associated_law_tend_to_coulombs():

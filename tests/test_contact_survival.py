@@ -214,11 +214,10 @@ def test_sweeps_that_know_their_neighbours_are_those_that_do_not():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", [None, 5])
-def test_a_wall_that_is_thrown_is_solved_in_any_order_of_its_contacts(seed):
+def test_a_thrown_wall_is_solved():
     """540 contacts that hang together; forces are not unique, and the cheap methods leave 3 %."""
     problem = brick_wall(8, 7).problem(0.6, np.random.default_rng(2), 1.0)
-    order = np.arange(540) if seed is None else np.random.default_rng(seed).permutation(540)
+    order = np.random.default_rng(5).permutation(540)
     rows = (3 * order[:, None] + np.arange(3)).ravel()
     S, b = problem.S[np.ix_(rows, rows)], problem.b[:, rows]
     solution = solve(S, b, 0.6)

@@ -89,11 +89,10 @@ def beside(pairs, bodies, angle, thickness, at_nodes=False):
     return found
 
 
-@pytest.mark.parametrize("angle", [15.0, 30.0, 60.0])
+@pytest.mark.parametrize("shape, angle", [("V", 15.0), ("V", 60.0), *((shape, 30.0) for shape in BENT if shape != "V")])
 @pytest.mark.parametrize("bent_first", [False, True])
-@pytest.mark.parametrize("shape", BENT)
 @pytest.mark.parametrize("find", [find_pairs, node_pairs])
-def test_what_faces_lies_along_the_normal_and_not_beside_it(find, shape, bent_first, angle):
+def test_facing_points_lie_along_the_normal(find, shape, bent_first, angle):
     flat, bent = Side(plane(0, size=30.0, n=13), 1.0), Side(BENT[shape], 0.8)
     bodies = (bent, flat) if bent_first else (flat, bent)
     pairs = find(zone(pairs=12, max_gap=20.0, max_angle_deg=angle), *bodies)
@@ -126,7 +125,7 @@ def test_candidates_read_the_edges_of_both_sheets_and_the_folds_where_they_end()
                 assert sum(np.abs(x[:, axis] - end).max() < 1e-9 for x in read) >= 2
 
 
-@pytest.mark.parametrize("spacing", [2.0, 5.0, 9.0])
+@pytest.mark.parametrize("spacing", [3.0, 9.0])
 def test_a_candidate_stands_at_every_corner_of_a_border_and_where_a_fold_ends_on_it(spacing):
     """Of a square above a larger one, and of an L whose foot ends at its fold."""
     below = Side(plane(0, size=30.0, n=13), 1.0)
@@ -140,7 +139,7 @@ def test_a_candidate_stands_at_every_corner_of_a_border_and_where_a_fold_ends_on
                 assert sum(np.abs(x - corner).max() < 1e-9 for x in read) == 1
 
 
-@pytest.mark.parametrize("spacing", [2.0, 5.0, 9.0])
+@pytest.mark.parametrize("spacing", [3.0, 9.0])
 def test_a_candidate_stands_where_edges_of_two_sheets_cross_and_none_where_they_run_along_each_other(spacing):
     """Two strips that cross: neither has a corner there. Moved upon each other, they have no more than their own."""
     first = Side(Surface(*extrude([(-5.0, 0.0), (5.0, 0.0)], -15.0, 30.0, 2.3)[:2]), 1.0)
@@ -219,14 +218,14 @@ def hem():
     return about, Side(Surface(*extrude([(-10, 1), (19, 1)], 1.0, 28.0, 2.1)), 1.0)
 
 
-@pytest.mark.parametrize("within_first", [False, True])
 @pytest.mark.parametrize(
-    "find, keys",
+    "find, keys, within_first",
     [
-        (find_pairs, dict(pairs=None, spacing=3.0)),
-        (find_pairs, dict(pairs=None, spacing=6.0, patch=2.0)),
-        (find_pairs, dict(pairs=12)),
-        (node_pairs, {}),
+        (find_pairs, dict(pairs=None, spacing=4.0), False),
+        (find_pairs, dict(pairs=None, spacing=6.0, patch=2.0), True),
+        (find_pairs, dict(pairs=12), False),
+        (node_pairs, {}, False),
+        (node_pairs, {}, True),
     ],
 )
 def test_of_a_sheet_within_a_hem_each_side_has_pairs_of_its_own(find, keys, within_first):
@@ -250,14 +249,14 @@ def test_of_a_sheet_within_a_hem_each_side_has_pairs_of_its_own(find, keys, with
 def test_what_presses_a_hem_has_a_candidate_on_either_side_of_the_sheet(within_first):
     bodies = hem()[::-1] if within_first else hem()
     pads = [PressedPoint(np.array([15.0, 14.0, 1.0]), 4.0), PressedPoint(np.array([8.0, 12.0, 0.0]), 2.0, weld=5)]
-    pairs = find_pairs(zone(pairs=None, spacing=3.0), *bodies, pressed=pads)
+    pairs = find_pairs(zone(pairs=None, spacing=5.0), *bodies, pressed=pads)
     for pad in pads:
         there = [pair for pair in pairs if np.linalg.norm(pair.point[:2] - pad.point[:2]) < 0.5]
         assert sorted(np.sign([pair.frame[2, 0] for pair in there])) == [-1, 1]
     assert {np.sign(pair.frame[2, 0]) for pair in pairs if pair.nugget == 5} == {-1, 1}
     for up in (1, -1):  # a weld joins two sheets: on one side of the sheet within
         joined = replace(pads[1], normal=np.array([0.0, 0.0, up]))
-        pairs = find_pairs(zone(pairs=None, spacing=3.0), *bodies, pressed=[pads[0], joined])
+        pairs = find_pairs(zone(pairs=None, spacing=5.0), *bodies, pressed=[joined])
         assert {np.sign(pair.frame[2, 0]) for pair in pairs if pair.nugget == 5} == {up}
 
 

@@ -149,7 +149,7 @@ def test_the_full_solve_of_the_thicker_sheet_agrees(varied):
 
     assembly, model = varied
     full, drawn = FullModel(assembly), model.evaluate({}).measurements[0]
-    for more in (-0.1, 0.07):
+    for more in (-0.1,):
         found, reduced = full.evaluate([-5.0, more]), model.evaluate({"T": more})
         assert np.abs(reduced.measurements[0] - drawn).max() > 0.01
         assert np.abs(found.measurements - reduced.measurements[0]).max() < 1e-8
@@ -287,7 +287,7 @@ def test_a_sheet_whose_matrix_is_given_keeps_its_thickness(key, assembled, cache
 
 
 def test_what_is_cut_off_or_stands_in_a_table_decides_what_is_computed(cache):
-    cut = assemble(read(lap([T | {"sigma": 0.2, "truncated": [-0.1, 0.1]}])), cache)
+    cut = assemble(read(lap([T | {"sigma": 0.2, "truncated": [-0.1, 0.1]}], pairs=2)), cache)
     assert cut.parts[1].thickness_range == pytest.approx((0.9, 1.1))
     listed = lap([T], pairs=2)
     listed["monte_carlo"] = {"values": [[1.02], [0.98]]}  # the thickness itself
@@ -297,5 +297,5 @@ def test_what_is_cut_off_or_stands_in_a_table_decides_what_is_computed(cache):
         assemble(read(listed), cache)
     listed["monte_carlo"] = {"values": [[0.3], [-0.02]]}
     assert assemble(read(listed), cache).parts[1].thickness_range == pytest.approx((0.88, 1.3))
-    fixed = assemble(read(lap([T | {"sigma": 0.0, "mean": 0.2}])), cache)
+    fixed = assemble(read(lap([T | {"sigma": 0.0, "mean": 0.2}], pairs=2)), cache)
     assert fixed.parts[1].thickness_range == pytest.approx((1.19, 1.21))

@@ -188,8 +188,8 @@ def test_a_full_solve_that_fails_is_named_and_left_out(lap, cache, tmp_path, mon
         return solve(self, deviations, law)
 
     monkeypatch.setattr(FullModel, "evaluate", second_fails)
-    summary = verify_scene(lap, tmp_path, cache, 4, True, Team(), lambda line: None, ())
-    assert [item["failure"] for item in summary["chosen"]] == [None, "planted failure", None, None]
+    summary = verify_scene(lap, tmp_path, cache, 3, True, Team(), lambda line: None, ())
+    assert [item["failure"] for item in summary["chosen"]] == [None, "planted failure", None]
     assert {row["sample"] for row in summary["per_sample"]} == {
         item["sample"] for item in summary["chosen"] if item["failure"] is None
     }

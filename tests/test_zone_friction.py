@@ -14,14 +14,13 @@ POWER = {"mu0": 0.3, "p0": 0.05, "n": 0.3, "mu_min": 0.1, "mu_max": 0.6}
 YIELDING = 2e3  # N/mm³
 
 
-def with_zone(scene, path="increments", increments=3, **keys):
-    """The scene with keys of its zone, and a path."""
+def with_zone(scene, **keys):
+    """The scene with keys of its zone, each stage in three increments."""
     table = scene.model_dump(exclude={"setting"}, exclude_none=True) | {"folder": scene.folder}
     table["zones"] = [zone | keys for zone in table["zones"]]
-    way = {"path": path} | ({"increments": increments} if path == "increments" else {})
-    table["stages"] = [
-        stage | way if stage["kind"] in ("clamp", "weld", "release") else stage for stage in table["stages"]
-    ]
+    for stage in table["stages"]:
+        if stage["kind"] in ("clamp", "weld", "release"):
+            stage |= {"path": "increments", "increments": 3}
     if "friction_table" in keys or "friction_power" in keys:
         table["report"]["laws"] = ["coulomb", "pressure-dependent"]
     if "tangential_stiffness" in keys:
@@ -31,11 +30,15 @@ def with_zone(scene, path="increments", increments=3, **keys):
 
 @pytest.fixture(scope="module")
 def evaluated(lap_scene, cache):
-    """``evaluate(law, samples, keys of the zone)`` → model and evaluation."""
+    """``evaluate(law, keys of the zone)`` → model and evaluation of four samples."""
+    known = {}
 
-    def evaluate(law="coulomb", samples=4, **keys):
-        model = mic.reduce(with_zone(lap_scene, **keys), cache)
-        return model, model.evaluate(draw(model.scene, 3, 0, samples), law)
+    def evaluate(law="coulomb", **keys):
+        key = law, repr(keys)
+        if key not in known:
+            model = mic.reduce(with_zone(lap_scene, **keys), cache)
+            known[key] = model, model.evaluate(draw(model.scene, 3, 0, 4), law)
+        return known[key]
 
     return evaluate
 
@@ -122,7 +125,7 @@ def test_zones_with_and_without_a_function_stand_side_by_side(lap_scene, cache):
     """Under one law: a zone with a long table, one with a short, one with friction by stage alone."""
     scene = with_zone(lap_scene, pairs=6)
     zone = scene.zones[0]
-    regions = [[[0, 0, -5], [70, 25, 5]], [[70, 0, -5], [80, 25, 5]], [[80, 0, -5], [160, 25, 5]]]
+    regions = [((x0, 0.0, -5.0), (x1, 25.0, 5.0)) for x0, x1 in ((0.0, 70.0), (70.0, 80.0), (80.0, 160.0))]
     keys = ({"friction_table": TABLE}, {"friction_table": [(1.0, 0.7)]}, {"friction": {"clamp": 0.1, "default": 0.3}})
     zones = [
         zone.model_copy(update={"name": f"lap{i}", "box": box} | own) for i, (box, own) in enumerate(zip(regions, keys))

@@ -10,7 +10,7 @@ from scipy.sparse import csr_matrix
 
 import mic
 from mic.compliance.blocks import Blocks
-from mic.model.assembly import GapPoints, Contacts
+from mic.model.assembly import Contacts, GapPoints
 from mic.model.rows import KINDS
 from mic.process.model import ReducedModel
 

@@ -85,6 +85,14 @@ def test_something_is_made_once_for_what_it_follows_from(tmp_path, monkeypatch):
     assert len(list((tmp_path / "assemblies").iterdir())) == 2  # no more than were asked for
 
 
+@pytest.fixture(scope="module")
+def small_scene(lap_scene):
+    """The lap joint on coarse meshes with two pairs."""
+    parts = [part.model_copy(update={"size": "coarse"}) for part in lap_scene.parts]
+    zones = [zone.model_copy(update={"pairs": 2}) for zone in lap_scene.zones]
+    return lap_scene.model_copy(update={"parts": parts, "zones": zones})
+
+
 def changed_scenes(scene):
     """Scenes that differ in one thing each that pairs, rows or parts follow from."""
     (zone, *zones), (clamp, *clamps), (part, *parts) = scene.zones, scene.clamps, scene.parts
@@ -95,26 +103,26 @@ def changed_scenes(scene):
     yield scene.model_copy(update={"report": scene.report.model_copy(update={"laws": ["frictionless"]})})
 
 
-def test_a_kept_assembly_is_the_one_that_is_made_and_only_of_the_same_scene(lap_scene, tmp_path, monkeypatch):
+def test_a_kept_assembly_is_the_one_that_is_made_and_only_of_the_same_scene(small_scene, tmp_path, monkeypatch):
     there = lambda: len(list((tmp_path / "assemblies").iterdir()))
-    first, again = assemble(lap_scene, tmp_path), assemble(lap_scene, tmp_path)
+    first, again = assemble(small_scene, tmp_path), assemble(small_scene, tmp_path)
     assert there() == 1 and first.identity == again.identity
     assert all(same(getattr(first, one.name), getattr(again, one.name)) for one in fields(first) if one.name != "scene")
-    more = lap_scene.monte_carlo.model_copy(update={"samples": 7, "seed": 3})
-    other = assemble(lap_scene.model_copy(update={"monte_carlo": more, "name": "other"}), tmp_path)
+    more = small_scene.monte_carlo.model_copy(update={"samples": 7, "seed": 3})
+    other = assemble(small_scene.model_copy(update={"monte_carlo": more, "name": "other"}), tmp_path)
     assert there() == 1 and other.scene.name == "other" and other.scene.monte_carlo.samples == 7
-    for count, scene in enumerate(changed_scenes(lap_scene), 2):
+    for count, scene in enumerate(changed_scenes(small_scene), 2):
         found = assemble(scene, tmp_path)
         assert there() == count and found.identity != first.identity
     monkeypatch.setattr("mic.system.memoise.program", lambda: ["another line of the program"])
-    assemble(lap_scene, tmp_path)
+    assemble(small_scene, tmp_path)
     assert there() == count + 1
 
 
-def test_an_assembly_is_made_anew_when_a_file_has_changed(lap_scene, tmp_path):
+def test_an_assembly_is_made_anew_when_a_file_has_changed(small_scene, tmp_path):
     folder = tmp_path / "scene"
-    shutil.copytree(lap_scene.folder, folder)
-    scene = lap_scene.model_copy(update={"folder": folder})
+    shutil.copytree(small_scene.folder, folder)
+    scene = small_scene.model_copy(update={"folder": folder})
     first = assemble(scene, tmp_path)
     script = folder / scene.parts[0].geometry
     assert assemble(scene, tmp_path).identity == first.identity
@@ -122,11 +130,11 @@ def test_an_assembly_is_made_anew_when_a_file_has_changed(lap_scene, tmp_path):
     assert assemble(scene, tmp_path).identity != first.identity
 
 
-def test_warnings_are_kept_and_those_of_another_scene_are_its_own(lap_scene, tmp_path):
-    assembly = assemble(lap_scene, tmp_path)
-    soft = [part.model_copy(update={"young": 1e3}) for part in lap_scene.parts]
-    told = find_warnings(lap_scene, assembly, tmp_path)
-    assert told == find_warnings(lap_scene, assembly, tmp_path) == find_warnings(lap_scene, assembly)
-    odd = assemble(lap_scene.model_copy(update={"parts": soft}), tmp_path)
-    warned = find_warnings(lap_scene, odd, tmp_path)
-    assert warned != told and warned == find_warnings(lap_scene, odd) == find_warnings(lap_scene, odd, tmp_path)
+def test_warnings_are_kept_and_those_of_another_scene_are_its_own(small_scene, tmp_path):
+    assembly = assemble(small_scene, tmp_path)
+    soft = [part.model_copy(update={"young": 1e3}) for part in small_scene.parts]
+    told = find_warnings(small_scene, assembly, tmp_path)
+    assert told == find_warnings(small_scene, assembly, tmp_path) == find_warnings(small_scene, assembly)
+    odd = assemble(small_scene.model_copy(update={"parts": soft}), tmp_path)
+    warned = find_warnings(small_scene, odd, tmp_path)
+    assert warned != told and warned == find_warnings(small_scene, odd) == find_warnings(small_scene, odd, tmp_path)
