@@ -207,7 +207,7 @@ def test_a_placed_scene_comes_back_from_its_own_text(assembled):
         (LINE | {"kind": "profile", "direction": [0, 0, 1]}, "read along the normals at its points"),
         (LINE | {"kind": "parallelism", "lower": -1.0}, "never negative and its lower limit is 0"),
         (LINE | {"kind": "parallelism", "upper": 0.0}, "lower must be smaller than upper"),
-        (LINE | {"kind": "profile", "points": [[150, 4, 1], [150, 4, 30]]}, "points[1] (M0): [150.0, 4.0, 30.0] lies"),
+        (LINE | {"kind": "profile", "points": [[150, 4, 1], [150, 4, 30]]}, "points[1] (M0): [150.0, 4.0, 30.0] is"),
         (LINE | {"kind": "profile", "points": [[150, 4, 1]]}, "at least 2"),
         (LINE | {"kind": "profile", "box": [[0, 0, 0], [1, 1, 1]]}, "box goes with spacing"),
         ({"part": "upper", "kind": "profile", "spacing": 9.0, "box": [[0, 0, 0], [1, 1, 1]], "upper": 1}, "0 points"),

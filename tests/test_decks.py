@@ -2,57 +2,14 @@
 
 import numpy as np
 import pytest
-from support.mesh_texts import POINTS
+from support.mesh_texts import POINTS, deck_text
 
 from mic.errors import FormatError
 from mic.geometry.readers import Sheet, read_mesh, read_raw
 
 # A quadrilateral 1 and a triangle 2 beside it; nodes 1, 2, 3, 4 and 10.
-ABAQUS = """*Heading
-*Node, nset=all
- 1, 0., 0., 0.
- 2, 1., 0., 0.
- 3, 1., 1., 0.
- 4, 0., 1., 0.
- 10, 2., 0., 0.
-*Element, type=S4R, elset=left plate
-1, 1, 2, 3, 4
-*Element, type=S3, elset=right
-2, 2, 10, 3
-*Nset, nset=row, generate
-1, 3, 2
-*Elset, elset=both
-left plate, 2
-*Material, name=DC04
-*Elastic
-210000., 0.29
-*Shell Section, elset=LEFT PLATE, material=dc04, offset=SPOS
-1.5, 5
-*Shell Section, elset=right,
- material=other, offset=-0.2
-0.8, 5
-"""
-NASTRAN = """$HMNAME COMP                   1"left plate"
-$ANSA_NAME_COMMENT;2;PSHELL;right;;NO;NO;NO;NO;
-SOL 101
-SET 4 = 1 THRU 3,
-  10
-CEND
-$HMSET        4        1 "row"
-BEGIN BULK
-MAT1,7,210000.,,0.29
-MAT1,8,2.1+5,8.0+4
-PSHELL,1,7,1.5,7,,7
-PSHELL,2,8,0.8
-GRID,1,,0.,0.,0.
-GRID,2,,1.,0.,0.
-GRID,3,,1.,1.,0.
-GRID,4,,0.,1.,0.
-GRID,10,,2.,0.,0.
-CQUAD4,1,1,1,2,3,4,30.,-.75
-CTRIA3,2,2,2,10,3,,0.16
-ENDDATA
-"""
+ABAQUS = deck_text("sections.inp")
+NASTRAN = deck_text("sections.bdf")
 LEFT = Sheet(1.5, -0.5, 210e3, 0.29, "dc04")
 RIGHT = Sheet(0.8, 0.2, None, None, "other")
 

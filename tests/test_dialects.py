@@ -6,135 +6,18 @@ import time
 import numpy as np
 import pytest
 from pydantic import ValidationError
+from support.mesh_texts import deck_text
 
 from mic.errors import FormatError
 from mic.geometry import readers
 from mic.geometry.readers import READERS, gmsh_program, read_mesh
 from mic.scene.part import Part
 
-DYNA = """$# LS-DYNA
-*KEYWORD
-*NODE
-       1             0.0             0.0             0.0
-       2             1.0             0.0             0.0
-       3             1.0             1.0             0.0
-       4             0.0             1.0             0.0
-      10             2.0             0.0             0.0
-*ELEMENT_SHELL
-       1       7       1       2       3       4
-*ELEMENT_SHELL_OFFSET
-       2       8       2      10       3       3
-             0.4
-*ELEMENT_MASS
-       5       4             1.0
-*PART
-pocket
-         7         3         5
-rib
-         8         4         5
-*SECTION_SHELL_TITLE
-thick
-         3         2       1.0         3
-       1.5       1.5       1.5       1.5       1.0
-*SECTION_SHELL
-         4         2
-       0.8       0.8       0.8       0.8
-*MAT_ELASTIC_TITLE
-steel
-         5   7.8E-9  210000.0      0.29
-*SET_NODE_LIST_TITLE
-row
-         1
-         1         3
-*CONSTRAINED_NODAL_RIGID_BODY
-         9
-*END
-"""
-UNIVERSAL = """    -1
-  2411
-         1         1         1        11
-   0.0000000000000000D+00   0.0000000000000000D+00   0.0000000000000000D+00
-         2         1         1        11
-   1.0000000000000000D+00   0.0000000000000000D+00   0.0000000000000000D+00
-         3         1         1        11
-   1.0000000000000000D+00   1.0000000000000000D+00   0.0000000000000000D+00
-         4         1         1        11
-   0.0000000000000000D+00   1.0000000000000000D+00   0.0000000000000000D+00
-        10         1         1        11
-   2.0000000000000000D+00   0.0000000000000000D+00   0.0000000000000000D+00
-    -1
-    -1
-  2412
-         9        11         1         1         7         2
-         0         1         1
-         1         2
-         1        94         7         1         7         4
-         1         2         3         4
-         2        91         8         1         7         3
-         2        10         3
-    -1
-    -1
-  2467
-         1         0         0         0         0         0         0         3
-pocket
-         8         1         0         0         7         3         0         0
-         7         1         0         0
-    -1
-"""
-ANSYS = """/PREP7
-ET,        1,181
-ET,        2,21
-NBLOCK,6,SOLID,    10,     5
-(3i9,6e21.13e3)
-        1        0        0
-        2        0        0 1.0000000000000E+000
-        3        0        0 1.0000000000000E+000 1.0000000000000E+000
-        4        0        0 0.0000000000000E+000 1.0000000000000E+000
-       10        0        0 2.0000000000000E+000
-N,R5.3,LOC,       -1,
-EBLOCK,19,SOLID,     5,     3
-(19i7)
-      1      1      1      3      0      0      0      0      4      0      1      1      2      3      4
-      1      1      1      4      0      0      0      0      4      0      2      2     10      3      3
-      1      2      1      1      0      0      0      0      1      0      5      4
-       -1
-CMBLOCK,POCKET  ,ELEM,       1
-(8i10)
-         1
-CMBLOCK,ROW     ,NODE,       2
-(8i10)
-         1        -3
-MPDATA,R5.0, 1,EX  ,     1, 1,  210000.000    ,
-MP,PRXY,1,0.29
-SECTYPE,     3,SHELL,    ,thick
-SECOFFSET,TOP
-SECBLOCK,     2
-      1.00000000    ,         1,  0.00000000    ,         3
-      0.50000000    ,         1,  0.00000000    ,         3
-SECTYPE,     4,SHELL
-SECDATA, 0.8, 1
-FINISH
-"""
-ABAQUS = """*Node
-1, 0., 0., 0.
-2, 1., 0., 0.
-3, 1., 1., 0.
-4, 0., 1., 0.
-10, 2., 0., 0.
-*Element, type=S4R, elset=pocket
-1, 1, 2, 3, 4
-*Element, type=S3, elset=rib
-2, 2, 10, 3
-"""
-NASTRAN = """BEGIN BULK
-GRID,1,,0.,0.,0.
-GRID,2,,1.,0.,0.
-GRID,3,,1.,1.,0.
-GRID,4,,0.,1.,0.
-GRID,10,,2.,0.,0.
-CQUAD4,1,7,1,2,3,4
-CTRIA3,2,8,2,10,3
-"""
+DYNA = deck_text("parts.k")
+UNIVERSAL = deck_text("parts.unv")
+ANSYS = deck_text("parts.cdb")
+ABAQUS = deck_text("parts.inp")
+NASTRAN = deck_text("parts.bdf")
 
 
 def written(tmp_path, text, name):

@@ -41,8 +41,8 @@ def test_what_is_left_out_is_missed_by_as_much_as_the_others_alone_miss_it(z):
     """And how far it is off them is told in the same units as everywhere else."""
     h = np.column_stack([np.maximum(z[:, 0], 0.2), z[:, 1] ** 2])
     whole, own = Emulator(z, h), np.arange(len(z)) != 7
-    missed, apart = whole.left_out()
-    alone = RBFInterpolator((z * whole.stretch)[own], h[own], smoothing=whole.damping, kernel="cubic", degree=1)
-    np.testing.assert_allclose(missed[7], h[7] - alone((z * whole.stretch)[[7]])[0], rtol=1e-8)
-    near = whole.apart(np.stack([z[7], z[7] + 0.5, z[7] + 3.0]))
+    missed, apart = whole.leave_one_out()
+    alone = RBFInterpolator((z * whole.scale)[own], h[own], smoothing=whole.damping, kernel="cubic", degree=1)
+    np.testing.assert_allclose(missed[7], h[7] - alone((z * whole.scale)[[7]])[0], rtol=1e-8)
+    near = whole.relative_sigma(np.stack([z[7], z[7] + 0.5, z[7] + 3.0]))
     assert near[0] < near[1] < near[2] and near[0] < apart[7]

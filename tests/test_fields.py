@@ -9,7 +9,7 @@ from mic.compliance import provider
 from mic.errors import FormatError, MissingProvider
 from mic.model.assembly import assemble
 from mic.results.fields import compute_fields, low_rank, read_fields, write_fields
-from mic.results.low_rank_forces import Condensed, Condenser
+from mic.results.low_rank_forces import CompressedForces, ForceAccumulator
 from mic.results.outcome import read_outcome
 from mic.results.run_folder import RunFolder
 from mic.runs import sample_into
@@ -23,7 +23,7 @@ LAWS = ["coulomb", "frictionless"]
 @pytest.fixture(scope="module")
 def folder(lap_model, lap_scene, cache, tmp_path_factory):
     folder = tmp_path_factory.mktemp("run")
-    RunFolder(folder).keep_inputs(assemble(lap_scene, cache))
+    RunFolder(folder).store_inputs(assemble(lap_scene, cache))
     sample_into(folder, lap_model, LAWS, SAMPLES, SEED)
     return folder
 
@@ -97,7 +97,7 @@ def test_fields_agree_with_one_solve_per_sample(folder, lap_model, lap_scene, ca
 
 def condensed(force, motion, pieces=1, **room):
     """The samples as the fields take them in, in several pieces."""
-    condenser = Condenser(**room)
+    condenser = ForceAccumulator(**room)
     for part, other in zip(np.array_split(force, pieces), np.array_split(motion, pieces)):
         condenser.add(part, other)
     return condenser.centred()
@@ -108,14 +108,14 @@ def test_what_stands_for_blocks_of_samples_has_their_factor():
     rng = np.random.default_rng(5)
     C = rng.normal(size=(7, 7))
     force, motion = 3 + rng.normal(size=(60, 7)), rng.normal(size=(60, 6))
-    condenser = Condenser()
+    condenser = ForceAccumulator()
     for first, last in ((0, 40), (40, 40), (40, 45), (45, 60)):
-        condenser.join(Condensed.of(force[first:last], motion[first:last]))
+        condenser.join(CompressedForces.of(force[first:last], motion[first:last]))
     whole, few = condensed(force, motion), condenser.centred()
-    assert few.samples == 60 and len(Condensed.of(force[:40], motion[:40]).rows) == 14
+    assert few.samples == 60 and len(CompressedForces.of(force[:40], motion[:40]).rows) == 14
     idle = np.hstack([force, np.zeros((60, 5))])  # functionals that no sample loads, and forces that follow from others
-    some = Condensed.of(idle @ np.diag(np.ones(12)), idle[:, :6] * 1e-6)
-    assert some.rows.shape == (8, 14) and some.whole.shape == (8, 19)
+    some = CompressedForces.of(idle @ np.diag(np.ones(12)), idle[:, :6] * 1e-6)
+    assert some.rows.shape == (8, 14) and some.dense.shape == (8, 19)
     np.testing.assert_allclose(few.mean, whole.mean, atol=1e-12)  # of values that spread by one
     np.testing.assert_allclose(few.rows.T @ few.rows, whole.rows.T @ whole.rows, atol=1e-10)
     one, other = (low_rank(samples, C @ C.T) for samples in (whole, few))

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from support.springs import STIFFNESS, at_face, six, spring_model
+from support.springs import STIFFNESS, at_face, six, stage_list, two_plates
 
 import mic
 from mic.process.description import sentences
@@ -14,18 +14,8 @@ GAP = 0.3  # mm
 NEEDED = 2 * STIFFNESS * GAP  # N that press b's face down by 2 g: over the gap, and then both springs by g
 
 
-def plates(gap=GAP, friction=0.2, clamps=(), welds=(), stages=None, deviations=(), **change):
-    keys = {
-        "parts": [{"name": name, "mesh": f"{name}.stl", "thickness": 1.0} for name in "ab"],
-        "locators": [*six("a"), *six("b")],
-        "clamps": list(clamps),
-        "welds": list(welds),
-        "zones": [{"name": "Z", "parts": ["a", "b"], "friction": friction, "pairs": 1}],
-        "measurements": [at_face("b", name="M", lower=-1, upper=1)],
-        "deviations": list(deviations),
-        "stages": stages or [{"kind": kind} for kind in ("locate", "clamp", "release", "measure")],
-    }
-    return spring_model([gap], [gap] * len(welds), **keys | change)
+def plates(gap=GAP, **change):
+    return two_plates(gap, **change)
 
 
 def closing(stroke, limit, **keys):
@@ -45,7 +35,7 @@ def test_a_clamp_closes_to_its_position_if_its_limit_allows_and_stops_short_if_n
 
     Under the limit F it comes to w = F/k before it touches, to (F + k g)/2k after.
     """
-    stages = [{"kind": "locate"}, {"kind": "clamp"} | keys, {"kind": "release"}, {"kind": "measure"}]
+    stages = stage_list("locate", {"kind": "clamp"} | keys, "release", "measure")
     takes = STIFFNESS * (2 * 0.5 - GAP)  # for w = 0.5 mm
     cases = {  # limit: (way, force, way left)
         2 * takes: (0.5, takes, 0.0),
@@ -81,12 +71,12 @@ def test_a_limit_that_is_never_reached_changes_nothing(press, stroke):
     """
     drag = at_face("b", (1, 0, 0), name="D", force=3.0)
     push = at_face("b", (0, 0, -1), name="P", force=press)
-    stages = [
-        {"kind": "locate"},
+    stages = stage_list(
+        "locate",
         {"kind": "clamp", "order": [["P"], ["C"], ["D"]] if press == 0 else [["P"], ["C", "D"]]},
         {"kind": "release", "order": [["C"], ["D"], ["P"]]},
-        {"kind": "measure"},
-    ]
+        "measure",
+    )
     limits = (200.0, None)
     limited, plain = (
         plates(clamps=[closing(stroke, limit), drag, push], stages=stages).evaluate({}) for limit in limits
@@ -106,14 +96,14 @@ def test_a_limit_that_is_never_reached_changes_nothing(press, stroke):
 def test_a_clamp_that_is_overpowered_later_gives_way_and_comes_back():
     """Another force pushes b's face up against it: the clamp holds as far as its limit goes, whenever that comes."""
     lift = at_face("b", (0, 0, 1), name="L", force=8.0, stage="lift")
-    stages = [
-        {"kind": "locate"},
-        {"kind": "clamp"},
-        {"kind": "clamp", "name": "lift"},
+    stages = stage_list(
+        "locate",
+        "clamp",
+        "clamp lift",
         {"kind": "release", "name": "let go", "keep": ["C", *(item["name"] for item in six("a") + six("b"))]},
-        {"kind": "release"},
-        {"kind": "measure"},
-    ]
+        "release",
+        "measure",
+    )
     stages[3]["name"] = "back"
     found = plates(clamps=[closing(0.2, 14.0), lift], stages=stages).evaluate({})
     takes = STIFFNESS * 0.2
@@ -129,7 +119,7 @@ def test_a_clamp_that_is_overpowered_later_gives_way_and_comes_back():
 def test_a_part_beyond_the_position_is_brought_back_and_held_there():
     """As a clamp without a limit does: the limit is what it pushes with, not what its stop holds."""
     push = at_face("b", (0, 0, -1), name="P", force=10.0)
-    model = plates(clamps=[push, closing(0.1, 4.0)], stages=None)
+    model = plates(clamps=[push, closing(0.1, 4.0)])
     found = model.evaluate({})
     closed = found.resolutions["clamp"]
     assert found.built[0] and closed.left[0, 0] == 0.0
@@ -175,7 +165,7 @@ def test_the_results_count_what_is_not_built_and_say_what_it_would_take(tmp_path
     np.testing.assert_allclose(outcome.measured("coulomb", "M"), found.measurements[:, 0], atol=1e-12)
 
 
-WELDED = [{"kind": kind} for kind in ("locate", "weld", "release", "measure")]
+WELDED = stage_list("locate", "weld", "release", "measure")
 
 
 def weld(**keys):
@@ -261,7 +251,7 @@ def test_what_is_handed_on_for_the_fields_is_in_balance_and_reads_what_was_measu
     soft = [item | ({} if stiffness is None else {"stiffness": stiffness}) for item in six("b")]
     model = plates(
         clamps=[closing(0.5, limit)],
-        stages=[{"kind": "locate"}, {"kind": "clamp"}, {"kind": "measure"}],
+        stages=stage_list("locate", "clamp", "measure"),
         locators=[*six("a"), *soft],
     )
     found = model.evaluate({})
@@ -277,7 +267,7 @@ def test_what_would_be_needed_is_that_of_the_friction_of_the_sample():
     """The clamp drags the face over the other, pressed on by a second one: what it takes grows with friction, once."""
     keys = {
         "clamps": [at_face("b", (0, 0, -1), name="P", force=60.0), closing_along(0.5, 5.0)],
-        "stages": [{"kind": "locate"}, {"kind": "clamp", "order": [["P"], ["C"]]}, {"kind": "measure"}],
+        "stages": stage_list("locate", {"kind": "clamp", "order": [["P"], ["C"]]}, "measure"),
     }
     rough = [{"name": "mu", "kind": "friction", "target": "Z", "sigma": 0.1}]
     varied = plates(gap=0.0, friction=0.2, deviations=rough, **keys)

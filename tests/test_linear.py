@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from support.springs import at_face, six, spring_model
+from support.springs import at_face, stage_list, two_plates
 
 from mic.process.linear_maps import Linear
 from mic.process.process import Process
@@ -18,17 +18,13 @@ def room(monkeypatch):
 def plates(gun=None, deviations=()):
     """Two plates on springs, 0.3 mm apart, clamped and welded."""
     weld = {"name": "W", "parts": ["a", "b"], "point": [5, 5, 0], "moment": False} | ({"gun": gun} if gun else {})
-    keys = {
-        "parts": [{"name": name, "mesh": f"{name}.stl", "thickness": 1.0} for name in "ab"],
-        "locators": [*six("a"), *six("b")],
-        "clamps": [at_face("b", (0, 0, -1), name="C", stroke=-0.3)],
-        "welds": [weld],
-        "zones": [{"name": "Z", "parts": ["a", "b"], "friction": 0.2, "pairs": 1}],
-        "measurements": [at_face("b", name="M", lower=-1, upper=1)],
-        "deviations": list(deviations),
-        "stages": [{"kind": kind} for kind in ("locate", "clamp", "weld", "release", "measure")],
-    }
-    return spring_model([0.3], [0.3], **keys)
+    return two_plates(
+        0.3,
+        clamps=[at_face("b", (0, 0, -1), name="C", stroke=-0.3)],
+        welds=[weld],
+        deviations=list(deviations),
+        stages=stage_list("locate", "clamp", "weld", "release", "measure"),
+    )
 
 
 def one_by_one(process, deviations):

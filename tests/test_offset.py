@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from support.decks import write_deck
 from support.panels import grid
 from typer.testing import CliRunner
 
@@ -25,10 +26,8 @@ STEEL = "*Material, name=S\n*Elastic\n205000., 0.28\n"
 
 def deck(path, points, triangles, section=""):
     """An Abaqus deck of triangles."""
-    lines = ["*Node", *(f"{i}, {x!r}, {y!r}, {z!r}" for i, (x, y, z) in enumerate(np.asarray(points).tolist(), 1))]
-    lines += ["*Element, type=S3, elset=all"]
-    lines += [f"{i}, {a}, {b}, {c}" for i, (a, b, c) in enumerate((np.asarray(triangles) + 1).tolist(), 1)]
-    path.write_text("\n".join(lines) + "\n" + section)
+    write_deck(path, {"all": (points, triangles)}, first=1)
+    path.write_text(path.read_text() + section)
 
 
 def lap(folder, drawn=(0.5, 0.5), sections=("", ""), turned=(False, False), parts=({}, {}), **zone):

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from support.panels import plane
 
 import mic
 from mic.geometry.load import load_part
@@ -12,15 +13,6 @@ from mic.geometry.pairing import PressedPoint, Side, candidate_spacing, find_bet
 from mic.geometry.structured import extrude
 from mic.geometry.surface import Surface
 from mic.scene import Zone
-
-
-def plane(z, size=20.0, n=8, flip=False, tilt=0.0, x0=0.0):
-    x, y = np.meshgrid(np.linspace(0, size, n + 1), np.linspace(0, size, n + 1), indexing="ij")
-    i = np.arange(x.size).reshape(x.shape)
-    a, b, c, d = i[:-1, :-1].ravel(), i[1:, :-1].ravel(), i[1:, 1:].ravel(), i[:-1, 1:].ravel()
-    triangles = np.vstack([np.column_stack([a, b, c]), np.column_stack([a, c, d])])
-    points = np.column_stack([x.ravel() + x0, y.ravel(), z + np.tan(tilt) * x.ravel()])
-    return Surface(points, triangles[:, ::-1] if flip else triangles)
 
 
 def zone(**keys):

@@ -8,27 +8,21 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.sparse import csr_matrix
+from support.springs import STIFFNESS, at_face, contacts_at, stage_list, two_plates
+from support.springs import six as springs_six
 
 import mic
-from mic.compliance.blocks import Blocks
 from mic.contact.laws import LAWS
-from mic.model.assembly import Contacts, GapPoints
-from mic.model.rows import KINDS
+from mic.model.assembly import GapPoints
 from mic.process.actions import tongs
 from mic.process.description import opening, sentences
 from mic.process.drive import drive
-from mic.process.model import ReducedModel
 from mic.process.plan import plan_stages
-
-FAR = [[0, 0, 0], [10, 0, 0], [0, 10, 0], [0, 0, 0], [10, 0, 0], [0, 0, 0]]
-ALONG = [[0, 0, 1], [0, 0, 1], [0, 0, 1], [0, 1, 0], [0, 1, 0], [1, 0, 0]]
 
 
 def six(part, stage="set"):
-    return [
-        {"name": f"{part}{i}", "part": part, "point": point, "direction": direction, "stage": stage}
-        for i, (point, direction) in enumerate(zip(FAR, ALONG))
-    ]
+    """Six locators of a part: a0 to a5 for part a."""
+    return [item | {"name": f"{part}{i}"} for i, item in enumerate(springs_six(part, stage))]
 
 
 def clamp(name, **keys):
@@ -273,34 +267,12 @@ def test_contact_is_resolved_where_something_changes_and_not_while_parts_are_set
     assert [name for name, plan in plans.items() if plan.reads] == ["read"]
 
 
-def one_pair(friction, gap):
-    """One contact of 1 mm², its frame that of space."""
-    return Contacts(
-        zone=np.zeros(1, int),
-        stages=np.array([], dtype=str),
-        friction=np.full((1, 1), friction),
-        pressure=np.zeros((1, 0, 5)),
-        compliance=np.zeros(1),
-        gap=np.array([gap]),
-        overlap=np.zeros(1),
-        overlapping=np.zeros(1),
-        area=np.ones(1),
-        watched=np.zeros(1, bool),
-        layer=np.zeros(1),
-        nugget=np.full(1, -1),
-        bearing=np.ones(1),
-        point=np.zeros((1, 3)),
-        frame=np.eye(3)[None],
-        dimension=3,
-    )
-
-
 class Meaning:
     """What `drive` asks of an assembly, without any mesh: one contact, two welds, one measurement."""
 
     scene = mic.Scene(**SCENE)
     labels = {"locator": [item.name for item in scene.locators], "clamp": [item.name for item in scene.clamps]}
-    contacts = one_pair(0.3, 0.05)
+    contacts = contacts_at(np.zeros((1, 3)), np.eye(3)[None], [0], [0.3], [0.05])
     weld_size = WELD_SIZE
     weld_gap = np.array([0.1, *[0.0] * 5, 0.2, 0.0, 0.0])
     between = GapPoints(np.zeros(1, int), np.array([0.02]), np.full(1, -1), np.zeros((1, 3)))
@@ -327,56 +299,24 @@ def test_deviations_move_strokes_targets_forces_and_gaps_with_the_right_sign():
 
 # ------------------------------------------------------------------------------- two springs and a gap, by hand
 
-STIFFNESS, GAP, PRESS = 50.0, 0.3, 20.0  # N/mm, mm, N
+GAP, PRESS = 0.3, 20.0  # mm, N
 
 
 def springs(drag=0.0, gap=GAP, settle=True, **close):
     """Two bodies whose faces yield along z on a spring each, one contact between them.
 
     One clamp presses b's face down, and one drags it along x. `close` gives further keys of the stage that closes them.
-    Functionals of each body: its six supports, and its face along n, t1 and t2. What the finite elements would give is
-    written down by hand.
     """
-    count = 6 + 3
-    H = np.zeros((count, count))
-    H[6, 6] = 1 / STIFFNESS  # the face yields along z
-    H[7, 7] = H[8, 8] = 0.5 / STIFFNESS
-    motions = np.array([[*d, *np.cross(p, d)] for p, d in zip(FAR, ALONG)], float)
-    G = np.vstack([motions, np.hstack([[[0, 0, 1], [1, 0, 0], [0, 1, 0]], np.zeros((3, 3))])])
-    compliance = Blocks((H, H.copy()), (G, G.copy()))
-    width = 2 * count
-
-    def row(*entries):
-        line = np.zeros(width)
-        for column, value in entries:
-            line[column] = value
-        return line
-
-    locators = [row((i, 1.0)) for i in range(6)] + [row((count + i, 1.0)) for i in range(6)]
-    press = [row((count + 6, 1.0)), row((count + 7, 1.0))]
-    contact = [row((6 + j, -1.0), (count + 6 + j, 1.0)) for j in range(3)]
-    rows = {kind: csr_matrix((0, width)) for kind in KINDS}
-    rows |= {"locator": csr_matrix(locators), "clamp": csr_matrix(press), "contact": csr_matrix(contact)}
-    rows["measurement"] = csr_matrix([row((count + 6, 1.0))])
-    scene = mic.Scene(
-        name="springs",
-        parts=SCENE["parts"],
-        locators=[*six("a"), *six("b")],
-        clamps=[clamp("press", force=-PRESS), clamp("drag", force=drag, direction=[1, 0, 0])],
-        zones=[{"name": "Z", "parts": ["a", "b"], "friction": 0.2, "pairs": 1}],
-        measurements=[{"name": "M", "part": "b", "point": [5, 5, 0], "direction": [0, 0, 1], "lower": -1, "upper": 1}],
-        stages=[
-            {"kind": "locate", "name": "set", "settle": settle},
-            {"kind": "clamp", "name": "close"} | close,
-            {"kind": "release", "name": "open"},
-            {"kind": "measure", "name": "read"},
-        ],
+    return two_plates(
+        gap,
+        clamps=[at_face("b", name="press", force=-PRESS), at_face("b", (1, 0, 0), name="drag", force=drag)],
+        stages=stage_list(
+            {"kind": "locate", "settle": settle},
+            {"kind": "clamp"} | close,
+            "release",
+            "measure",
+        ),
     )
-    labels = {kind: [f"{kind}{i}" for i in range(rows[kind].shape[0])] for kind in KINDS}
-    contacts = one_pair(0.2, gap)
-    none = np.zeros((width, 0))
-    nowhere = GapPoints(np.zeros(0, int), np.zeros(0), np.zeros(0, int), np.zeros((0, 3)))
-    return ReducedModel(scene, compliance, rows, labels, contacts, nowhere, (), np.zeros(0), none, none, {})
 
 
 def test_a_clamp_closes_a_gap_against_two_springs_and_release_opens_it():
@@ -385,10 +325,10 @@ def test_a_clamp_closes_a_gap_against_two_springs_and_release_opens_it():
     u_b = (P − f)/k, u_a = f/k, closed when u_b − u_a = g: f = (P − k g)/2.
     """
     evaluation = springs().evaluate({})
-    pressed = evaluation.resolutions["close"]
+    pressed = evaluation.resolutions["clamp"]
     assert pressed.force[0, 0, 0] == pytest.approx((PRESS - STIFFNESS * GAP) / 2, rel=1e-12)
     assert pressed.displacement[0, 0, 0] == pytest.approx(0.0, abs=1e-12)
-    opened = evaluation.resolutions["open"]
+    opened = evaluation.resolutions["release"]
     assert opened.force[0, 0, 0] == 0.0
     assert opened.displacement[0, 0, 0] == pytest.approx(GAP, rel=1e-12)  # the clamp's force has gone
     assert evaluation.measurements[0, 0] == pytest.approx(0.0, abs=1e-12)
@@ -408,7 +348,7 @@ DRAGGED = {
 @pytest.mark.parametrize("case", DRAGGED)
 def test_what_a_drag_leaves_depends_on_whether_the_face_was_pressed_before(case):
     drag, order, force, slip = DRAGGED[case]
-    closed = springs(drag, order=order).evaluate({}).resolutions["close"]
+    closed = springs(drag, order=order).evaluate({}).resolutions["clamp"]
     np.testing.assert_allclose(closed.force[0, 0], [2.5, force, 0.0], atol=1e-9)
     np.testing.assert_allclose(closed.displacement[0, 0], [0.0, slip, 0.0], atol=1e-10)
     under_load = slip if order[0] == ["press"] else 0.0
@@ -421,10 +361,10 @@ def test_together_the_face_sticks_where_it_touches():
     One step at once, as the paper has it, holds it from where it was set down: f_t = -D/2.
     """
     drag, touch = 0.8, STIFFNESS * GAP / PRESS
-    followed = springs(drag, order=[["press", "drag"]]).evaluate({}).resolutions["close"]
+    followed = springs(drag, order=[["press", "drag"]]).evaluate({}).resolutions["clamp"]
     np.testing.assert_allclose(followed.force[0, 0], [2.5, -(1 - touch) * drag / 2, 0.0], rtol=1e-3, atol=1e-9)
     np.testing.assert_allclose(followed.displacement[0, 0], [0.0, touch * drag * YIELD, 0.0], rtol=1e-3, atol=1e-9)
-    at_once = springs(drag, path="one-step").evaluate({}).resolutions["close"]
+    at_once = springs(drag, path="one-step").evaluate({}).resolutions["clamp"]
     np.testing.assert_allclose(at_once.force[0, 0], [2.5, -drag / 2, 0.0], atol=1e-9)
 
 
@@ -436,7 +376,7 @@ def test_what_overlaps_presses_before_the_drag_or_while_it_grows(settle, work):
     slip.
     """
     model = springs(4.0, gap=-0.3, settle=settle, order=[["drag"], ["press"]], increments=100)
-    closed = model.evaluate({}).resolutions["close"]
+    closed = model.evaluate({}).resolutions["clamp"]
     assert closed.trace.slip[0, 0, 0] == pytest.approx(0.01, rel=1e-9)
     assert closed.trace.work[0, 0] == pytest.approx(work, rel=0.02)
 
@@ -451,13 +391,13 @@ def test_a_clamp_stage_without_clamps_resolves_contact(settle, path):
     plans = plan_stages(bare.scene, ())
     assert [plan.resolves for plan in plans] == [False, True, False, False]
     assert sentences(bare.scene, plans[1]) == ["parts that overlap come to rest on each other"]
-    rested = bare.evaluate({}).resolutions["close"]
+    rested = bare.evaluate({}).resolutions["clamp"]
     np.testing.assert_allclose(rested.force[0, 0], [0.3 * STIFFNESS / 2, 0.0, 0.0], atol=1e-9)
     np.testing.assert_allclose(rested.displacement[0, 0], 0.0, atol=1e-10)
 
 
 def test_of_two_clamp_stages_without_clamps_the_first_resolves_contact():
-    stages = [{"kind": "locate"}, {"kind": "clamp"}, {"kind": "clamp", "name": "again"}, {"kind": "measure"}]
+    stages = stage_list("locate", "clamp", "clamp again", "measure")
     scene = mic.Scene(
         name="bare", parts=SCENE["parts"], locators=[*six("a", "locate"), *six("b", "locate")], stages=stages
     )
@@ -470,11 +410,16 @@ def test_a_release_opens_first_what_closed_last():
     """
     drag = 3.0
     model = springs(drag, order=[["press"], ["drag"]])
-    back = model.evaluate({}).resolutions["open"].trace
+    back = model.evaluate({}).resolutions["release"].trace
     np.testing.assert_allclose(back.slip[0, 0], [-(drag - 2 * HOLD) * YIELD, 0.0], atol=1e-9)
     stages = [
         stage.model_copy(update={"order": [["press"], ["drag"]]}) if stage.kind == "release" else stage
         for stage in model.scene.stages
     ]
-    on = replace(model, scene=model.scene.model_copy(update={"stages": stages})).evaluate({}).resolutions["open"].trace
+    on = (
+        replace(model, scene=model.scene.model_copy(update={"stages": stages}))
+        .evaluate({})
+        .resolutions["release"]
+        .trace
+    )
     np.testing.assert_allclose(on.slip[0, 0], [2 * HOLD * YIELD, 0.0], atol=1e-9)

@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from support.feet import STIFFNESS, standing
-from support.springs import six
+from support.springs import six, stage_list
 
 import mic
 from mic.contact.states import OPEN, SLIP, STICK
@@ -43,7 +43,7 @@ def table(
         "clamps": list(clamps),
         "zones": [{"name": "Z", "parts": ["a", "b"], "friction": friction, "pairs": 1}],
         "measurements": [gauge("b", foot, name=f"M{i}") for i, foot in enumerate(feet)],
-        "stages": [{"kind": kind} for kind in kinds],
+        "stages": stage_list(*kinds),
     }
     return standing([("Z", foot, normal) for foot in feet], gap=gap, shape=shape, **keys | change)
 
@@ -59,7 +59,7 @@ PATHS = [{}, {"increments": 3}, {"path": "one-step"}]
 @pytest.mark.parametrize("path", PATHS)
 def test_under_an_off_centre_clamp_the_feet_carry_what_the_levers_say(path):
     """100 N at (30, 20): 0.3 of it on the foot at x = 100, a third on the one at y = 60."""
-    stages = [{"kind": "locate"}, {"kind": "clamp"} | path, {"kind": "measure"}]
+    stages = stage_list("locate", {"kind": "clamp"} | path, "measure")
     found = table([push(100, (30, 20, 0))], stages=stages).evaluate({})
     third = 100 / 3
     carried = [100 - 30 - third, 30, third]
@@ -84,7 +84,7 @@ def test_a_resting_part_goes_along_a_step_by_as_many_increments_as_are_asked_for
     """Settling and closing are a step each; one increment and three of each."""
     counts = []
     for increments in (1, 3):
-        stages = [{"kind": "locate"}, {"kind": "clamp", "increments": increments}, {"kind": "measure"}]
+        stages = stage_list("locate", {"kind": "clamp", "increments": increments}, "measure")
         counts.append(table([push(100, (30, 20, 0))], stages=stages).evaluate({}).resolutions["clamp"].trace.steps[0])
     assert counts == [2, 6]
 
@@ -134,7 +134,7 @@ def groove(friction=0.0, gap=0.0, path=None):
         clamps=[push(100, (0, 40, 0))],
         zones=[{"name": "Z", "parts": ["a", "b"], "friction": friction, "pairs": 1}],
         measurements=[gauge("b", (0, 40, 0)), gauge("b", (0, 40, 0), (1, 0, 0), "X")],
-        stages=[{"kind": "locate"}, {"kind": "clamp"} | (path or {}), {"kind": "measure"}],
+        stages=stage_list("locate", {"kind": "clamp"} | (path or {}), "measure"),
     )
 
 
@@ -179,7 +179,7 @@ def test_in_a_stack_each_carries_what_lies_above():
         clamps=[push(90, (20, 20, 0), part="c"), push(30, (20, 20, 0), name="D")],
         zones=zones,
         measurements=[gauge("c", (20, 20, 0)), gauge("b", (20, 20, 0), name="N")],
-        stages=[{"kind": kind} for kind in ("locate", "clamp", "measure")],
+        stages=stage_list("locate", "clamp", "measure"),
     )
     plan_assembly(model)
     found = model.evaluate({})
@@ -228,13 +228,9 @@ def test_welded_it_is_held_by_the_weld_and_comes_along_when_the_clamp_opens():
 def test_locators_may_open_where_friction_holds_what_they_held():
     """b is set down on six locators and pressed by 100 N; with the six gone it stays, and 12 N along x move it on."""
     clamps = [push(100, (30, 20, 0)), push(12, (30, 20, 0), (1, 0, 0), "D", stage="second")]
-    stages = [
-        {"kind": "locate"},
-        {"kind": "clamp"},
-        {"kind": "release", "keep": [f"al{i}" for i in range(6)] + ["C"]},
-        {"kind": "clamp", "name": "second"},
-        {"kind": "measure"},
-    ]
+    stages = stage_list(
+        "locate", "clamp", {"kind": "release", "keep": [f"al{i}" for i in range(6)] + ["C"]}, "clamp second", "measure"
+    )
     model = table(
         clamps,
         locators=[*six("a", far=FAR), *six("b", far=FAR)],
@@ -303,7 +299,7 @@ def on_pads(**change):
         "clamps": [push(100, (30, 20, 0)), push(12, (30, 20, 0), (1, 0, 0), "D")],
         "zones": [{"name": "Z", "parts": ["P", "b"], "friction": 0.2, "pairs": 3}],
         "measurements": [gauge("b", foot, name=f"M{i}") for i, foot in enumerate(FEET)],
-        "stages": [{"kind": kind} for kind in ("locate", "clamp", "measure")],
+        "stages": stage_list("locate", "clamp", "measure"),
     }
     return standing([("Z", foot, UP) for foot in FEET], **keys | change)
 
@@ -342,8 +338,8 @@ def test_a_body_welded_to_what_rests_presses_through_its_weld():
         welds=welds,
         zones=[{"name": "Z", "parts": ["a", "b"], "friction": 0.2, "pairs": 1}],
         measurements=[gauge("c", (30, 20, 0))],
-        stages=[{"kind": "locate"}, {"kind": "clamp", "name": "first"}, {"kind": "weld"}, {"kind": "clamp"}]
-        + [{"kind": "release", "keep": [f"al{i}" for i in range(6)] + ["C"]}, {"kind": "measure"}],
+        stages=stage_list("locate", "clamp first", "weld", "clamp")
+        + stage_list({"kind": "release", "keep": [f"al{i}" for i in range(6)] + ["C"]}, "measure"),
     )
     plans = plan_assembly(model)
     assert [plan.steps[-1].resting for plan in plans] == [(1,), (1,), (), (), (1, 2), (1, 2)]
@@ -356,7 +352,7 @@ def test_a_body_welded_to_what_rests_presses_through_its_weld():
 def test_a_part_that_arrives_later_is_not_asked_for_before():
     """b comes to the second station, where it rests; what presses a before does not press b."""
     pins = [one | {"part": "b", "name": f"p{i}", "stage": "second"} for i, one in enumerate(six("b", far=FAR)[3:])]
-    stages = [{"kind": "locate"}, {"kind": "clamp", "name": "first"}, {"kind": "locate", "name": "second"}]
+    stages = stage_list("locate", "clamp first", "locate second")
     model = table(
         [push(30, (30, 20, 0), part="a", name="K", stage="first"), push(100, (30, 20, 0))],
         locators=[*six("a", far=FAR), *pins],
@@ -376,7 +372,7 @@ def test_what_nothing_presses_yet_is_lifted_by_what_it_lies_on():
     soft = [one | ({"stiffness": 100.0} if i < 3 else {}) for i, one in enumerate(six("a", far=FAR))]
     middle = (100 / 3, 100 / 3, 0)
     lift = push(60, middle, UP, part="a", name="K")
-    stages = [{"kind": "locate"}, {"kind": "clamp", "order": [["K"], ["C"]]}, {"kind": "measure"}]
+    stages = stage_list("locate", {"kind": "clamp", "order": [["K"], ["C"]]}, "measure")
     model = table([lift, push(100, middle)], locators=soft, feet=[(0, 0, 0), (100, 0, 0), (0, 100, 0)], stages=stages)
     found = model.evaluate({})
     assert not found.failed.any()
@@ -512,7 +508,7 @@ def test_only_a_part_that_says_so_may_rest():
     alone = [*parts, {"name": "c", "mesh": "a.stl", "thickness": 1.0, "rests": True}]
     with pytest.raises(ValueError, match=r"parts\[2\].rests \(c\): it is in no zone"):
         table([], parts=alone, locators=[*six("a", far=FAR), *six("b", far=FAR)])
-    stages = [{"kind": "locate"}, {"kind": "clamp"}, {"kind": "release", "keep": [f"al{i}" for i in range(6)] + ["C"]}]
+    stages = stage_list("locate", "clamp", {"kind": "release", "keep": [f"al{i}" for i in range(6)] + ["C"]})
     held = table(
         [push(100, (30, 20, 0))],
         parts=parts,

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from support.springs import FAR, STIFFNESS, at_face, six, spring_model
+from support.springs import FAR, STIFFNESS, at_face, six, spring_model, stage_list, two_plates
 
 import mic
 from mic.process.description import opening, sentences
@@ -16,24 +16,20 @@ def named(locators, name):
     return [item | {"name": f"{name}{i}"} for i, item in enumerate(locators)]
 
 
-def joined(inspection=(), keep="a", stages=None, measured="ab", friction=0.2, deviations=(), **change):
+def joined(inspection=(), keep="a", measured="ab", **change):
     """a and b, whose weld closes the gap between their faces; released, they are read on the inspection's locators."""
     keys = {
-        "parts": [{"name": name, "mesh": f"{name}.stl", "thickness": 1.0} for name in "ab"],
         "locators": [*six("a"), *six("b"), *inspection],
         "welds": [WELD],
-        "zones": [{"name": "Z", "parts": ["a", "b"], "friction": friction, "pairs": 1}],
         "measurements": [at_face(part, name=part, lower=-1, upper=1) for part in measured],
-        "deviations": list(deviations),
-        "stages": stages
-        or [
-            {"kind": "locate"},
-            {"kind": "weld"},
-            {"kind": "release", "keep": [f"{keep}l{i}" for i in range(6)]},
-            {"kind": "measure"},
-        ],
+        "stages": stage_list("locate", "weld", release_to(keep), "measure"),
     }
-    return spring_model([GAP], [GAP], **keys | change)
+    return two_plates(GAP, **keys | change)
+
+
+def release_to(part):
+    """A release after which the six locators of a part alone hold the assembly."""
+    return {"kind": "release", "keep": [f"{part}l{i}" for i in range(6)]}
 
 
 def test_read_where_it_was_released_the_free_part_has_moved_by_the_gap():
@@ -114,15 +110,7 @@ def stations(step=STEP, stages=None, clamps=(), fixtures=(), zones=(), gaps=(), 
         "zones": zones,
         "fixtures": list(fixtures),
         "measurements": [at_face(part, name=part, lower=-1, upper=1) for part in "abc"],
-        "stages": stages
-        or [
-            {"kind": "locate"},
-            {"kind": "weld"},
-            {"kind": "release", "keep": [f"al{i}" for i in range(6)]},
-            {"kind": "locate", "name": "second"},
-            {"kind": "clamp"},
-            {"kind": "measure"},
-        ],
+        "stages": stages or stage_list("locate", "weld", release_to("a"), "locate second", "clamp", "measure"),
     }
     return spring_model([GAP, step, *gaps], [GAP], **keys | change)
 
@@ -162,7 +150,7 @@ def test_a_part_that_is_not_there_yet_touches_nothing():
 
 def test_welds_stay_and_released_reactions_are_gone_in_the_second_station():
     """Whatever the first station held by force, only the joint goes on; the same from a release or straight away."""
-    three = [{"kind": "locate"}, {"kind": "weld"}, {"kind": "locate", "name": "second"}, {"kind": "clamp"}]
+    three = stage_list("locate", "weld", "locate second", "clamp")
     direct = stations(stages=[*three, {"kind": "measure"}], clamps=[push(15.0)]).evaluate({})
     released = stations(clamps=[push(15.0)]).evaluate({})
     np.testing.assert_allclose(direct.measurements, released.measurements, atol=1e-12)
@@ -173,13 +161,7 @@ def test_welds_stay_and_released_reactions_are_gone_in_the_second_station():
 def test_a_part_that_comes_later_into_the_same_station_leaves_the_others_where_they_are():
     """Only c has locators in the second stage: a and b stay clamped, and c finds a's face where they hold it."""
     hold = at_face("b", (0, 0, -1), name="H", force=30.0, stage="hold")
-    stages = [
-        {"kind": "locate"},
-        {"kind": "clamp", "name": "hold"},
-        {"kind": "locate", "name": "second"},
-        {"kind": "clamp"},
-        {"kind": "measure"},
-    ]
+    stages = stage_list("locate", "clamp hold", "locate second", "clamp", "measure")
     locators = [*six("a"), *six("b"), *six("c", "second")]
     model = stations(-0.1, stages, [hold, push(0.0)], locators=locators, welds=[])
     found = model.evaluate({})
@@ -204,13 +186,9 @@ def test_what_overlaps_in_a_later_station_settles_from_where_the_contacts_there_
     hold = at_face("b", (0, 0, -1), name="H", force=30.0, stage="hold")
     stick = at_face("b", (1, 0, 0), name="T", force=1.0, stage="hold")
     drag = at_face("c", (1, 0, 0), name="D", force=5.0)
-    stages = [
-        {"kind": "locate"},
-        {"kind": "clamp", "name": "hold"},
-        {"kind": "locate", "name": "second", "settle": False},
-        {"kind": "clamp"},
-        {"kind": "measure"},
-    ]
+    stages = stage_list(
+        "locate", "clamp hold", {"kind": "locate", "name": "second", "settle": False}, "clamp", "measure"
+    )
     locators = [*six("a"), *six("b"), *six("c", "second")]
     rough = [
         {"name": "Z", "parts": ["a", "b"], "friction": 0.5, "pairs": 1},
@@ -239,15 +217,7 @@ def test_a_fixture_stands_in_its_station_alone():
     pads[1]["stage"] = "second"
     zones = [{"name": pad["name"], "parts": [pad["name"], "b"], "pairs": 1} for pad in pads]
     down = [at_face("b", (0, 0, -1), name=name, force=15.0, stage=name) for name in ("first", "again")]
-    stages = [
-        {"kind": "locate"},
-        {"kind": "clamp", "name": "first"},
-        {"kind": "weld"},
-        {"kind": "release", "keep": [f"al{i}" for i in range(6)]},
-        {"kind": "locate", "name": "second"},
-        {"kind": "clamp", "name": "again"},
-        {"kind": "measure"},
-    ]
+    stages = stage_list("locate", "clamp first", "weld", release_to("a"), "locate second", "clamp again", "measure")
     found = stations(5.0, stages, down, pads, zones, [0.1, 0.2]).evaluate({})
     first, again = found.resolutions["first"].force[0, :, 0], found.resolutions["again"].force[0, :, 0]
     np.testing.assert_allclose(first, [0, 0, 15.0 - 0.1 * STIFFNESS, 0], atol=1e-9)
@@ -258,14 +228,14 @@ def test_slip_is_remembered_from_station_to_station():
     """What slipped under a clamp in the first station is the contact's place in the next: nothing pulls it back."""
     drag = at_face("b", (1, 0, 0), name="D", force=3.0, stage="slide")
     press = at_face("b", (0, 0, -1), name="P", force=60.0, stage="slide")
-    stages = [
-        {"kind": "locate"},
+    stages = stage_list(
+        "locate",
         {"kind": "clamp", "name": "slide", "order": [["P"], ["D"]]},
-        {"kind": "weld"},
-        {"kind": "release", "keep": [f"al{i}" for i in range(6)]},
-        {"kind": "locate", "name": "second"},
-        {"kind": "measure"},
-    ]
+        "weld",
+        release_to("a"),
+        "locate second",
+        "measure",
+    )
     welds = [WELD | {"close": False}]
     model = stations(5.0, stages, [press, drag], friction=0.02, welds=welds)
     found = model.evaluate({})
@@ -293,8 +263,8 @@ def test_stations_in_words():
     "change, words",
     [
         ({"locators": [*six("a"), *six("b"), *six("c")]}, r"stages\[3\] \(second\): no locator names it"),
-        ({"clamps": [push(1.0) | {"stage": "early"}]}, r"clamps\[0\].stage: part 'c' is set down in stage 'second'"),
-        ({"welds": [WELD | {"parts": ["a", "c"]}]}, r"welds\[0\].stage: part 'c' is set down in stage 'second'"),
+        ({"clamps": [push(1.0) | {"stage": "early"}]}, r"clamps\[0\].stage: part 'c' is placed in 'second', after"),
+        ({"welds": [WELD | {"parts": ["a", "c"]}]}, r"welds\[0\].stage: part 'c' is placed in 'second', after"),
         ({"locators": [*six("a"), *six("b"), *six("c", "second")[:5]]}, r"parts\[2\] \(c\): its 5 locators .* hold 5"),
         (
             {"fixtures": [{"name": "f", "point": FAR[0], "normal": [0, 0, 1], "radius": 1.0, "stage": "weld"}]},
@@ -303,20 +273,14 @@ def test_stations_in_words():
     ],
 )
 def test_a_part_is_there_before_anything_is_done_to_it(change, words):
-    stages = [
-        {"kind": "locate"},
-        {"kind": "clamp", "name": "early"},
-        {"kind": "weld"},
-        {"kind": "locate", "name": "second"},
-        {"kind": "measure"},
-    ]
+    stages = stage_list("locate", "clamp early", "weld", "locate second", "measure")
     with pytest.raises(ValueError, match=words):
         stations(stages=stages, **change)
 
 
 @pytest.mark.parametrize("number, key", [(0, {"increments": 3}), (-1, {"path": "followed"})])
 def test_a_path_is_given_where_something_moves(number, key):
-    stages = [{"kind": "locate"}, {"kind": "weld"}, {"kind": "release"}, {"kind": "measure"}]
+    stages = stage_list("locate", "weld", "release", "measure")
     stages[number] |= key
     with pytest.raises(ValueError, match=rf"stages\[{number % 4}\].{next(iter(key))}.*: nothing moves in this stage"):
         joined(stages=stages)
@@ -325,25 +289,17 @@ def test_a_path_is_given_where_something_moves(number, key):
 # ------------------------------------------------------------------------------------- soft locators, by hand
 
 
-def resting(stiffness, press, gap=0.1, friction=0.0, release=False):
+def resting(stiffness, press, gap=0.1, release=False):
     """b on soft supports along z above a; P presses b's face. The supports at (10, 0) and (0, 10) carry half each."""
     soft = [item | ({"stiffness": stiffness} if item["direction"] == [0, 0, 1] else {}) for item in six("b")]
-    return spring_model(
-        [gap],
-        [gap],
-        parts=[{"name": name, "mesh": f"{name}.stl", "thickness": 1.0} for name in "ab"],
+    return two_plates(
+        gap,
+        friction=0.0,
         locators=[*six("a"), *soft],
         clamps=[at_face("b", (0, 0, -1), name="P", force=press)],
         welds=[WELD | {"close": False}],
-        zones=[{"name": "Z", "parts": ["a", "b"], "friction": friction, "pairs": 1}],
         measurements=[at_face(part, name=part, lower=-1, upper=1) for part in "ab"],
-        stages=[
-            {"kind": "locate"},
-            {"kind": "clamp"},
-            {"kind": "weld"},
-            *[{"kind": "release", "keep": [f"al{i}" for i in range(6)]}] * release,
-            {"kind": "measure"},
-        ],
+        stages=stage_list("locate", "clamp", "weld", *[release_to("a")] * release, "measure"),
     )
 
 
@@ -386,10 +342,10 @@ def test_a_part_that_its_locators_do_not_hold_is_told_its_free_motions_and_the_r
     with pytest.raises(
         ValueError, match=r"parts\[1\] \(b\): .* hold 3 of its 6 .*free: along z, about x, about y.*rests = true"
     ):
-        joined(stages=[{"kind": "locate"}, {"kind": "measure"}], locators=[*six("a"), *few], welds=[])
+        joined(stages=stage_list("locate", "measure"), locators=[*six("a"), *few], welds=[])
 
 
 def test_parts_that_nothing_joins_cannot_change_the_fixture_together():
-    model = stations(welds=[], stages=[{"kind": "locate"}, {"kind": "locate", "name": "second"}, {"kind": "measure"}])
+    model = stations(welds=[], stages=stage_list("locate", "locate second", "measure"))
     with pytest.raises(mic.SceneError, match=r"stages \(second\): 6 rigid-body motions are free once .* part 'a'"):
         plan_stages(model.scene, model.weld_size)

@@ -2,19 +2,14 @@
 
 import numpy as np
 import pytest
+from support import panels
 
 from mic.geometry.structured import extrude
 from mic.geometry.surface import Surface
 
 
-def plane(n=10, size=10.0, z=0.0):
-    x, y = np.meshgrid(np.linspace(0, size, n + 1), np.linspace(0, size, n + 1), indexing="ij")
-    i = np.arange(x.size).reshape(x.shape)
-    a, b, c, d = i[:-1, :-1].ravel(), i[1:, :-1].ravel(), i[1:, 1:].ravel(), i[:-1, 1:].ravel()
-    return Surface(
-        np.column_stack([x.ravel(), y.ravel(), np.full(x.size, z)]),
-        np.vstack([np.column_stack([a, b, c]), np.column_stack([a, c, d])]),
-    )
+def plane(n=10, z=0.0):
+    return panels.plane(z, 10.0, n)
 
 
 def test_projection_finds_the_closest_of_all_triangles():

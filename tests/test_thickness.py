@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from support.decks import write_deck
 
 import mic
 from mic.compliance.cache import influence_coefficients, is_cached
@@ -276,9 +277,7 @@ def test_two_of_one_sheet_and_maps_are_refused(cache):
 @pytest.mark.parametrize("key", ["stiffness", "compliance"])
 def test_a_sheet_whose_matrix_is_given_keeps_its_thickness(key, assembled, cache, tmp_path):
     surface = assembled.parts[1].surface
-    lines = ["*NODE", *(f"{i + 1}, {x}, {y}, {z}" for i, (x, y, z) in enumerate(surface.points)), "*ELEMENT, TYPE=S3"]
-    lines += [f"{i + 1}, {a + 1}, {b + 1}, {c + 1}" for i, (a, b, c) in enumerate(surface.triangles)]
-    (tmp_path / "upper.inp").write_text("\n".join(lines) + "\n")
+    write_deck(tmp_path / "upper.inp", {"upper": (surface.points, surface.triangles)})
     table = lap([T], pairs=2)
     table["parts"][0]["geometry"] = str(LAP / "geometry.py")
     table["parts"][1] = {"name": "upper", "mesh": "upper.inp", "thickness": 1.0, key: "upper.mtx"}

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from support.decks import write_deck
 
 import mic
 from mic.geometry.structured import extrude
@@ -38,9 +39,7 @@ L, b, t, E = 200.0, 20.0, 0.8, 210e3
 def strip(folder, deviations, hung=False):
     """A strip on supports at its ends, measured in its middle, and how long it is; or hung to be measured."""
     points, triangles = extrude([(0, 0), (b, 0)], 0.0, L, 5.0)[:2]
-    lines = ["*NODE", *(f"{i + 1}, {x}, {y}, {z}" for i, (x, y, z) in enumerate(points)), "*ELEMENT, TYPE=S3"]
-    lines += [f"{i + 1}, {p + 1}, {q + 1}, {r + 1}" for i, (p, q, r) in enumerate(triangles)]
-    (folder / "strip.inp").write_text("\n".join(lines) + "\n")
+    write_deck(folder / "strip.inp", {"strip": (points, triangles)})
     along = int(np.argmax(np.ptp(points, axis=0)))
     across = int(np.argsort(np.ptp(points, axis=0))[1])
 

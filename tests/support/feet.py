@@ -8,10 +8,9 @@ import numpy as np
 
 import mic
 from mic.compliance.blocks import Blocks
-from mic.model.assembly import Contacts
 from mic.model.rows import KINDS
 from mic.process.model import ReducedModel
-from support.springs import NOWHERE, rows_and_labels
+from support.springs import NOWHERE, contacts_at, rows_and_labels
 
 STIFFNESS = 2000.0  # N/mm, of a part at a contact along its normal
 
@@ -62,25 +61,12 @@ def standing(pairs, stiffness=STIFFNESS, gap=0.0, shape=None, **scene):
     shapes = np.zeros((compliance.size, len(scene.deviations)))
     if shape is not None:
         shapes[:, 0] = [shape(name, p) @ d for name in names for p, d, _ in own[name]]
-    m = len(pairs)
-    zone_of = np.array([zones[zone] for zone, _, _ in pairs], dtype=int)
-    contacts = Contacts(
-        zone=zone_of,
-        stages=np.array([], dtype=str),
-        friction=np.array([[scene.zones[i].coefficient("default") for i in zone_of]]),
-        pressure=np.zeros((m, 0, 5)),
-        compliance=np.zeros(m),
-        gap=np.broadcast_to(np.asarray(gap, dtype=float), m).copy(),
-        overlap=np.zeros(m),
-        overlapping=np.zeros(m),
-        area=np.ones(m),
-        watched=np.zeros(m, bool),
-        layer=np.zeros(m),
-        nugget=np.full(m, -1),
-        bearing=np.ones(m),
-        point=np.array([point for _, point, _ in pairs], dtype=float),
-        frame=frames,
-        dimension=3,
+    contacts = contacts_at(
+        [point for _, point, _ in pairs],
+        frames,
+        [zones[zone] for zone, _, _ in pairs],
+        [scene.zones[zones[zone]].coefficient("default") for zone, _, _ in pairs],
+        np.broadcast_to(np.asarray(gap, dtype=float), len(pairs)),
     )
     weld_gap, size = np.zeros(3 * len(scene.welds)), (3,) * len(scene.welds)
     return ReducedModel(

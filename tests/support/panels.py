@@ -29,6 +29,12 @@ def grid(nx, ny, shape, jitter=0.0, pattern="right"):
     return Surface(shape(X, Y), np.concatenate([first, second]))
 
 
+def plane(z=0.0, size=20.0, n=8, flip=False, tilt=0.0, x0=0.0):
+    """A flat square from (x0, 0, z), n × n cells, tilted about y; flipped, its normals point down."""
+    flat = grid(n, n, lambda X, Y: np.column_stack([size * X + x0, size * Y, z + np.tan(tilt) * size * X]))
+    return Surface(flat.points, flat.triangles[:, ::-1]) if flip else flat
+
+
 def panel(n=8):
     """A doubly curved panel of 60 × 50 mm, n × n cells of irregular shape."""
     return grid(

@@ -15,6 +15,7 @@ import numpy as np
 import mic
 from mic.geometry.structured import extrude
 from mic.scene import Scene
+from support.decks import write_deck
 
 LENGTHS = ("thickness", "radius", "within", "spacing", "max_gap", "patch", "stroke", "lower", "upper")
 
@@ -36,10 +37,7 @@ class Case:
         """The scene with its meshes written into `folder`; every coordinate is read back as it is."""
         folder.mkdir(parents=True, exist_ok=True)
         for name, (points, triangles) in self.meshes.items():
-            lines = ["*NODE", *(f"{i}, {x!r}, {y!r}, {z!r}" for i, (x, y, z) in enumerate(points.tolist(), 1))]
-            lines += ["*ELEMENT, TYPE=S3, ELSET=SHEET"]
-            lines += [f"{i}, {a}, {b}, {c}" for i, (a, b, c) in enumerate((triangles + 1).tolist(), 1)]
-            (folder / f"{name}.inp").write_text("\n".join(lines) + "\n")
+            write_deck(folder / f"{name}.inp", {"SHEET": (points, triangles)})
         return Scene(**self.table, folder=folder)
 
     def measurements(self, folder: Path, law: str) -> np.ndarray:

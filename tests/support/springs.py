@@ -17,6 +17,7 @@ from mic.process.model import ReducedModel
 MU, LIFT, PULL = 0.3, 0.4, 2.0  # of :func:`dragged`
 STIFFNESS = 50.0  # N/mm, of a face along z
 FACE = (5.0, 5.0, 0.0)
+FRAME = np.eye(3)[:, [2, 0, 1]]  # n, t1, t2 of a pair: z, x, y
 FAR = [[0, 0, 0], [10, 0, 0], [0, 10, 0], [0, 0, 0], [10, 0, 0], [0, 0, 0]]
 ALONG = [[0, 0, 1], [0, 0, 1], [0, 0, 1], [0, 1, 0], [0, 1, 0], [1, 0, 0]]
 
@@ -38,6 +39,11 @@ def rows_and_labels(scene, compliance, entries):
     for kind in ("locator", "clamp"):
         labels[kind] = [item.name for item in getattr(scene, f"{kind}s")]
     return rows, labels
+
+
+def stage_list(*steps):
+    """Stages of a scene, each given as "kind" or "kind name" or as a table with further keys."""
+    return [step if isinstance(step, dict) else dict(zip(("kind", "name"), step.split(maxsplit=1))) for step in steps]
 
 
 def six(part, stage="locate", far=FAR):
@@ -102,7 +108,13 @@ def spring_model(gap, weld_gap=(), **scene):
         compliance,
         rows,
         labels,
-        _pairs([zone.coefficient("default") for zone in scene.zones], gap),
+        contacts_at(
+            np.tile(FACE, (len(gap), 1)),
+            np.tile(FRAME, (len(gap), 1, 1)),
+            np.arange(len(gap)),
+            [zone.coefficient("default") for zone in scene.zones],
+            gap,
+        ),
         NOWHERE,
         size,
         np.concatenate([np.zeros(0), *(np.eye(1, rows)[0] * gap for rows, gap in zip(size, weld_gap))]),
@@ -112,11 +124,23 @@ def spring_model(gap, weld_gap=(), **scene):
     )
 
 
-def _pairs(friction, gap) -> Contacts:
-    """One pair of 1 mm² for each zone, its frame z, x, y."""
+def two_plates(gap, friction=0.2, **change):
+    """Model of plates a and b on springs, b's face `gap` above a's, face b measured as M; welds find that gap."""
+    keys = {
+        "parts": [{"name": name, "mesh": f"{name}.stl", "thickness": 1.0} for name in "ab"],
+        "locators": [*six("a"), *six("b")],
+        "zones": [{"name": "Z", "parts": ["a", "b"], "friction": friction, "pairs": 1}],
+        "measurements": [at_face("b", name="M", lower=-1, upper=1)],
+        "stages": stage_list("locate", "clamp", "release", "measure"),
+    }
+    return spring_model([gap], [gap] * len(change.get("welds", ())), **keys | change)
+
+
+def contacts_at(points, frames, zone, friction, gap) -> Contacts:
+    """Pairs of 1 mm² at points (m, 3), with frames (m, 3, 3) of n, t1 and t2 in columns; friction and gap by pair."""
     m = len(gap)
     return Contacts(
-        zone=np.arange(m),
+        zone=np.asarray(zone),
         stages=np.array([], dtype=str),
         friction=np.array([friction], dtype=float).reshape(1, m),
         pressure=np.zeros((m, 0, 5)),
@@ -129,8 +153,8 @@ def _pairs(friction, gap) -> Contacts:
         layer=np.zeros(m),
         nugget=np.full(m, -1),
         bearing=np.ones(m),
-        point=np.tile(FACE, (m, 1)),
-        frame=np.tile(np.eye(3)[:, [2, 0, 1]], (m, 1, 1)),
+        point=np.asarray(points, dtype=float),
+        frame=np.asarray(frames, dtype=float),
         dimension=3,
     )
 
@@ -151,6 +175,6 @@ def dragged(**changes):
             {"name": "P", "kind": "locator", "target": "bl1", "mean": 2 * LIFT, "sigma": 0.1},
             {"name": "D", "kind": "clamp", "target": "T", "mean": PULL, "sigma": 0.05},
         ],
-        "stages": [{"kind": "locate"}, {"kind": "clamp"}, {"kind": "measure"}],
+        "stages": stage_list("locate", "clamp", "measure"),
     }
     return spring_model([0.0], **scene | changes)
