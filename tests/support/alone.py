@@ -1,4 +1,7 @@
-"""One of several processes makes a run of its own, as the others sleep; it says how many samples there are."""
+"""One of several processes makes a run while the others wait: ``python -m support.alone FOLDER SCENE CACHE``.
+
+It prints the number of samples and of processes.
+"""
 
 import sys
 from pathlib import Path
@@ -7,9 +10,10 @@ import mic
 from mic.execution import ranks
 
 if __name__ == "__main__":
-    world, folder = ranks.communicator(), Path(sys.argv[1])
+    world = ranks.communicator()
+    folder, scene, cache = map(Path, sys.argv[1:])
     if world.rank == 0:
         with ranks.alone():
-            found = mic.run(mic.load_scene(Path(sys.argv[2])), folder / "out", folder / "cache")
-        print(found.record["samples"], ranks.communicator().size, flush=True)
+            outcome = mic.run(mic.load_scene(scene), folder / "out", cache)
+        print(outcome.record["samples"], ranks.communicator().size, flush=True)
     ranks.wait(world)

@@ -1,4 +1,4 @@
-"""Programs that tests run on several processes."""
+"""Run programs on several MPI processes."""
 
 import os
 import shutil
@@ -11,16 +11,35 @@ import pytest
 ROOT = Path(__file__).resolve().parents[2]
 
 
-def on_processes(count: int, *program, timeout: float = 900) -> subprocess.CompletedProcess:
-    """Run ``python PROGRAM …`` on `count` processes, one thread each; skip the test where there is no ``mpirun``."""
+def start_processes(count: int, *program, stderr=subprocess.STDOUT, cwd=None, **environment) -> subprocess.Popen:
+    """Start ``python PROGRAM …`` on `count` processes, one thread each; skip the test if there is no ``mpirun``."""
     if shutil.which("mpirun") is None:
         pytest.skip("mpirun is not installed")
-    environment = os.environ | {
+    settings = {
         "OMPI_ALLOW_RUN_AS_ROOT": "1",
         "OMPI_ALLOW_RUN_AS_ROOT_CONFIRM": "1",
-        "OMPI_MCA_mpi_yield_when_idle": "1",  # who waits leaves the core to the others
+        "OMPI_MCA_mpi_yield_when_idle": "1",  # waiting processes leave the core to the others
         "OMP_NUM_THREADS": "1",
+        "OPENBLAS_NUM_THREADS": "1",
         "PYTHONPATH": os.pathsep.join([str(ROOT), str(ROOT / "tests")]),
     }
-    command = ["mpirun", "--oversubscribe", "-n", str(count), sys.executable, "-m", "mpi4py", *map(str, program)]
-    return subprocess.run(command, env=environment, cwd=ROOT, capture_output=True, text=True, timeout=timeout)
+    return subprocess.Popen(
+        ["mpirun", "--oversubscribe", "-n", str(count), sys.executable, *map(str, program)],
+        env=os.environ | settings | {name: str(value) for name, value in environment.items()},
+        stdout=subprocess.PIPE,
+        stderr=stderr,
+        cwd=cwd,
+        text=True,
+        errors="replace",
+    )
+
+
+def on_processes(count: int, *program, timeout: float = 900) -> subprocess.CompletedProcess:
+    """Run ``python -m mpi4py PROGRAM …`` on `count` processes to its end; an error in one of them ends all."""
+    with start_processes(count, "-m", "mpi4py", *program, stderr=subprocess.PIPE, cwd=ROOT) as process:
+        try:
+            stdout, stderr = process.communicate(timeout=timeout)
+        except subprocess.TimeoutExpired:
+            process.terminate()
+            raise
+    return subprocess.CompletedProcess(process.args, process.returncode, stdout, stderr)
