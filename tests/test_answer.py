@@ -11,7 +11,7 @@ from typer.testing import CliRunner
 
 from mic.options import app
 from mic.report.style import change
-from mic.report.verdict import answer
+from mic.report.verdict import verdict
 from mic.results.error_sources import error_budget
 from mic.results.outcome import read_outcome
 from mic.results.schema import ACCURACY, CONTRIBUTORS, DENSITY, FRICTION_EFFECTS, LINEARITY, ORDERS, RARE, REMEDIES
@@ -61,17 +61,17 @@ def test_the_yield_is_that_of_all_characteristics_together(folder):
     told = json.loads((folder / "summary.json").read_text())["laws"]["coulomb"]["all_within"]
     assert told["share"] == pytest.approx(good) and told["outside_ppm"] == pytest.approx(1e6 * (1 - good))
     assert told["share_ci"][0] < good < told["share_ci"][1]
-    first = answer(outcome).sentences[0]
+    first = verdict(outcome).sentences[0]
     assert first.startswith(f"In {100 * good:.1f} % of the assemblies (") and "all 2 key characteristics" in first
 
 
 def test_the_worst_stands_first_with_its_drivers_and_what_is_not_known_names_its_command(copied):
     outcome = read_outcome(copied)
-    found = answer(outcome)
+    found = verdict(outcome)
     cpk = [row["cpk"] for row in found.rows]
     assert cpk == sorted(cpk) and found.rows[0]["verdict"] == "out" and found.rows[0]["drivers"] is None
     said = " ".join(found.sentences)
-    assert "mic contributors tells" in said and "mic friction tells" in said
+    assert "Run `mic contributors " in said and "Run `mic friction " in said
     worst = found.rows[0]["measurement"]
     rows = [
         {"law": "coulomb", "measurement": worst, "contributor": name, **dict.fromkeys(CONTRIBUTORS.names[3:], share)}
@@ -81,8 +81,9 @@ def test_the_worst_stands_first_with_its_drivers_and_what_is_not_known_names_its
     line = dict.fromkeys(LINEARITY.names, 0.5)
     line |= {"law": "coulomb", "measurement": worst, "samples": 9, "failed": 0, "evaluations": 9, "linear": False}
     LINEARITY.write(copied, pd.DataFrame([line]))
-    found = answer(outcome)
-    assert f"{worst} is worst" in found.sentences[0] and found.sentences[0].endswith("driven by F2 70 %, F1 30 %.")
+    found = verdict(outcome)
+    assert f"the worst is {worst}" in found.sentences[0]
+    assert found.sentences[0].endswith("main contributors: F2 70 %, F1 30 %.")
     assert "A linear analysis would mislead here" in " ".join(found.sentences)
 
 
@@ -114,36 +115,36 @@ def test_each_source_of_error_tells_what_was_measured_of_it(copied):
     assert (budget["contact pairs"].mean, budget["contact pairs"].where) == (pytest.approx(0.004), "M2")
     assert budget["meshes"].six_sigma == pytest.approx(0.02 * table.loc["M1", "six_sigma"])
     assert all(one.measured for one in budget.values())
-    said = answer(outcome).sentences[-1]
+    said = verdict(outcome).sentences[-1]
     total = float(np.sqrt(sum(one.six_sigma**2 for one in budget.values())))
-    assert f"6σ to {change(total).lstrip('+')}, most of it from samples." in said
+    assert f"±{change(total).lstrip('+')} on 6σ, mostly samples." in said
 
 
-def test_samples_that_failed_are_told_beside_the_answer(copied):
+def test_samples_that_failed_are_told_beside_the_verdict(copied):
     fail(copied, "coulomb", {3: ("clamp", "not converged")})
-    last = answer(read_outcome(copied)).sentences[-1]
-    assert last == f"1 of {SAMPLES} samples failed or are missing, and do not count."
+    last = verdict(read_outcome(copied)).sentences[-1]
+    assert last == f"1 of {SAMPLES} samples failed or are missing and are excluded."
 
 
 def test_a_rare_miss_is_told_as_it_was_computed(copied):
     row = {"law": "coulomb", "measurement": "", "outside": 2.5e-5, "outside_low": 1e-5, "outside_high": 6e-5}
     row |= {"levels": 5, "evaluations": 5000, "failed": 0, "first_order": 2e-5, "agrees": True}
     RARE.write(copied, pd.DataFrame([row]))
-    said = answer(read_outcome(copied)).sentences
-    assert "By subset simulation 25 ppm (10 to 60) of the assemblies miss a limit." in said
-    assert not any("likeliest misses" in each for each in said)
+    said = verdict(read_outcome(copied)).sentences
+    assert "Assemblies outside a limit, by subset simulation: 25 ppm (10 to 60)." in said
+    assert not any("first-order estimate" in each for each in said)
     RARE.write(copied, pd.DataFrame([row | {"first_order": 2e-6, "agrees": False}]))
-    said = answer(read_outcome(copied)).sentences
-    assert "The likeliest misses alone would say 2.0: limits are curved." in said
+    said = verdict(read_outcome(copied)).sentences
+    assert "The first-order estimate differs, 2.0 ppm: the limits are curved." in said
 
 
 def test_a_remedy_that_serves_is_told_and_one_that_does_not_is_not(copied):
     row = {"law": "coulomb", "remedy": "together", "adjustment": "locators.A1", "change": -0.12, "value": -0.12}
     REMEDIES.write(copied, pd.DataFrame([row | {"reached": True, "rounds": 3}]))
-    said = answer(read_outcome(copied)).sentences
-    assert "locators.A1 −0.12 mm would bring all of them within limits." in said
+    said = verdict(read_outcome(copied)).sentences
+    assert "Remedy: locators.A1 −0.12 mm brings all characteristics within limits." in said
     REMEDIES.write(copied, pd.DataFrame([row | {"reached": False, "rounds": 3}]))
-    assert not any("would bring" in each for each in answer(read_outcome(copied)).sentences)
+    assert not any("brings" in each for each in verdict(read_outcome(copied)).sentences)
 
 
 @pytest.mark.slow
@@ -154,12 +155,12 @@ def test_studies_of_a_results_folder_stay_in_it_and_in_its_page(copied):
         frame = table.read(copied, "")
         assert len(frame) and (frame["law"] == "coulomb").all() and table.place in done.output.replace("\n", "")
     again = CliRunner().invoke(app, ["report", str(copied)])
-    assert again.exit_code == 0 and "driven by" in again.output and CONTRIBUTORS.read(copied, "") is not None
+    assert again.exit_code == 0 and "main contributors: " in again.output and CONTRIBUTORS.read(copied, "") is not None
     page = (copied / "report.html").read_text()
-    for anchor in ("answer-table", "budget-table", "contributors-table", "friction-table", "contributors"):
+    for anchor in ("verdict-table", "budget-table", "contributors-table", "friction-table", "contributors"):
         assert f'id="{anchor}"' in page
-    assert "Friction hardly matters here" in page and "nearly linear" in page
-    assert page.index('id="answer"') < page.index('id="validity"')
+    assert "Friction has little effect" in page and "nearly linear" in page
+    assert page.index('id="verdict"') < page.index('id="validity"')
 
 
 def test_a_folder_whose_model_is_another_s_is_refused(copied, hat_model):

@@ -28,7 +28,7 @@ SECTIONS = {
     "Find the main contributors": (CONTRIBUTORS, LINEARITY),
     "Find the sensitivity to each input": (SENSITIVITIES, SPREADS),
     "Measure the effect of friction": (FRICTION_EFFECTS,),
-    "Estimate rare misses": (RARE, DESIGN_POINTS),
+    "Estimate small failure probabilities": (RARE, DESIGN_POINTS),
     "Find a remedy": (REMEDIES, REMEDY_EFFECTS),
 }
 
@@ -95,7 +95,7 @@ def test_what_the_page_asks_of_a_finished_run_stands_in_its_folder_and_report(la
         for file in files:
             assert Path(file).is_file(), sorted(Path("results").iterdir())
     page = write_report(folder).read_text(encoding="utf-8")
-    opening = page[page.index('<section id="answer">') : page.index("</section>")]
-    assert "driven by" in opening and "is not measured" not in opening
+    opening = page[page.index('<section id="verdict">') : page.index("</section>")]
+    assert "main contributors: " in opening and "not computed" not in opening
     for source in ("samples", "path", "contact residuals", "meshes", "contact pairs", "order of the process"):
         assert f"<b>{source}</b>" in opening

@@ -14,7 +14,7 @@ from mic.options import app
 from mic.report import assembly_pictures, change_pictures, driver_pictures, miss_pictures, picture, pictures
 from mic.report.measurement_pictures import LIMIT_COLOUR
 from mic.report.picture import Picture, law_legend, panels, svg
-from mic.report.study_pictures import SHOWN
+from mic.report.study_pictures import STUDIES
 from mic.report.style import INSIDE, OUTSIDE
 from mic.results.schema import PREDICTIONS
 
@@ -176,10 +176,10 @@ def test_an_assembly_that_is_moved_shows_its_contacts_and_characteristics(drawn)
 
 def test_what_is_shown_is_what_the_public_functions_return():
     commands = {one.name or one.callback.__name__ for one in app.registered_commands}
-    assert {one.command for one in SHOWN} <= commands
-    assert commands - {one.command for one in SHOWN} == {"check", "init", "report"}  # a page, a scene, a page
+    assert {one.command for one in STUDIES} <= commands
+    assert commands - {one.command for one in STUDIES} == {"check", "init", "report"}  # a page, a scene, a page
     for found in (remedy(NAMES, "A"), rare(NAMES, INPUTS), order(NAMES), friction(NAMES), sensitivities(NAMES, INPUTS)):
-        assert sum(one.takes(found) for one in SHOWN) == 1
+        assert sum(one.takes(found) for one in STUDIES) == 1
     for strange in (mic.explore, pd.DataFrame({"order": [1]}), None):
         with pytest.raises(TypeError, match=r"is not what a function returns that has pictures \(run, compare, "):
             pictures(strange)

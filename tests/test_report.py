@@ -22,7 +22,7 @@ import mic.report
 from mic.contact import ContactSolver
 from mic.execution import worker_process
 from mic.geometry.surface import Surface
-from mic.report.background_pictures import AHEAD, Ahead
+from mic.report.background_pictures import NAMES, BackgroundPictures
 from mic.report.context import read_context
 from mic.report.law_pictures import law_cost
 from mic.report.measurement_pictures import LIMIT_COLOUR
@@ -342,7 +342,7 @@ def test_of_many_samples_the_first_are_drawn_and_the_captions_say_so(folder, mon
     )
     whole = {name: draw(name, outcome, context) for name in ("tangential-density", "law-cost", "measurements")}
     for module in ("contact", "law", "measurement"):
-        monkeypatch.setattr(f"mic.report.{module}_pictures.SHOWN", 7)
+        monkeypatch.setattr(f"mic.report.{module}_pictures.STUDIES", 7)
     few = {name: draw(name, outcome, context) for name in whole}
     assert "over the first 7 samples" in few["tangential-density"].caption
     assert "Over the first 7 samples valid" in few["law-cost"].caption
@@ -398,12 +398,12 @@ def test_pictures_begun_before_tables_and_fields_are_written_are_those_of_the_pa
     for table in (PATH, PATH_ERRORS):  # are written before
         shutil.copy(folder / table.place, early / table.place)
     outcome = read_outcome(early)
-    ahead = Ahead(outcome)
+    ahead = BackgroundPictures(outcome)
     try:
         found = ahead.pictures()
     finally:
         ahead.end()
-    assert {name for name, picture in found.items() if picture} == set(AHEAD) & set(every_picture)
+    assert {name for name, picture in found.items() if picture} == set(NAMES) & set(every_picture)
     assert all(picture == every_picture[name] for name, picture in found.items() if picture)
 
 
@@ -494,7 +494,7 @@ def test_reports_of_bare_scenes(name, changes, samples, absent, present, lap_sce
     assert page.ids >= present
     assert "nan" not in page.words.lower().split()
     if name == "no fields":
-        assert "does not ask for fields" in page.words
+        assert "does not request them" in page.words
 
 
 @pytest.mark.slow

@@ -1,9 +1,8 @@
-"""The offline page of a run and its pictures. Drawing never solves, and changes nothing that a run left.
+"""The self-contained pages and their pictures. Drawing never solves and never changes results.
 
-Whoever works in Python finds here what the pages show: ``write_report(folder)`` draws the page of a results folder,
-``pictures(found)`` the pictures of what :func:`mic.explain`, :func:`mic.sensitivity` or another function found, as
-:class:`mic.report.picture.Picture`, which notebooks show by themselves. Which those are, :mod:`mic.report.study_pictures`
-lists.
+``write_report(folder)`` writes the page of a results folder. ``pictures(result)`` returns the pictures of the result of
+:func:`mic.explain`, :func:`mic.sensitivity` or another function, as :class:`mic.report.picture.Picture`, which
+notebooks display; :mod:`mic.report.study_pictures` lists them.
 """
 
 from __future__ import annotations

@@ -1,7 +1,4 @@
-"""Pictures of single assemblies: foretold from their measured parts, or moved by hand.
-
-They are of no run, so that no report has them.
-"""
+"""Pictures of single assemblies: predicted from measured parts, or explored interactively."""
 
 from __future__ import annotations
 
@@ -17,26 +14,26 @@ from mic.scene import Scene
 from mic.statistics.estimates import LEVEL
 from mic.studies.exploration import ExploredAssembly
 
-__all__ = ["foretold", "moved"]
+__all__ = ["explored", "predicted"]
 
 ROWS = 40  # assemblies in a panel, the first ones
-HALF = 1.5  # of half the tolerance: how far the axis reaches where all are within
+HALF = 1.5  # least range of the axis, in half tolerances
 
 
-def foretold(table: pd.DataFrame, scene: Scene | None = None) -> Picture | None:
-    """Key characteristics of assemblies that were foretold, with what is not known of them, by their verdict.
+def predicted(table: pd.DataFrame, scene: Scene | None = None) -> Picture | None:
+    """Predicted key characteristics with their intervals, coloured by verdict.
 
     Parameters
     ----------
     table : DataFrame
         As :func:`mic.predict` returns it.
     scene : Scene, optional
-        Whose limits are drawn.
+        Its limits are drawn.
     """
-    told = table[(table["measurement"] != "") & np.isfinite(table["value"])]
-    rows = list(dict.fromkeys(told["row"]))[:ROWS]
-    told = told[told["row"].isin(rows)]
-    names = list(told["measurement"].unique())[:MOST_PANELS]
+    shown = table[(table["measurement"] != "") & np.isfinite(table["value"])]
+    rows = list(dict.fromkeys(shown["row"]))[:ROWS]
+    shown = shown[shown["row"].isin(rows)]
+    names = list(shown["measurement"].unique())[:MOST_PANELS]
     if not names:
         return None
     limits = {} if scene is None else {item.name: item.bounds for item in scene.measurements}
@@ -46,7 +43,7 @@ def foretold(table: pd.DataFrame, scene: Scene | None = None) -> Picture | None:
         for limit in limits.get(name, ()):
             if np.isfinite(limit):
                 ax.axvline(limit, color=LIMIT_COLOUR, lw=1.3)
-        own = told[told["measurement"] == name]
+        own = shown[shown["measurement"] == name]
         for verdict, colour in VERDICT_COLOURS.items():
             some = own[own["verdict"] == verdict]
             place = np.array([rows.index(row) for row in some["row"]], dtype=float)
@@ -63,12 +60,12 @@ def foretold(table: pd.DataFrame, scene: Scene | None = None) -> Picture | None:
     handles += [Line2D([], [], color=LIMIT_COLOUR, lw=1.3, label="limits")] if limits else []
     fig.legend(handles=handles, loc="outside upper left", ncols=4)
     whole = table[table["measurement"] == ""]["verdict"].value_counts()
-    text = f"Lines hold what comes with a probability of {100 * LEVEL:.0f} %. Of {whole.sum()} assemblies "
-    return svg(fig, "Foretold", text + ", ".join(f"{count} {word}" for word, count in whole.items()) + ".")
+    text = f"Lines: {100 * LEVEL:.0f} % intervals. {whole.sum()} assemblies: "
+    return svg(fig, "Predictions", text + ", ".join(f"{count} {word}" for word, count in whole.items()) + ".")
 
 
-def moved(answer: ExploredAssembly) -> Picture:
-    """One assembly: its contact pairs by their state, and its key characteristics against their limits."""
+def explored(answer: ExploredAssembly) -> Picture:
+    """One assembly: contact pairs by state, and key characteristics against their limits."""
     table, points, states = answer.table.head(MOST_PANELS), answer.points, answer.states
     fig = Figure(figsize=(10.5, max(3.2, 1.0 + 0.3 * len(table))), layout="constrained")
     space, scale = fig.subplots(1, 2)
@@ -94,13 +91,13 @@ def moved(answer: ExploredAssembly) -> Picture:
     scale.set_ylim(len(table) - 0.5, -0.7)
     most = max(HALF, 1.15 * float(np.nanmax(np.abs(share), initial=0.0)))
     scale.set_xlim(-most, most)
-    scale.set_xlabel("in half tolerances, about their middle")
+    scale.set_xlabel("distance from the middle of the limits, in half tolerances")
     scale.set_title("key characteristics")
-    text = f"{answer.said} " + ("Preliminary: paths followed coarsely. " if answer.preliminary else "")
+    text = f"{answer.said} " + ("Preliminary, with a coarse path. " if answer.preliminary else "")
     text += f"{int(table['within'].sum())} of {len(table)} key characteristics within their limits."
     return svg(fig, "One assembly", text)
 
 
 def _flat(points: np.ndarray) -> np.ndarray:
-    """(m, 2) places on paper of (m, 3) points: the two coordinates in which they lie widest."""
+    """(m, 2) coordinates of (m, 3) points: the two with the largest range."""
     return np.asarray(points[:, np.sort(np.argsort(np.ptp(points, axis=0), kind="stable")[1:])])

@@ -1,6 +1,6 @@
-"""Pictures that are begun while a run still writes its tables and computes its fields: they show the samples alone.
+"""Pictures that a worker process draws while a run still writes its tables and fields.
 
-This module loads nothing that draws; the copy of the process does, in which they are drawn.
+This module imports no drawing library; the worker process does.
 """
 
 from __future__ import annotations
@@ -15,11 +15,11 @@ if TYPE_CHECKING:
     from mic.report.context import Context
     from mic.report.picture import Picture
 
-__all__ = ["AHEAD", "Ahead"]
+__all__ = ["NAMES", "BackgroundPictures"]
 
-#: Of :data:`mic.report.picture_registry.PICTURES` those that take nothing that a run writes after the study of its path. The
-#: copy begins with the first, and the last are drawn by the run itself where it is sooner at its end.
-AHEAD = (
+#: Pictures that need only samples and path study. The worker process starts with the first; the run draws the last ones
+#: if it finishes earlier.
+NAMES = (
     "measurements",
     "states",
     "one-sample-f",
@@ -35,20 +35,20 @@ AHEAD = (
 )
 
 
-class Ahead:
-    """The pictures :data:`AHEAD` of an outcome, drawn by a copy of this process from now on.
+class BackgroundPictures:
+    """Draws the pictures :data:`NAMES` of an outcome in a worker process, which starts at once.
 
     Parameters
     ----------
     outcome : Outcome
-        With the study of its path.
+        With its path study.
     """
 
-    names = AHEAD
+    names = NAMES
 
     def __init__(self, outcome: Outcome) -> None:
         self._outcome = outcome
-        self._copy = WorkerProcess([partial(self._draw, name) for name in AHEAD])
+        self._worker = WorkerProcess([partial(self._draw, name) for name in NAMES])
 
     @cached_property
     def _context(self) -> Context:
@@ -62,9 +62,9 @@ class Ahead:
         return draw(name, self._outcome, self._context)
 
     def pictures(self) -> dict[str, Picture | None]:
-        """They by name, None where the outcome cannot fill one."""
-        return dict(zip(AHEAD, self._copy.results()))
+        """Wait for the pictures; by name, None if the outcome lacks the data for one."""
+        return dict(zip(NAMES, self._worker.results()))
 
     def end(self) -> None:
-        """Let the copy go, whatever it is at."""
-        self._copy.stop()
+        """Stop the worker process."""
+        self._worker.stop()

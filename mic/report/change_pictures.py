@@ -1,4 +1,4 @@
-"""Pictures of what a change does: of a scene before and after, of remedies, of other orders of the process."""
+"""Pictures of changes: before and after, remedies, process orders, the search of an optimum."""
 
 from __future__ import annotations
 
@@ -36,13 +36,13 @@ def change_picture(scene: Scene | None, table: pd.DataFrame) -> Picture | None:
         ax.set_yticks(place, own["quantity"])
     ax.set_ylim(len(own) - 0.5, -0.5)
     many = table["tolerance"].notna().sum()
-    text = f"The {len(own)} of {many} that change most. " if many > len(own) else ""
-    text += f"Lines: intervals of {100 * LEVEL:.0f} % of the paired difference; where one reaches 0, it may be chance."
-    return svg(fig, "What changes", text)
+    text = f"Shown are the {len(own)} largest of {many} changes. " if many > len(own) else ""
+    text += f"Lines: {100 * LEVEL:.0f} % intervals of the paired difference; a line through 0 is not significant."
+    return svg(fig, "Changes", text)
 
 
 def remedy_picture(scene: Scene | None, effects: pd.DataFrame) -> Picture | None:
-    """Mean and 6σ of each key characteristic as it is and with each remedy, against its limits."""
+    """Mean ± 3σ of each key characteristic without and with each remedy, against its limits."""
     if not len(effects):
         return None
     own = effects[effects["fresh"] == effects["fresh"].max()]
@@ -62,20 +62,21 @@ def remedy_picture(scene: Scene | None, effects: pd.DataFrame) -> Picture | None
                 ax.axvline(1e3 * limit, color=LIMIT_COLOUR, lw=1.3)
         ax.errorbar(mean[1:], place[1:], xerr=reach[1:], fmt="o", ms=4, color=AFTER, elinewidth=1.6)
         ax.errorbar(mean[:1], place[:1], xerr=reach[:1], fmt="o", ms=4, color=BEFORE, elinewidth=1.6)
-        ax.set_yticks(place, ["as it is", *remedies])
+        ax.set_yticks(place, ["scene", *remedies])
         ax.set_ylim(len(mean) - 0.5, -0.5)
         ax.set_title(name)
         if i >= len(names) - columns:
             ax.set_xlabel("mean ± 3σ (µm)")
-    said = [f"{name} {percent(rows['outside'].max(), 1)}" for name, rows in own.groupby("remedy", sort=False)]
+    shares = [f"{name} {percent(rows['outside'].max(), 1)}" for name, rows in own.groupby("remedy", sort=False)]
     worst = own.groupby("measurement")["outside_before"].max().max()
-    told = "fresh samples" if own["fresh"].all() else "the samples that the remedies were found with"
-    text = f"Of {told}; red: limits. Of the worst characteristic {percent(worst, 1)} are outside as it is; "
-    return svg(fig, "What each remedy does", text + f"with {', '.join(said)}.")
+    samples = "fresh samples" if own["fresh"].all() else "the samples of the search"
+    text = f"Evaluated on {samples}; red: limits. Share outside of the worst characteristic: "
+    text += f"{percent(worst, 1)} in the scene, {', '.join(shares)}."
+    return svg(fig, "Effect of the remedies", text)
 
 
 def order_picture(scene: Scene | None, table: pd.DataFrame) -> Picture | None:
-    """By order of the process, the largest change of mean and of 6σ of any key characteristic."""
+    """Largest change of mean and 6σ of any key characteristic in each process order."""
     own = table[(table["tolerance"] > 0) & (table["order"] != table["order"].iloc[0])] if len(table) else table
     if not len(own):
         return None
@@ -98,14 +99,14 @@ def order_picture(scene: Scene | None, table: pd.DataFrame) -> Picture | None:
     axes[0].set_yticks(range(len(orders)), orders)
     axes[0].set_ylim(len(orders) - 0.5, -0.7)
     text = (
-        f"Against the order as stated, on the same {int(own['samples'].min())} samples; of each order the key "
-        f"characteristic that changes most. Lines: intervals of {100 * LEVEL:.0f} %."
+        f"Changes against the stated order on the same {int(own['samples'].min())} samples, for the key characteristic "
+        f"that changes most. Lines: {100 * LEVEL:.0f} % intervals."
     )
-    return svg(fig, "What other orders of the process change", text)
+    return svg(fig, "Effect of the process order", text)
 
 
 def search_trail(trail: pd.DataFrame, objective: str) -> Picture | None:
-    """The objective of the best design so far, as the search went on."""
+    """The objective of the best design against the number of evaluations."""
     if not len(trail):
         return None
     fig = Figure(figsize=(10.5, 2.6), layout="constrained")
@@ -113,7 +114,5 @@ def search_trail(trail: pd.DataFrame, objective: str) -> Picture | None:
     ax.step(trail["evaluations"], trail["objective"], where="post", color=AFTER, lw=1.6, marker="o", ms=3)
     ax.set(xlabel="evaluations of an assembly", ylabel=objective)
     first, last = trail["objective"].iloc[0], trail["objective"].iloc[-1]
-    text = (
-        f"The best so far on the samples of the search, from {number(first)} to {number(last)}; fresh samples judge it."
-    )
-    return svg(fig, "The search", text)
+    text = f"Best value on the samples of the search, from {number(first)} to {number(last)}; fresh samples confirm it."
+    return svg(fig, "Search for the optimum", text)

@@ -1,4 +1,4 @@
-"""The page of a check: the assembly with all that the scene places on it, gaps as a map, and what is doubtful."""
+"""The page of a check: the assembly with all placed items, a gap map, and warnings."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from mic.process.description import opening, sentences
 from mic.process.plan import StagePlan
 from mic.report.source_pictures import draw_shapes
 from mic.report.style import MARK_COLOURS, number
-from mic.report.template import rendered
+from mic.report.template import render
 from mic.report.viewer_data import drawable, packed, view
 from mic.scene import Scene
 from mic.scene.deviation import ClampDeviation, LocatorDeviation
@@ -30,9 +30,9 @@ from mic.system.files import write_text
 __all__ = ["write_check"]
 
 RED = "#d00000"
-DRAWN = 0.01  # mm: an overlap that is less is what drawing and meshing leave, and shown as touching
-ALIKE = 0.01  # of the assembly: warnings that are nearer to each other share a ring
-LEAST = 0.05  # mm: the map of the gaps reaches so far at least
+DRAWN = 0.01  # mm: smaller overlaps come from drawing and meshing, and are shown as touching
+ALIKE = 0.01  # of the assembly: closer warnings share a ring
+LEAST = 0.05  # mm: least range of the gap map
 
 
 def write_check(
@@ -69,11 +69,11 @@ def write_check(
     """
     bodies = dict(surfaces)
     for fixture in scene.fixtures:
-        with Problems():  # one that cannot be read is among the errors already
-            if fixture.part is None:  # else its part's mesh has not placed it
+        with Problems():  # an unreadable one has been reported
+            if fixture.part is None:  # placed by its part's mesh otherwise
                 bodies[fixture.name] = fixture_surface(fixture, scene.folder)
     path = Path(path)
-    page = rendered(
+    page = render(
         "check.html",
         scene=scene,
         errors=errors,
@@ -94,7 +94,7 @@ def write_check(
 
 
 def _view(bodies, scene: Scene, warnings, contacts: Contacts | None) -> dict[str, Any]:
-    """The view of the assembly, with what acts and varies named, gaps as a map, and numbered warnings."""
+    """The view of the assembly with labelled items, gap map and numbered warnings."""
     data = view(bodies, scene)
     varied = _varied(scene)
     labels = {
@@ -144,7 +144,7 @@ def _view(bodies, scene: Scene, warnings, contacts: Contacts | None) -> dict[str
 
 
 def _numbered(warnings: Sequence[SceneWarning], near: float) -> dict[str, Any]:
-    """Rings with the numbers of the warnings that have a place; those that are nearer to each other share one."""
+    """Rings with the numbers of warnings that have a place; close ones share a ring."""
     rings: list[tuple[Any, list[int]]] = []
     for i, warned in enumerate(warnings, 1):
         if warned.point is not None:
@@ -181,14 +181,14 @@ def _map(zone: str, own, contacts: Contacts, value) -> dict[str, Any]:
 
 
 def _acts(item) -> str:
-    """On what an item acts, and how much it does."""
+    """Part, amount and stage of an item."""
     force, stroke = getattr(item, "force", None), getattr(item, "stroke", None)
     amount = f", {force:g} N" if force is not None else f", to {stroke:g} mm" if stroke is not None else ""
     return f" on {item.part}{amount}, stage {item.stage}"
 
 
 def _varied(scene: Scene) -> dict[tuple[str, str], str]:
-    """What deviations do to locators and clamps, by kind and name."""
+    """Deviations of locators and clamps, by kind and name."""
     return {
         (item.kind, name): f", {item.name}: {item.mean:g} ± {item.sigma:g}"
         for item in scene.deviations
@@ -198,7 +198,7 @@ def _varied(scene: Scene) -> dict[tuple[str, str], str]:
 
 
 def _zones(scene: Scene, contacts: Contacts) -> Iterator[dict[str, Any]]:
-    """Per zone what its pairs are."""
+    """Number, area, gap and overlap of the pairs of each zone."""
     for i, zone in enumerate(scene.zones):
         own = contacts.zone == i
         if own.any():

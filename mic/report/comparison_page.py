@@ -1,4 +1,4 @@
-"""The page of a comparison: before and after, what changes, and whether that is more than chance."""
+"""The page of a comparison: scene changes, differences with intervals, distributions, maps."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from mic.report.measurement_pictures import LIMIT_COLOUR
 from mic.report.picture import MOST_PANELS, Picture, panels, png, svg
 from mic.report.space_pictures import draw_surfaces
 from mic.report.style import RC, number, percent
-from mic.report.template import rendered
+from mic.report.template import render
 from mic.results.field_changes import FieldChange
 from mic.statistics.estimates import LEVEL, density
 from mic.studies.comparison import Comparison
@@ -40,9 +40,9 @@ def write_comparison(path: str | PathLike[str], found: Comparison, fields: Seque
     path : path-like
     found : Comparison
     fields : sequence of FieldChange
-        Of the two runs, where they have fields.
+        Changes of the fields of the two runs, if any.
     """
-    page = rendered(
+    page = render(
         "comparison.html",
         found=found,
         sentences=sentences(found),
@@ -50,8 +50,8 @@ def write_comparison(path: str | PathLike[str], found: Comparison, fields: Seque
         pictures=comparison_pictures(found, fields),
         samples=int(found.table["samples"].iloc[0]),
         level=f"{100 * LEVEL:.0f} %",
-        sure=_sure,
-        told=_told,
+        significant=_significant,
+        text=_text,
     )
     path = Path(path)
     write_text(path, page)
@@ -66,46 +66,48 @@ def comparison_pictures(found: Comparison, fields: Sequence[FieldChange] = ()) -
 
 
 def sentences(found: Comparison) -> list[str]:
-    """What a comparison says, the shortest first."""
+    """The comparison in sentences, the main result first."""
     rows = _records(found)
     whole, own = rows[0], [row for row in rows if row["tolerance"] == row["tolerance"]]
     good = [1 - whole[f"outside_{side}"] for side in "ab"]
     gain, low, high = (-100 * whole[f"outside_change{end}"] for end in ("", "_high", "_low"))
-    said = f"{percent(good[1], 1)} of the assemblies are within all limits, {percent(good[0], 1)} before"
+    first = (
+        f"{percent(good[1], 1)} of the assemblies are within all limits after the change, {percent(good[0], 1)} before"
+    )
     if gain or low > 0 or high < 0:
-        said += f" ({number(gain, 2)} points; {number(low, 2)} to {number(high, 2)})"
-    told = [said + "."]
+        first += f" (change {number(gain, 2)} percentage points; {number(low, 2)} to {number(high, 2)})"
+    text = [first + "."]
     for figure, word in (("six_sigma", "6σ"), ("mean", "mean")):
-        sure = [row for row in own if _sure(row, figure)]
-        sure.sort(key=lambda row: -abs(row[f"{figure}_change"]) / row["tolerance"])
-        if not sure:
-            told.append(f"No {word} of a key characteristic changes by more than chance.")
+        significant = [row for row in own if _significant(row, figure)]
+        significant.sort(key=lambda row: -abs(row[f"{figure}_change"]) / row["tolerance"])
+        if not significant:
+            text.append(f"No {word} of a key characteristic changes significantly.")
             continue
         each = ", ".join(
             f"{row['quantity']} by {_micrometres(row[f'{figure}_change'])} "
             f"({_micrometres(row[f'{figure}_change_low'])} to {_micrometres(row[f'{figure}_change_high'])})"
-            for row in sure[:NAMED]
+            for row in significant[:NAMED]
         )
-        rest = f", and {len(sure) - NAMED} more" if len(sure) > NAMED else ""
-        told.append(f"The {word} changes of {each}{rest}.")
+        rest = f", and {len(significant) - NAMED} more" if len(significant) > NAMED else ""
+        text.append(f"Significant changes of {word}: {each}{rest}.")
     if found.left_out:
-        told.append(f"{found.left_out} samples failed on one side or the other, and are left out.")
+        text.append(f"{found.left_out} samples failed on one of the two sides and are excluded.")
     if found.alone:
-        told.append(f"On one side only, and not compared: {', '.join(found.alone)}.")
-    return told
+        text.append(f"Not compared, since only one side has them: {', '.join(found.alone)}.")
+    return text
 
 
 def _records(found: Comparison) -> list[dict[Any, Any]]:
     return found.table.to_dict("records")
 
 
-def _sure(row: dict[Any, Any], figure: str) -> bool:
-    """Whether a change is not chance: its interval does not reach zero."""
+def _significant(row: dict[Any, Any], figure: str) -> bool:
+    """Whether the interval of a change excludes zero."""
     return bool(row[f"{figure}_change_low"] > 0 or row[f"{figure}_change_high"] < 0)
 
 
-def _told(figure: str, value: float, digits: int = 3) -> str:
-    """A figure for people: mean and 6σ in µm, shares in per cent."""
+def _text(figure: str, value: float, digits: int = 3) -> str:
+    """A figure as text: mean and 6σ in µm, shares in per cent."""
     if figure == "outside":
         return percent(value, 1)
     return number(value if figure == "cpk" else 1e3 * value, digits)
@@ -116,7 +118,7 @@ def _micrometres(value: float) -> str:
 
 
 def _densities(found: Comparison) -> Picture:
-    """Distribution of each key characteristic, before and after, with the limits of after."""
+    """Distribution of each key characteristic before and after, with the limits of the latter."""
     own = found.table[found.table["tolerance"].notna()]
     shown = own.sort_values("cpk_b", kind="stable")["quantity"].head(MOST_PANELS)
     names = [name for name in own["quantity"] if name in set(shown)]
@@ -143,8 +145,10 @@ def _densities(found: Comparison) -> Picture:
     lines = ((BEFORE, f"before: {found.a.name}"), (AFTER, f"after: {found.b.name}"), (LIMIT_COLOUR, "limits, after"))
     handles = [Line2D([], [], color=colour, lw=2, label=label) for colour, label in lines]
     fig.legend(handles=handles, loc="outside upper left", ncols=3)
-    text = "" if len(names) == len(own) else f"The {len(names)} least capable of {len(own)}, after. "
-    return svg(fig, "Key characteristics, before and after", text + "Densities of the same samples on both sides.")
+    text = (
+        "" if len(names) == len(own) else f"Shown are the {len(names)} least capable of {len(own)} after the change. "
+    )
+    return svg(fig, "Key characteristics, before and after", text + "Densities of the common samples.")
 
 
 def _maps(fields: Sequence[FieldChange]) -> Picture:
@@ -166,11 +170,11 @@ def _maps(fields: Sequence[FieldChange]) -> Picture:
         at = int(np.nanargmax(np.abs(values[i]))) if np.isfinite(values[i]).any() else 0
         x, y, z = fields[i].surface.points[at]
         texts.append(
-            f"the {label} changes most, by {number(values[i][at])} mm, on {fields[i].part} at "
+            f"largest change of the {label}: {number(values[i][at])} mm on {fields[i].part} at "
             f"({x:.0f}, {y:.0f}, {z:.0f})"
         )
     text = "; ".join(texts) + "."
     other = [change.part for change in fields if not change.same_mesh]
     if other:
-        text += f" Meshes differ, so that vertices are compared with the nearest ones: {', '.join(other)}."
-    return png(fig, "Where the displacement changes", text[0].upper() + text[1:], 100)
+        text += f" Parts with different meshes are compared at the nearest vertices: {', '.join(other)}."
+    return png(fig, "Changes of the displacement", text[0].upper() + text[1:], 100)

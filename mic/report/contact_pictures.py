@@ -1,4 +1,4 @@
-"""Pictures of the contacts under each law: motion of the zones, forces, one sample, states."""
+"""Pictures of the contacts under each law: tangential displacement, forces, one sample, states."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from mic.statistics.estimates import density
 
 __all__ = ["sample_picture", "slip_force_picture", "state_picture", "tangential_density_picture"]
 
-ACTIVE = 1.0  # N: from this mean friction force on, a contact counts as active (the paper's smallest)
+ACTIVE = 1.0  # N: least mean friction force of an active contact (the paper's smallest)
 
 
 def tangential_density_picture(outcome: Outcome, context: Context) -> Picture | None:
@@ -51,8 +51,8 @@ def tangential_density_picture(outcome: Outcome, context: Context) -> Picture | 
     return svg(
         fig,
         f"Probability density of the zones' RMS tangential displacement, stage {stage}",
-        f"Kernel densities over {'the first ' * (count > SHOWN)}{min(count, SHOWN)} samples, open contacts included as "
-        "in the paper; dashed: means. " + _motion_sentence(outcome, context),
+        f"Kernel densities over {'the first ' * (count > SHOWN)}{min(count, SHOWN)} samples, including open contacts "
+        "as in the paper; dashed: means. " + _motion_sentence(outcome, context),
     )
 
 
@@ -92,8 +92,8 @@ def slip_force_picture(outcome: Outcome, context: Context) -> Picture | None:
     if measured:
         inside = (active >= low) & (active <= high)
         text += (
-            f"; {inside.sum()} of them lie within the range that the paper measured on another geometry: "
-            "an order of magnitude, no validation"
+            f"; {inside.sum()} of them lie within the range that the paper measured on another geometry, "
+            "which compares orders of magnitude only"
         )
     return svg(fig, f"Friction force at each contact, stage {context.stage}", text + ".")
 

@@ -1,4 +1,4 @@
-"""What pictures and page need beside the outcome: parts, fields, published figures, and what to show first."""
+"""Data of the report beside the outcome: parts, fields, published figures, selected stage and laws."""
 
 from __future__ import annotations
 
@@ -15,28 +15,28 @@ from mic.results.run_folder import PUBLISHED
 
 __all__ = ["SHOWN", "Context", "read_context"]
 
-SHOWN = 10_000  # samples from which distributions are drawn, the first ones: more change no picture
+SHOWN = 10_000  # samples of the distributions, the first ones; more do not change a picture
 
 
 @dataclass(frozen=True)
 class Context:
-    """What a run folder holds for its report, beside the outcome.
+    """Data of a run folder for its report, beside the outcome.
 
     Attributes
     ----------
     stage : str or None
-        The stage that single-stage pictures show: the first that resolves contact.
+        Stage of the single-stage pictures: the first that resolves contact.
     laws : tuple of str
-        Laws with at least one valid sample, in the order in which they were asked for.
+        Laws with at least one valid sample, in the order of the request.
     frictional, frictionless : str or None
-        The first law of the run with friction, and the first without: what is compared where both are there.
+        The first law with friction and the first without; pictures compare them.
     surfaces : dict of str to Surface
-        By part; empty where the run kept no parts.
+        By part; empty if the run stored no parts.
     fields : tuple of PartField
     no_fields : str or None
-        Why there are none.
+        Reason for missing fields.
     published : dict
-        Published figures to set beside the results; empty where the scene has none.
+        Published figures of the scene, if any.
     """
 
     stage: str | None
@@ -54,7 +54,7 @@ class Context:
 
 
 def read_context(outcome: Outcome) -> Context:
-    """Read what the outcome's folder holds for its report."""
+    """Read these data from the outcome's folder."""
     fields, no_fields = read_fields(outcome.folder)
     published = outcome.folder / PUBLISHED
     return Context(

@@ -1,7 +1,4 @@
-"""Pictures of what drives the key characteristics: contributors, steps of the inputs, friction.
-
-Each is drawn from the tables that a study returns and a results folder keeps (:mod:`mic.results.schema`).
-"""
+"""Pictures of contributors, of sensitivities and of the effect of friction, from the tables of these studies."""
 
 from __future__ import annotations
 
@@ -18,47 +15,49 @@ __all__ = ["contributor_picture", "friction_effect_picture", "sensitivity_pictur
 
 ALONE, TOGETHER, LINEAR = "#0b5cad", "#9cc3e8", "#c8553d"
 BARS = 6  # contributors or inputs in a panel, the largest ones
-FACTORS = ("#c8553d", "#8a94a0", "#0b5cad", "#2a9d8f", "#b26a00")  # of the factors by which friction is multiplied
+FACTORS = ("#c8553d", "#8a94a0", "#0b5cad", "#2a9d8f", "#b26a00")  # by factor of friction
 
 
 def contributor_picture(scene: Scene | None, table: pd.DataFrame, linearity: pd.DataFrame) -> Picture | None:
-    """By key characteristic, first and total indices of the largest contributors, beside their linear shares."""
-    told = linearity[linearity["interaction"].notna()]
-    told = told.sort_values("r_squared", kind="stable").head(MOST_PANELS).sort_index()  # the least linear, if many
-    if not len(told):
+    """First and total indices of the largest contributors of each key characteristic, with their linear shares."""
+    rows_shown = linearity[linearity["interaction"].notna()]
+    rows_shown = (
+        rows_shown.sort_values("r_squared", kind="stable").head(MOST_PANELS).sort_index()
+    )  # the least linear, if many
+    if not len(rows_shown):
         return None
-    columns = min(4, len(told))
-    fig, axes = panels(len(told), columns, (10.5 / max(columns, 2), 1.9))
-    for i, (ax, row) in enumerate(zip(axes, told.to_dict("records"))):
+    columns = min(4, len(rows_shown))
+    fig, axes = panels(len(rows_shown), columns, (10.5 / max(columns, 2), 1.9))
+    for i, (ax, row) in enumerate(zip(axes, rows_shown.to_dict("records"))):
         own = table[(table["law"] == row["law"]) & (table["measurement"] == row["measurement"])]
         own = own.dropna(subset=["total"]).sort_values("total", ascending=False, kind="stable").head(BARS)
         place = np.arange(len(own))
         low, high = (own["total"] - own["total_low"]).clip(0), (own["total_high"] - own["total"]).clip(0)
-        ax.barh(place, own["total"].clip(0), color=TOGETHER, height=0.7, label="with others")
+        ax.barh(place, own["total"].clip(0), color=TOGETHER, height=0.7, label="with interactions")
         ax.barh(place, own["first"].clip(0), color=ALONE, height=0.4, label="alone")
         ax.errorbar(own["total"].clip(0), place, xerr=[low, high], fmt="none", ecolor="#1b1f24", elinewidth=0.9)
-        ax.plot(own["regression"], place, "D", ms=4, mfc="white", color=LINEAR, label="by regression")
-        ax.plot(own["tangent"], place, "|", ms=9, mew=1.6, color=LINEAR, label="at the mean")
+        ax.plot(own["regression"], place, "D", ms=4, mfc="white", color=LINEAR, label="regression")
+        ax.plot(own["tangent"], place, "|", ms=9, mew=1.6, color=LINEAR, label="derivatives at the mean")
         ax.set_yticks(place, own["contributor"])
         ax.invert_yaxis()
         ax.set_xlim(0, 1.05)
         ax.set_title(row["measurement"] + ("" if row["linear"] else ": not linear"))
-        if i >= len(told) - columns:
+        if i >= len(rows_shown) - columns:
             ax.set_xlabel("share of the variance")
     handles, labels = axes[0].get_legend_handles_labels()
     fig.legend(handles, labels, loc="outside upper left", ncols=4)
-    least = told.sort_values("r_squared", kind="stable").iloc[0]
+    least = rows_shown.sort_values("r_squared", kind="stable").iloc[0]
     caption = (
-        f"First index (dark) and total index (light, with its interval) of at most {BARS} contributors; red, what a "
-        "linear analysis says."
+        f"First index (dark) and total index (light, with its interval) of at most {BARS} contributors; red: linear "
+        "analyses."
     )
     if least["r_squared"] == least["r_squared"]:
         caption += f" {least['measurement']} is the least linear, R² {percent(least['r_squared'], 1)}."
-    return svg(fig, "What drives the key characteristics", caption)
+    return svg(fig, "Contributors to the key characteristics", caption)
 
 
 def sensitivity_picture(scene: Scene | None, table: pd.DataFrame) -> Picture | None:
-    """By key characteristic, what a step of each of the inputs that change it most changes."""
+    """Effect of a step of the most influential inputs on each key characteristic."""
     size = table.assign(size=table["effect"].abs())
     shown = list(size.groupby("measurement", sort=False)["size"].max().nlargest(MOST_PANELS).index)
     shown = [name for name in table["measurement"].unique() if name in set(shown)]
@@ -70,14 +69,23 @@ def sensitivity_picture(scene: Scene | None, table: pd.DataFrame) -> Picture | N
         own = size[size["measurement"] == name].sort_values("size", ascending=False, kind="stable").head(BARS)
         place = np.arange(len(own))
         ax.axvline(0, color="#58626e", lw=0.8)
-        ax.barh(place, 1e3 * own["effect"], color=TOGETHER, height=0.6, label="about the mean assembly")
+        ax.barh(place, 1e3 * own["effect"], color=TOGETHER, height=0.6, label="at the mean assembly")
         low, high = 1e3 * own["effect_low"], 1e3 * own["effect_high"]
         ax.hlines(place, low, high, color=ALONE, lw=2.2, label="over the samples")
-        apart = (own["effect_above"] - own["effect_below"]).abs() > 1e-3 * own["size"]
+        one_sided = (own["effect_above"] - own["effect_below"]).abs() > 1e-3 * own["size"]
         for side, mark in (("below", "<"), ("above", ">")):
-            ends = 1e3 * own.loc[apart, f"effect_{side}"]
+            ends = 1e3 * own.loc[one_sided, f"effect_{side}"]
             if len(ends):
-                ax.plot(ends, place[apart], mark, ms=5, mfc="white", color=LINEAR, ls="", label=f"at a change, {side}")
+                ax.plot(
+                    ends,
+                    place[one_sided],
+                    mark,
+                    ms=5,
+                    mfc="white",
+                    color=LINEAR,
+                    ls="",
+                    label=f"{side} a contact change",
+                )
         ax.set_yticks(place, [f"{row['input']} ({number(row['step'], 2)})" for row in own.to_dict("records")])
         ax.invert_yaxis()
         ax.set_title(name)
@@ -87,14 +95,14 @@ def sensitivity_picture(scene: Scene | None, table: pd.DataFrame) -> Picture | N
     fig.legend(handles.values(), handles.keys(), loc="outside upper left", ncols=4)
     most = size.iloc[int(size["size"].to_numpy().argmax())]
     caption = (
-        f"At most {BARS} inputs each, with their step in brackets (mm, N or 1). {most['input']} changes most: "
-        f"{most['measurement']} by {number(1e3 * most['effect'])} µm for {number(most['step'], 2)}."
+        f"At most {BARS} inputs each, with their step in brackets (mm, N or 1). Largest effect: {most['input']} on "
+        f"{most['measurement']}, {number(1e3 * most['effect'])} µm for {number(most['step'], 2)}."
     )
-    return svg(fig, "What a step of each input changes", caption)
+    return svg(fig, "Sensitivity to each input", caption)
 
 
 def friction_effect_picture(scene: Scene | None, effects: pd.DataFrame) -> Picture | None:
-    """What all friction, multiplied, changes of mean and 6σ of each key characteristic, as shares of its 6σ."""
+    """Changes of mean and 6σ of each key characteristic with scaled friction, relative to its 6σ."""
     whole = effects[(effects["zone"] == "") & (effects["six_sigma"] > 0)]
     if not len(whole):
         return None
@@ -105,7 +113,7 @@ def friction_effect_picture(scene: Scene | None, effects: pd.DataFrame) -> Pictu
     fig = Figure(figsize=(10.5, 1.4 + 0.4 * len(names)), layout="constrained")
     axes = fig.subplots(1, 2, sharey=True)
     for ax, (figure, word) in zip(axes, zip(figures, ("mean", "6σ"))):
-        ax.axvspan(-100 * HOLDS, 100 * HOLDS, color="#e8edf2", label="the answer holds")
+        ax.axvspan(-100 * HOLDS, 100 * HOLDS, color="#e8edf2", label="insignificant")
         ax.axvline(0, color="#58626e", lw=0.8)
         for j, (factor, colour) in enumerate(zip(factors, FACTORS)):
             own = whole[whole["factor"] == factor].set_index("measurement").reindex(names)
@@ -118,6 +126,6 @@ def friction_effect_picture(scene: Scene | None, effects: pd.DataFrame) -> Pictu
     axes[0].invert_yaxis()
     fig.legend(*axes[0].get_legend_handles_labels(), loc="outside upper left", ncols=len(factors) + 1)
     many = whole["measurement"].nunique()
-    text = f"The {len(names)} of {many} that change most. " if many > len(names) else ""
-    text += f"All friction multiplied, on the same samples; grey: by less than {percent(HOLDS)} of 6σ the answer holds."
-    return svg(fig, "What other friction changes", text)
+    text = f"Shown are the {len(names)} most affected of {many}. " if many > len(names) else ""
+    text += f"All friction scaled, on the same samples; grey: changes below {percent(HOLDS)} of 6σ."
+    return svg(fig, "Effect of friction", text)

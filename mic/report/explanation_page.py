@@ -1,4 +1,4 @@
-"""The page of an explanation: which sources made what was measured, how surely, and what to measure next."""
+"""The page of an explanation: most probable sources of a measurement, and useful further measurements."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 
 from mic.report.picture import MOST_PANELS, Picture, svg
 from mic.report.style import RC, number, percent
-from mic.report.template import rendered
+from mic.report.template import render
 from mic.statistics.estimates import LEVEL
 from mic.studies.explanation import Explanation
 from mic.system.files import write_text
@@ -19,18 +19,18 @@ from mic.system.files import write_text
 __all__ = ["explanation_pictures", "sentences", "write_explanation"]
 
 NAMED = 3  # sources in a sentence
-UNUSUAL = 2.0  # standard deviations: a source this far off its mean is named as a cause
-#: Probability below which the scene does not explain what was measured: that of 4 σ to either side, where the limits of
-#: a capable process (Cpk 1.33) are. Of 16 000 assemblies that it does explain it is denied of one.
+UNUSUAL = 2.0  # standard deviations: a source farther from its mean is named as a cause
+#: Probability below which the scene does not explain the measurement: that of ±4 σ, the limits of a capable process
+#: (Cpk 1.33). One in 16 000 explained assemblies is rejected.
 DOUBT = 6.3e-5
-FEW = 100.0  # samples that count, below which the intervals are rough
-ROUGH = 0.5  # of the gauge's standard deviation: from then on it is said what the search errs by
+FEW = 100.0  # effective samples: with fewer the intervals are rough
+ROUGH = 0.5  # of the gauge's standard deviation: larger errors of the interpolation are reported
 BEFORE, AFTER = "#9aa5b1", "#0b5cad"
 
 
 def write_explanation(path: str | PathLike[str], found: Explanation) -> Path:
     """Write the page of an explanation; nothing is solved."""
-    page = rendered(
+    page = render(
         "explanation.html",
         found=found,
         sentences=sentences(found),
@@ -44,13 +44,13 @@ def write_explanation(path: str | PathLike[str], found: Explanation) -> Path:
 
 
 def explanation_pictures(found: Explanation) -> list[Picture]:
-    """The pictures of an explanation: its sources before and after, and what they give against what was measured."""
+    """Sources before and after the measurement, and predicted against measured characteristics."""
     with matplotlib.style.context(["default", RC]):
         return [_sources(found), _reached(found)]
 
 
 def sentences(found: Explanation) -> list[str]:
-    """What an explanation says, the shortest first."""
+    """The explanation in sentences, the main result first."""
     rows = found.table.to_dict("records")
     unusual = [row for row in rows if abs(row["off"]) >= UNUSUAL]
     each = ", ".join(
@@ -58,42 +58,42 @@ def sentences(found: Explanation) -> list[str]:
         f"{number(abs(row['off']), 2)} σ {'above' if row['off'] > 0 else 'below'} its mean"
         for row in (unusual or rows[:1])[:NAMED]
     )
-    told = [f"Most probable cause: {each}." if unusual else f"Nothing is unusual here; farthest off is {each}."]
+    text = [f"Most probable cause: {each}." if unusual else f"No source is unusual; the most distant is {each}."]
     if found.likely < DOUBT:
-        told.append(
-            "The scene does not explain what was measured: its assemblies are as far off in "
-            f"{percent(found.likely, 2)} of all cases. Something varies that it does not know, or the gauge is worse "
-            "than stated."
+        text.append(
+            f"The scene does not explain the measurement: only {percent(found.likely, 2)} of its assemblies deviate "
+            "as much. A source of variation is missing, or the gauge is worse than stated."
         )
     for a, b in found.together[:NAMED]:
-        told.append(f"{a} and {b} cannot be told apart by what was measured, only one against the other.")
+        text.append(f"The measurement cannot separate {a} and {b}; it determines only a combination of them.")
     if found.untold:
-        told.append(f"Hardly anything is told of {', '.join(found.untold)}.")
+        text.append(f"The measurement hardly informs about {', '.join(found.untold)}.")
     if len(found.further):
         best = found.further.iloc[0]
-        told.append(
-            f"Measuring {best['measurement']} as well would tell most ({number(best['bits'], 2)} bits): it would take "
-            f"away {percent(best['told'])} of what is left of the variance of {best['source']}."
+        text.append(
+            f"The most useful further measurement is {best['measurement']} ({number(best['bits'], 2)} bits): it would "
+            f"remove {percent(best['told'])} of the remaining variance of {best['source']}."
         )
     measured = found.reached["measured"].notna().to_numpy()
     error, gauge = found.posterior.error[measured], found.reached["gauge"].to_numpy()[measured]
     worst = int((error / gauge).argmax())
     if error[worst] > ROUGH * gauge[worst]:
-        told.append(
-            f"Between the {found.posterior.evaluations} assemblies that were evaluated {_measured(found, worst)} is "
-            f"known to {number(1e3 * error[worst], 2)} µm, its gauge to {number(1e3 * gauge[worst], 2)} µm: intervals "
-            "are wider for it. Contacts change their state here, or the gauge is much finer than the sources."
+        text.append(
+            f"The interpolation between {found.posterior.evaluations} evaluated assemblies has an error of "
+            f"{number(1e3 * error[worst], 2)} µm for {_measured(found, worst)}, with a gauge of "
+            f"{number(1e3 * gauge[worst], 2)} µm, which widens the intervals: contacts change state here, or the gauge "
+            "is much finer than the sources."
         )
     if found.posterior.count < FEW:
-        told.append(
-            f"Only {number(found.posterior.count, 2)} samples count: the intervals are rough. Contacts change their "
-            "state here, or the gauge is much finer than the sources."
+        text.append(
+            f"Only {number(found.posterior.count, 2)} effective samples: the intervals are rough, since contacts "
+            "change state here or the gauge is much finer than the sources."
         )
-    return told
+    return text
 
 
 def _measured(found: Explanation, i: int) -> str:
-    """Name of the i-th characteristic that was measured."""
+    """Name of the i-th measured characteristic."""
     return str(found.reached["measurement"][found.reached["measured"].notna()].iloc[i])
 
 
@@ -104,22 +104,24 @@ def _sources(found: Explanation) -> Picture:
     mean, low, high = ((own[name] - own["prior_mean"]) / own["prior_sigma"] for name in ("mean", "low", "high"))
     fig = Figure(figsize=(10.5, 1.2 + 0.28 * len(own)), layout="constrained")
     ax = fig.subplots()
-    ax.hlines(place, -1.96, 1.96, color=BEFORE, lw=7, alpha=0.5, label="before it was measured")
+    ax.hlines(place, -1.96, 1.96, color=BEFORE, lw=7, alpha=0.5, label="before")
     ax.errorbar(mean, place, xerr=[mean - low, high - mean], fmt="o", ms=5, color=AFTER, elinewidth=2, label="after")
     ax.set_yticks(place, own["source"])
     ax.invert_yaxis()
     ax.set_xlabel("deviation from its mean (standard deviations of the scene)")
     fig.legend(loc="outside upper left", ncols=2)
-    return svg(fig, "Sources", f"Lines hold the source with a probability of {100 * LEVEL:.0f} %.")
+    return svg(fig, "Sources", f"Lines: {100 * LEVEL:.0f} % intervals.")
 
 
 def _reached(found: Explanation) -> Picture:
-    """What was measured, and what the sources that were found give."""
+    """Measured characteristics, and the prediction from the inferred sources."""
     own = found.reached.head(MOST_PANELS)
     place = np.arange(len(own))
     fig = Figure(figsize=(10.5, 1.2 + 0.28 * len(own)), layout="constrained")
     ax = fig.subplots()
-    ax.errorbar(own["mean"], place, xerr=1.96 * own["sigma"], fmt="s", ms=5, color=AFTER, elinewidth=2, label="found")
+    ax.errorbar(
+        own["mean"], place, xerr=1.96 * own["sigma"], fmt="s", ms=5, color=AFTER, elinewidth=2, label="inferred"
+    )
     ax.errorbar(
         own["measured"], place + 0.2, xerr=1.96 * own["gauge"], fmt="o", ms=4, color="#c8553d", label="measured"
     )
@@ -130,6 +132,6 @@ def _reached(found: Explanation) -> Picture:
     return svg(
         fig,
         "Key characteristics",
-        "What was measured, with the gauge's interval, and what the sources give; where nothing was measured, that is "
-        "a forecast.",
+        "Measurements with the gauge's interval, and values from the inferred sources, which are predictions where "
+        "nothing was measured.",
     )

@@ -85,7 +85,7 @@ def law_cost(outcome: Outcome, stage: str) -> LawCost | None:
 
 
 def law_cost_picture(outcome: Outcome, context: Context) -> Picture | None:
-    """What the associated law (13) costs against Coulomb's: gaps at loaded contacts, normal forces, states."""
+    """Errors of the associated law (13) against Coulomb's: gaps at loaded contacts, normal forces, states."""
     cost = law_cost(outcome, context.stage) if context.stage else None
     if cost is None:
         return None
@@ -117,7 +117,7 @@ def law_cost_picture(outcome: Outcome, context: Context) -> Picture | None:
 
 
 def friction_picture(outcome: Outcome, context: Context) -> Picture | None:
-    """The laws on some of the samples as friction is scaled down and up, from the study that the run left."""
+    """The laws on some samples against scaled friction, from the run's friction study."""
     study = outcome.friction_study
     if study is None or not outcome.stages:
         return None
@@ -142,11 +142,11 @@ def friction_picture(outcome: Outcome, context: Context) -> Picture | None:
     gaps = table.xs("associated", level="law")["gap_at_load"]
     ends = " and ".join(f"{number(1e3 * gaps.iloc[i])} µm at μ = {number(gaps.index[i], 2)}" for i in (0, -1))
     text = (
-        f"{study['sample'].nunique()} samples, stage {context.stage}, solved anew with every friction coefficient "
-        f"scaled; dashed: the scene's. The largest gap that the associated law opens under load averages {ends}; "
-        "Coulomb's law has none."
+        f"{study['sample'].nunique()} samples, stage {context.stage}, solved with all friction coefficients scaled; "
+        f"dashed: the scene's. The largest gap under load of the associated law averages {ends}; Coulomb's law has "
+        "none."
     )
     left_out = int(table["left_out"].sum())
     if left_out:
-        text += f" {left_out} of {len(study)} solutions did not converge and are left out."
-    return svg(fig, "The laws as friction grows", text)
+        text += f" {left_out} of {len(study)} solutions did not converge and are excluded."
+    return svg(fig, "Contact laws against friction", text)

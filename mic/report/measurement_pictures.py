@@ -17,7 +17,7 @@ LIMIT_COLOUR = "#b00020"
 
 
 def measurement_picture(outcome: Outcome, context: Context) -> Picture | None:
-    """Histogram of every key characteristic with its limits; of the least capable where there are many."""
+    """Histogram of each key characteristic with its limits; the least capable ones if there are many."""
     table = outcome.measurement_statistics
     if not len(table):
         return None
@@ -50,15 +50,15 @@ def measurement_picture(outcome: Outcome, context: Context) -> Picture | None:
     handles = [Line2D([], [], color=LAWS[law].colour, lw=2, label=law) for law in outcome.laws]
     handles.append(Line2D([], [], color=LIMIT_COLOUR, lw=1.3, label="limits"))
     fig.legend(handles=handles, loc="outside upper left", ncols=4)
-    text = "" if shown == order else f"The {len(shown)} least capable of {len(order)} measurements are shown. "
+    text = "" if shown == order else f"Shown are the {len(shown)} least capable of {len(order)} measurements. "
     if any(len(outcome.sample_numbers(law)) > SHOWN for law in context.laws):
-        text += f"The first {SHOWN} samples are drawn. "
+        text += f"Histograms of the first {SHOWN} samples. "
     law = outcome.laws[0]
     rows = table[table["law"] == law]
     if rows["cpk"].notna().any():
         least = rows.iloc[int(rows["cpk"].argmin())]
         text += (
-            f"Under {law} the least capable is {least['measurement']}: Cpk {number(least['cpk'])}"
+            f"The least capable under {law} is {least['measurement']}: Cpk {number(least['cpk'])}"
             f"{_interval(least, 'cpk', number)}, {percent(least['share_outside'], 1)} of the samples outside"
             f"{_interval(least, 'share_outside', lambda share: percent(share, 1))}."
         )
@@ -66,6 +66,6 @@ def measurement_picture(outcome: Outcome, context: Context) -> Picture | None:
 
 
 def _interval(row, name: str, words) -> str:
-    """The 95 % interval of a figure, in brackets; nothing where there is none."""
+    """The 95 % interval of a figure in brackets, or an empty string."""
     low, high = row[f"{name}_low"], row[f"{name}_high"]
     return f" (95 %: {words(low)} to {words(high)})" if low == low and high == high else ""

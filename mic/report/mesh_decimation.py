@@ -1,4 +1,4 @@
-"""Surfaces thinned to what a screen shows: the full ones stand beside the page, for ParaView."""
+"""Meshes decimated to screen resolution; ParaView files hold the full ones."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ MOST = 3000  #: vertices of a part in a picture or view: two or three pixels fro
 
 
 def thinned(surface: Surface, most: int = MOST) -> tuple[np.ndarray, np.ndarray]:
-    """Vertices of a surface that stand for the others of their cell of a cubic grid, and the triangles between them.
+    """One vertex of a surface for each cell of a cubic grid, and the triangles between them.
 
     Vertex clustering of J. Rossignac and P. Borrel (Modeling in Computer Graphics, 1993, 455-465).
 
@@ -55,7 +55,7 @@ def thinned(surface: Surface, most: int = MOST) -> tuple[np.ndarray, np.ndarray]
 
 
 def _on_edge(surface: Surface) -> np.ndarray:
-    """(v,) which vertices lie on an edge of a single triangle."""
+    """(v,) whether a vertex lies on a border edge."""
     edges = np.sort(surface.triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
     _, first, count = np.unique(_keys(edges, [len(surface.points)] * 2), return_index=True, return_counts=True)
     on = np.zeros(len(surface.points), dtype=bool)

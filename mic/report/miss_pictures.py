@@ -1,4 +1,4 @@
-"""Pictures of rare misses: how often limits are missed, and by which deviations most likely."""
+"""Pictures of rare misses: their probability and their most likely deviations."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ from mic.statistics.estimates import LEVEL
 __all__ = ["likeliest_miss_picture", "miss_picture"]
 
 INK, FIRST = "#0b5cad", "#c8553d"
-LIMITS = 8  # panels: likelier misses than the others
+LIMITS = 8  # panels, for the most likely misses
 BARS = 6  # deviations in a panel
 MILLION = 1e6
-LARGE = 1e-2  # a probability that is told in per cent
-NEVER = 1e-9  # a probability that is drawn at the axis' end
+LARGE = 1e-2  # larger probabilities are given in per cent
+NEVER = 1e-9  # smaller probabilities are drawn at the end of the axis
 
 
 def miss_picture(scene: Scene | None, table: pd.DataFrame) -> Picture | None:
-    """Probability of a miss with its interval, beside that to first order, on a logarithmic scale."""
+    """Probability of a miss with its interval, and its first-order estimate, on a logarithmic scale."""
     if not len(table):
         return None
     own = table.head(MOST_PANELS)
@@ -36,29 +36,28 @@ def miss_picture(scene: Scene | None, table: pd.DataFrame) -> Picture | None:
     ax.errorbar(MILLION * value, place, xerr=spread, fmt="o", ms=5, color=INK, elinewidth=1.6, label="simulated")
     known = own["first_order"].notna().to_numpy()
     first = MILLION * np.maximum(own["first_order"][known], NEVER)
-    ax.plot(first, place[known], "D", ms=5, mfc="white", color=FIRST, ls="", label="to first order")
+    ax.plot(first, place[known], "D", ms=5, mfc="white", color=FIRST, ls="", label="first order")
     ax.set_xscale("log")
     ax.set_yticks(place, [name or "any limit" for name in own["measurement"]])
     ax.set_ylim(len(own) - 0.5, -0.5)
-    ax.set_xlabel("outside its limits, of a million")
+    ax.set_xlabel("outside limits, ppm")
     fig.legend(loc="outside upper left", ncols=2)
     row = own.iloc[0]
     large = row["outside"] >= LARGE
-    said, least, most = (
+    text, least, most = (
         percent(share, 1) if large else number(MILLION * share, 2)
         for share in (row["outside"], row["outside_low"], row["outside_high"])
     )
-    said += "" if large else " of a million"
+    unit = "" if large else " ppm"
     text = (
-        f"{row['measurement'] or 'The assembly'} misses in {said} ({least} to {most}). "
-        f"Lines: intervals of {100 * LEVEL:.0f} %. "
-        f"{own['evaluations'].sum()} evaluations."
+        f"Share outside limits, {row['measurement'] or 'any limit'}: {text}{unit} ({least} to {most}). Lines: "
+        f"{100 * LEVEL:.0f} % intervals. {own['evaluations'].sum()} evaluations."
     )
-    return svg(fig, "How often limits are missed", text)
+    return svg(fig, "Probability of a miss", text)
 
 
 def likeliest_miss_picture(scene: Scene | None, points: pd.DataFrame) -> Picture | None:
-    """By limit that is missed likeliest, where the deviations are there, in standard deviations."""
+    """Deviations at the most likely miss of each limit, in standard deviations."""
     near = points[points["found"].astype(bool) & (points["beta"] < FAR)]
     limits = near.drop_duplicates(["measurement", "limit"]).sort_values("beta", kind="stable").head(LIMITS)
     if not len(limits):
@@ -74,9 +73,9 @@ def likeliest_miss_picture(scene: Scene | None, points: pd.DataFrame) -> Picture
         ax.invert_yaxis()
         ax.set_title(f"{one['measurement']}, {one['limit']}: β = {number(one['beta'])}")
         if i >= len(limits) - columns:
-            ax.set_xlabel("off its mean (σ)")
+            ax.set_xlabel("deviation from its mean (σ)")
     text = (
-        f"Of each limit the likeliest assembly that misses it, β standard deviations off; at most {BARS} deviations, "
-        "those of most importance first."
+        f"The most likely assembly outside each limit, at a distance of β standard deviations; at most {BARS} "
+        "deviations, the most important first."
     )
-    return svg(fig, "The likeliest misses", text)
+    return svg(fig, "Most likely misses", text)

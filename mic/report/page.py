@@ -1,4 +1,4 @@
-"""The report of a run: one HTML page that holds all it shows, opens offline and loads nothing."""
+"""The report of a run: one self-contained HTML page."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 from plotly.offline import get_plotlyjs
 
 from mic.contact.solution import Status
-from mic.report.background_pictures import Ahead
+from mic.report.background_pictures import BackgroundPictures
 from mic.report.context import read_context
 from mic.report.driver_sentences import (
     design_words,
@@ -24,8 +24,8 @@ from mic.report.driver_sentences import (
 )
 from mic.report.picture_registry import PICTURES, SECTIONS, draw_all
 from mic.report.style import LAWS, STATE_COLOURS, STATE_WORDS, zone_colour
-from mic.report.template import rendered
-from mic.report.verdict import answer
+from mic.report.template import render
+from mic.report.verdict import verdict
 from mic.report.viewer_data import packed, viewer_data
 from mic.results.mesh_error import read_accuracy
 from mic.results.outcome import Outcome, read_outcome
@@ -54,19 +54,20 @@ LISTED_CONTACTS = 1000
 LISTED_CONTRIBUTORS = 6
 
 
-def write_report(folder: str | PathLike[str], outcome: Outcome | None = None, ahead: Ahead | None = None) -> Path:
+def write_report(
+    folder: str | PathLike[str], outcome: Outcome | None = None, background: BackgroundPictures | None = None
+) -> Path:
     """Write ``report.html`` and ``assembly.png`` into a run folder, finished or interrupted.
 
-    The page shows what the run left behind: statistics of its samples, its fields, its study of friction. Nothing is
-    solved, and no other file of the folder is touched.
+    The page shows the statistics, fields and studies in the folder. Nothing is solved, and no other file is changed.
 
     Parameters
     ----------
     folder : path-like
     outcome : Outcome, optional
-        What was read of it, should that be at hand.
-    ahead : Ahead, optional
-        Pictures of that outcome that were begun before.
+        The outcome of that folder, if it has been read already.
+    background : BackgroundPictures, optional
+        Pictures of that outcome that a worker process draws.
 
     Returns
     -------
@@ -76,25 +77,25 @@ def write_report(folder: str | PathLike[str], outcome: Outcome | None = None, ah
     Raises
     ------
     FileNotFoundError
-        If it is no run folder.
+        If it is not a run folder.
     """
     outcome = outcome or read_outcome(folder)
     context = read_context(outcome)
-    pictures = draw_all(outcome, context, ahead)
+    pictures = draw_all(outcome, context, background)
     sections = {
         section: [entry.name for entry in PICTURES if entry.section == section and entry.name in pictures]
         for section in SECTIONS
     }
     viewer = viewer_data(outcome, context)
     zones = _zones(outcome, context.stage, context.published)
-    page = rendered(
+    page = render(
         "report.html",
         outcome=outcome,
         record=outcome.record,
         scene=outcome.model.scene,
         stage=context.stage,
         level=f"{100 * LEVEL:.0f} %",
-        answer=answer(outcome),
+        verdict=verdict(outcome),
         drivers=_drivers(outcome) | {"shown": any(sections[one] for one in ("drivers", "steps", "friction"))},
         misses=_misses(outcome),
         remedies=_remedies(outcome),
@@ -128,15 +129,15 @@ def write_report(folder: str | PathLike[str], outcome: Outcome | None = None, ah
 
 
 def _drivers(outcome: Outcome) -> dict[str, Any]:
-    """What drives the key characteristics and whether friction matters, as far as it was measured."""
+    """Contributors, estimates by derivatives and effects of friction, as far as they were computed."""
     table, linearity, effects = (outcome.study(t) for t in (CONTRIBUTORS, LINEARITY, FRICTION_EFFECTS))
     found: dict[str, Any] = {"rows": [], "words": [], "joint": [], "spreads": [], "friction": [], "friction_words": []}
     if table is not None and linearity is not None:
-        for told in _records(linearity):
-            own = table[(table["law"] == told["law"]) & (table["measurement"] == told["measurement"])]
-            own = own[own["total"].notna() | own["bound"].isna()]
-            ordered = _records(own.sort_values("total", ascending=False, kind="stable"))
-            found["rows"].append(told | {"contributors": ordered[:LISTED_CONTRIBUTORS]})
+        for row in _records(linearity):
+            shares = table[(table["law"] == row["law"]) & (table["measurement"] == row["measurement"])]
+            shares = shares[shares["total"].notna() | shares["bound"].isna()]
+            ordered = _records(shares.sort_values("total", ascending=False, kind="stable"))
+            found["rows"].append(row | {"contributors": ordered[:LISTED_CONTRIBUTORS]})
         found["words"] = linear_words(table, linearity)
         found["joint"] = _records(joint_ranking(table, linearity, outcome.model.scene))[:LISTED_CONTRIBUTORS]
     spreads = outcome.study(SPREADS)
@@ -149,30 +150,30 @@ def _drivers(outcome: Outcome) -> dict[str, Any]:
 
 
 def _remedies(outcome: Outcome) -> dict[str, Any]:
-    """What would bring it within its limits, of fresh samples, as far as it was asked."""
+    """Remedies and their effects on fresh samples, as far as they were computed."""
     table, effects = outcome.study(REMEDIES), outcome.study(REMEDY_EFFECTS)
     found: dict[str, Any] = {"rows": [], "words": []}
     if table is None or effects is None:
         return found
     found["words"] = remedy_words(table, effects, outcome.model.scene)
-    for name, own in effects.groupby("remedy", sort=False):
+    for name, rows in effects.groupby("remedy", sort=False):
         moves = _records(table[table["remedy"] == name])
-        told = [
+        adjustments = [
             f"{one['adjustment']} {signed(one['change'])} {unit_of(one['adjustment'])}, to {one['value']:.4g}"
             for one in moves
         ]
-        found["rows"].append({"moves": told, "effects": _records(own[own["fresh"] == own["fresh"].max()])})
+        found["rows"].append({"moves": adjustments, "effects": _records(rows[rows["fresh"] == rows["fresh"].max()])})
     return found
 
 
 def _misses(outcome: Outcome) -> list[str]:
-    """The likeliest misses in sentences, as far as they were looked for."""
+    """The most likely misses in sentences, as far as they were computed."""
     table, points = outcome.study(RARE), outcome.study(DESIGN_POINTS)
     return [] if table is None or points is None else design_words(table, points)
 
 
 def _optimum(outcome: Outcome) -> dict[str, Any]:
-    """What was found to be best, judged on fresh samples, as far as it was asked."""
+    """The optimum on fresh samples, as far as it was computed."""
     whole, changes, matched = (outcome.study(t) for t in (OPTIMA, OPTIMUM_CHANGES, OPTIMUM_MATCHES))
     found: dict[str, Any] = {"words": [], "changes": [], "matches": {}, "kinds": []}
     if whole is not None and changes is not None:
@@ -203,7 +204,7 @@ def _facts(outcome: Outcome) -> list[tuple[str, str]]:
 
 
 def _validity(outcome: Outcome) -> list[dict[str, Any]]:
-    """Per law: residual, counts, and the failed samples with advice."""
+    """For each law: residual, counts, and the failed samples with advice."""
     rows = []
     for law in outcome.record["laws"]:
         run = law in outcome.laws
@@ -236,23 +237,23 @@ def _validity(outcome: Outcome) -> list[dict[str, Any]]:
 
 
 def _accuracy(outcome: Outcome) -> list[dict[str, Any]]:
-    """Per part what its mesh leaves, and the mesh at half the size; nothing where the run did not estimate it."""
+    """Estimated mesh error of each part, and the cost of half the element size; empty where it was not estimated."""
     found = read_accuracy(outcome.folder)
     if found is None:
         return []
-    own = found.groupby("part", sort=False)
-    return [{**_records(rows)[0], "part": part, "quantities": _records(rows)} for part, rows in own]
+    parts = found.groupby("part", sort=False)
+    return [{**_records(rows)[0], "part": part, "quantities": _records(rows)} for part, rows in parts]
 
 
 def _advice(status):
     try:
         return Status(status).advice
     except ValueError:
-        return "The computation broke off at this sample; look for deviations far outside what parts can have."
+        return "The computation failed at this sample; look for implausibly large deviations."
 
 
 def _paths(outcome: Outcome) -> list[dict[str, Any]]:
-    """Per law with friction: what the way took and left, and how many samples stand beside a tighter one."""
+    """For each law with friction: steps and estimated error of the path, and the number of repeated samples."""
     study, summary = outcome.path_study, outcome.summary()["laws"]
     return [
         {"law": law, "repeated": study.repeated(law) if study else 0} | summary[law]["path"]
@@ -262,12 +263,12 @@ def _paths(outcome: Outcome) -> list[dict[str, Any]]:
 
 
 def _zones(outcome: Outcome, stage: str | None, published: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """Rows of the paper's Table 1: per zone the figures of each law, and the published ones."""
+    """Rows of the paper's Table 1: figures of each law by zone, and the published ones."""
     table = outcome.zone_statistics
     rows: list[dict[str, Any]] = []
     if stage is None or not len(table):
         return rows
-    theirs = published.get("zones", {})
+    published_zones = published.get("zones", {})
     for i, zone in enumerate(outcome.zones):
         for name in outcome.stages:
             found = table[(table["zone"] == zone) & (table["stage"] == name)]
@@ -279,7 +280,7 @@ def _zones(outcome: Outcome, stage: str | None, published: Mapping[str, Any]) ->
                     "friction": outcome.model.scene.zones[i].coefficient(name),
                     "pairs": int((outcome.model.contacts.zone == i).sum()),
                     "laws": {row["law"]: row for row in _records(found)},
-                    "published": theirs.get(zone, {}) if name == stage else {},
+                    "published": published_zones.get(zone, {}) if name == stage else {},
                 }
             )
     return rows

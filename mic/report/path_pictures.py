@@ -1,4 +1,4 @@
-"""Pictures of the way that contacts go: their states along it, the work of friction, the error that it leaves."""
+"""Pictures of the load path: contact states along it, work of friction, path error."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ SLIPPING = list(STATE_WORDS)[-1]
 
 
 def path_state_picture(outcome: Outcome, context: Context) -> Picture | None:
-    """Shares of each stage's path that the pairs of a zone are open, stick and slip, one panel per law."""
+    """Shares of each stage's path in which the pairs of a zone are open, sticking or slipping, a panel for each law."""
     laws = _laws(outcome, context)
     if not laws:
         return None
@@ -27,13 +27,13 @@ def path_state_picture(outcome: Outcome, context: Context) -> Picture | None:
     fig, axes = panels(len(laws), len(laws), (10.5 / len(laws), 0.9 + 0.26 * len(zones) * len(stages)), sharey=True)
     sentences = []
     for ax, law in zip(axes, laws):
-        own = _rows(outcome, law)
+        rows = _rows(outcome, law)
         places, labels = [], []
         for s, stage in enumerate(stages):
             for z, zone in enumerate(zones):
                 place, left = s * (len(zones) + 0.6) + z, 0.0
                 for state, colour in STATE_COLOURS.items():
-                    share = own[stage, zone][state]
+                    share = rows[stage, zone][state]
                     ax.barh(place, share, 0.8, left=left, color=colour)
                     left += share
                 places.append(place)
@@ -41,23 +41,23 @@ def path_state_picture(outcome: Outcome, context: Context) -> Picture | None:
         ax.set(xlim=(0, 1), xlabel="share of the path, mean over pairs and samples", yticks=places, yticklabels=labels)
         ax.set_title(law, color=LAWS[law].colour)
         ax.grid(False)
-        mean = {word: np.mean([row[state] for row in own.values()]) for state, word in STATE_WORDS.items()}
-        most = max(own, key=lambda key: own[key][SLIPPING])
+        mean = {word: np.mean([row[state] for row in rows.values()]) for state, word in STATE_WORDS.items()}
+        most = max(rows, key=lambda key: rows[key][SLIPPING])
         sentences.append(
             f"{law}: {', '.join(f'{percent(share)} {word}' for word, share in mean.items())} on average over zones and "
-            f"stages; the most slipping is in {most[1]}, stage {most[0]} ({percent(own[most][SLIPPING])})"
+            f"stages; the largest slipping share is in {most[1]}, stage {most[0]} ({percent(rows[most][SLIPPING])})"
         )
-    axes[0].invert_yaxis()  # of all panels: they share it
+    axes[0].invert_yaxis()  # shared by all panels
     for ax in axes:
         for i, label in enumerate(ax.get_yticklabels()):
             label.set_color(zone_colour(i % len(zones)))
     handles = [Patch(color=colour, label=STATE_WORDS[state]) for state, colour in STATE_COLOURS.items()]
     fig.legend(handles=handles, loc="outside upper left", ncols=3)
-    return svg(fig, "Open, sticking, slipping along the path", f"{'; '.join(sentences)}.")
+    return svg(fig, "Contact states along the path", f"{'; '.join(sentences)}.")
 
 
 def friction_work_picture(outcome: Outcome, context: Context) -> Picture | None:
-    """Work that friction dissipates in each zone, stage by stage, with its interval."""
+    """Work of friction in each zone and stage, with its interval."""
     laws = _laws(outcome, context)
     if not laws:
         return None
@@ -66,9 +66,9 @@ def friction_work_picture(outcome: Outcome, context: Context) -> Picture | None:
     width = 0.8 / len(laws)
     for ax, stage in zip(axes, stages):
         for i, law in enumerate(laws):
-            own = _rows(outcome, law)
+            rows = _rows(outcome, law)
             mean, low, high = (
-                np.array([own[stage, zone][f"mean_friction_work{end}"] for zone in zones])
+                np.array([rows[stage, zone][f"mean_friction_work{end}"] for zone in zones])
                 for end in ("", "_low", "_high")
             )
             place = np.arange(len(zones)) + (i - (len(laws) - 1) / 2) * width
@@ -81,12 +81,12 @@ def friction_work_picture(outcome: Outcome, context: Context) -> Picture | None:
         ax.set_title(f"stage {stage}")
         ax.set(xlim=(-0.9, len(zones) - 0.1), ylim=(0, None))
         ax.grid(axis="x", visible=False)
-    axes[0].set_ylabel("friction's work (N mm)")
+    axes[0].set_ylabel("work of friction (N mm)")
     law_legend(fig, laws)
     sentences = []
     for law in laws:
-        own = _rows(outcome, law)
-        work = {stage: sum(own[stage, zone]["mean_friction_work"] for zone in zones) for stage in stages}
+        rows = _rows(outcome, law)
+        work = {stage: sum(rows[stage, zone]["mean_friction_work"] for zone in zones) for stage in stages}
         sentences.append(f"{law}: " + ", ".join(f"{number(done)} N mm in {stage}" for stage, done in work.items()))
     return svg(
         fig,
@@ -96,7 +96,7 @@ def friction_work_picture(outcome: Outcome, context: Context) -> Picture | None:
 
 
 def path_error_picture(outcome: Outcome, context: Context) -> Picture | None:
-    """Distribution of the estimated error of the path, beside the error that repetitions on a tighter path measured."""
+    """Distribution of the estimated path error, and comparison with the error measured on a tighter path."""
     shown = {
         (law, stage): outcome.path_error(law, stage, outcome.sample_numbers(law)[:SHOWN])
         for law in _laws(outcome, context)
@@ -136,12 +136,12 @@ def path_error_picture(outcome: Outcome, context: Context) -> Picture | None:
     law_legend(fig, laws)
     sentences = []
     for law in laws:
-        told = []
+        by_stage = []
         for stage in stages:
             if (law, stage) in shown:
                 middle, worst = (number(1e3 * float(f(shown[law, stage])), 2) for f in (np.median, np.max))
-                told.append(f"median {middle} µm and largest {worst} µm in {stage}")
-        sentences.append(f"{law}: {', '.join(told)}" + (_coverage(beside[law]) if law in beside else ""))
+                by_stage.append(f"median {middle} µm and largest {worst} µm in {stage}")
+        sentences.append(f"{law}: {', '.join(by_stage)}" + (_coverage(beside[law]) if law in beside else ""))
     return svg(
         fig,
         "Estimated error of the path",
@@ -157,7 +157,7 @@ def _ticks(axis, low: float, high: float) -> None:
 
 
 def _estimated(outcome, law) -> pd.DataFrame:
-    """Rows of the study in which an estimate stands beside the error that was measured."""
+    """Rows of the path study with both an estimate and a measured error."""
     if outcome.path_study is None:
         return PATH_ERRORS.empty()
     errors = outcome.path_study.errors
@@ -165,27 +165,26 @@ def _estimated(outcome, law) -> pd.DataFrame:
 
 
 def _coverage(errors) -> str:
-    """How the estimate stands against the error that was measured."""
+    """Share of repetitions whose estimate covers the measured error, in words."""
     covered = errors["estimate"] >= errors["measured"]
     text = (
-        f"; of {len(errors)} repetitions, stage by stage, the estimate covers what a tighter path changes in "
-        f"{covered.sum()}"
+        f"; the estimate covers the change on a tighter path in {covered.sum()} of {len(errors)} repetitions and stages"
     )
-    told = errors["measured"] > 0
-    if told.any():
-        ratio = (errors["estimate"] / errors["measured"])[told].median()
-        text += f", and is {number(ratio, 2)} times that in the median"
+    positive = errors["measured"] > 0
+    if positive.any():
+        ratio = (errors["estimate"] / errors["measured"])[positive].median()
+        text += f" (median ratio {number(ratio, 2)})"
     return text
 
 
 def _rows(outcome, law) -> dict[tuple[str, str], dict]:
-    """The figures of every zone by stage and zone."""
+    """Statistics by stage and zone."""
     table = outcome.zone_statistics
     return {(row["stage"], row["zone"]): row for row in table[table["law"] == law].to_dict("records")}
 
 
 def _laws(outcome, context) -> list[str]:
-    """Laws under which a path was followed."""
+    """Laws with friction."""
     if not (outcome.has_slip and outcome.stages):
         return []
     return [law for law in context.laws if LAWS[law].frictional]

@@ -1,4 +1,4 @@
-"""A picture: a drawn figure with a title, and a caption that says in numbers what it shows.
+"""A picture: a drawn figure with a title and a caption with its main numbers.
 
 Figures are drawn by matplotlib without pyplot, so that nothing global is touched.
 """
@@ -28,18 +28,18 @@ from mic.report.style import LAWS
 
 __all__ = ["MOST_PANELS", "Picture", "law_legend", "measured_once", "panels", "png", "svg"]
 
-_DECIMALS = re.compile(rb'\b(?:x|y|x1|x2|y1|y2|points)="[^"]*"')  # of places on paper, of which
-_LONG = re.compile(rb"(\.\d\d)\d+")  # a hundredth of a point is seen by nobody
+_DECIMALS = re.compile(rb'\b(?:x|y|x1|x2|y1|y2|points)="[^"]*"')  # coordinates, of which
+_LONG = re.compile(rb"(\.\d\d)\d+")  # a hundredth of a point is invisible
 _LONGER = re.compile(rb"(\.\d)\d+")
 _OUTLINE = re.compile(rb'\bd="([^"]*)"')
-_NAMED = re.compile(rb'<g id="[\w.]+_\d+">')  # nothing names these groups
+_NAMED = re.compile(rb'<g id="[\w.]+_\d+">')  # unused names of groups
 _USE = rb'<use xlink:href="[^"]*" x="[^"]*" y="[^"]*" style="'
 _MARKS = re.compile(_USE + rb'([^"]*)"/>(?:' + _USE + rb'\1"/>)+')
 _STROKE = re.compile(r"([MLCQzZ])([^MLCQzZ]*)")
-_TENTHS = 10  # of a point, to which lines are told: a seventh of a pixel
+_TENTHS = 10  # of a point, the resolution of lines: a seventh of a pixel
 _IDLE = re.compile(rb' transform="rotate\(-?0 [^"]*"|<metadata>.*?</metadata>', re.S)
-_FONT = re.compile(rb";? ?font-family: [^;\"]*")  # of each text: it is the picture's own
-MOST_PANELS = 24  # more panels or labels than this nobody reads
+_FONT = re.compile(rb";? ?font-family: [^;\"]*")  # of each text: the picture has one
+MOST_PANELS = 24  # more panels or labels are unreadable
 
 
 @dataclass(frozen=True)
@@ -62,27 +62,27 @@ class Picture:
 
     @property
     def uri(self) -> str:
-        """The picture as a data URI, so that a page can hold it."""
+        """The picture as a data URI for a self-contained page."""
         if self.kind == "png":
             return f"data:image/png;base64,{base64.b64encode(self.data).decode()}"
         text = self.data.decode().replace("'", "&apos;").replace('"', "'")
-        for sign, told in (("%", "%25"), ("#", "%23"), ("&", "%26"), ("\n", "%0A")):
-            text = text.replace(sign, told)
-        return Markup("data:image/svg+xml;charset=utf-8," + text)  # no quote and no ampersand is left in it
+        for sign, commands in (("%", "%25"), ("#", "%23"), ("&", "%26"), ("\n", "%0A")):
+            text = text.replace(sign, commands)
+        return Markup("data:image/svg+xml;charset=utf-8," + text)  # contains neither quote nor ampersand
 
     def _repr_html_(self) -> str:
-        """As notebooks show it."""
-        told = f"<figcaption>{escape(self.caption)}</figcaption>"
-        return f'<figure><img alt="{escape(self.title)}" src="{self.uri}" style="max-width:100%">{told}</figure>'
+        """HTML for notebooks."""
+        caption = f"<figcaption>{escape(self.caption)}</figcaption>"
+        return f'<figure><img alt="{escape(self.title)}" src="{self.uri}" style="max-width:100%">{caption}</figure>'
 
 
 def svg(fig: Figure, title: str, caption: str) -> Picture:
-    """The figure as lines and text, for pictures of few elements."""
+    """The figure as SVG, for few elements."""
     return _save(fig, title, caption, "svg", 72, {"Date": None})
 
 
 def png(fig: Figure, title: str, caption: str, dpi: int) -> Picture:
-    """The figure as pixels, for pictures of many triangles."""
+    """The figure as PNG, for many triangles."""
     return _save(fig, title, caption, "png", dpi, None)
 
 
@@ -106,46 +106,46 @@ def law_legend(fig: Figure, laws: Sequence[str]) -> None:
 
 
 def _short(found: re.Match[bytes]) -> bytes:
-    """An attribute of places on paper, without the digits that nobody needs."""
+    """A coordinate attribute without superfluous digits."""
     return _LONGER.sub(rb"\1", found.group())
 
 
 def _alike(found: re.Match[bytes]) -> bytes:
-    """Marks of one style as a group that has it."""
+    """Marks of one style as one group with that style."""
     style = b' style="' + found.group(1) + b'"'
     return b"<g" + style + b">" + found.group().replace(style, b"") + b"</g>"
 
 
 def _outline(found: re.Match[bytes]) -> bytes:
-    """An outline in few signs: straight lines by steps from place to place, curves as they are but for their digits."""
-    told: list[str] = []
+    """A compact outline: straight lines by relative steps, curves with fewer digits."""
+    commands: list[str] = []
     x = y = 0
     strokes = _STROKE.findall(found.group(1).decode())
     if any(kind in "CQ" for kind, _ in strokes):
         return re.sub(rb"\s*([MLCQz])\s*", rb"\1", _LONG.sub(rb"\1", found.group())).replace(b' "', b'"')
     for kind, numbers in strokes:
         if kind in "zZ":
-            told.append("z")
+            commands.append("z")
             continue
         to_x, to_y = (round(float(number) * _TENTHS) for number in numbers.split())
         if kind == "M":
-            told.append("M" + _joined(to_x, to_y))
+            commands.append("M" + _joined(to_x, to_y))
         elif to_y == y and to_x == x:
             continue
         elif to_y == y:
-            told.append("h" + _joined(to_x - x))
+            commands.append("h" + _joined(to_x - x))
         elif to_x == x:
-            told.append("v" + _joined(to_y - y))
+            commands.append("v" + _joined(to_y - y))
         else:
-            told.append("l" + _joined(to_x - x, to_y - y))
+            commands.append("l" + _joined(to_x - x, to_y - y))
         x, y = to_x, to_y
-    if len(told) == 1:  # a point: round ends make it one
-        told.append("h0")
-    return f'd="{"".join(told)}"'.encode()
+    if len(commands) == 1:  # a point, drawn by round line ends
+        commands.append("h0")
+    return f'd="{"".join(commands)}"'.encode()
 
 
 def _joined(*tenths: int) -> str:
-    """Numbers of tenths, apart by a sign or a blank."""
+    """Numbers of tenths, separated by a sign or a blank."""
     each = [
         f"{number / _TENTHS:g}".replace("0.", ".", 1) if abs(number) < _TENTHS else f"{number / _TENTHS:g}"
         for number in tenths
@@ -155,8 +155,10 @@ def _joined(*tenths: int) -> str:
 
 @contextmanager
 def measured_once(axes: Sequence[Axes]) -> Iterator[None]:
-    """Within it the room for labels around axes is measured anew only where their ticks have changed: a layout asks
-    twice, and that takes most of the time of a picture. Axes that keep an aspect are measured each time."""
+    """Context in which the extent of labels is measured again only when ticks have changed.
+
+    A layout asks twice, which takes most of the drawing time. Axes with a fixed aspect are measured each time.
+    """
     own = [ax for ax in axes if ax.name == "rectilinear" and ax.get_aspect() == "auto"]
     for ax in own:
         ax.get_tightbbox = partial(_room, ax, {})  # type: ignore[method-assign]
@@ -168,7 +170,7 @@ def measured_once(axes: Sequence[Axes]) -> Iterator[None]:
 
 
 def _room(ax: Axes, known: dict[str, Any], renderer: Any, *args: Any, **kwargs: Any) -> Bbox | None:
-    """:meth:`matplotlib.axes.Axes.get_tightbbox`, with what is known since the last call."""
+    """:meth:`matplotlib.axes.Axes.get_tightbbox` with a cache."""
     ticks = [*ax.get_xticks(), np.nan, *ax.get_yticks()]
     if "margins" in known and np.array_equal(ticks, known["ticks"], equal_nan=True):
         return Bbox.from_extents(*np.add(ax.bbox.extents, known["margins"]))
@@ -183,14 +185,14 @@ def _save(fig, title, caption, kind, dpi, metadata):
     for ax in fig.axes:
         for axis in (ax.xaxis, ax.yaxis):
             if not axis.get_label_text():
-                axis.set_label_coords(0.5, 0.5)  # else all ticks are laid out, time and again, to find its place
+                axis.set_label_coords(0.5, 0.5)  # avoids repeated layout of all ticks
     engine = fig.get_layout_engine()
-    if engine is not None:  # once and for all: saving would draw everything once more to find it
+    if engine is not None:  # once: saving would otherwise draw everything again
         with measured_once(fig.axes):
             engine.execute(fig)
         fig.set_layout_engine("none")
     fig.set_dpi(dpi)
-    if kind == "svg":  # by the canvas itself: savefig draws all once for nothing where there was a layout
+    if kind == "svg":  # by the canvas: savefig would draw everything twice
         FigureCanvasSVG(fig).print_svg(buffer, metadata=metadata)
     else:
         FigureCanvasAgg(fig).print_png(buffer)

@@ -1,15 +1,15 @@
-"""The pictures of a report: which there are, in which order, and in which section of the page they stand.
+"""The pictures of a report: their order, their section of the page, and the functions that draw them.
 
-A picture is a function of the outcome and its context that returns a :class:`~mic.report.picture.Picture`, or None
-where the outcome cannot fill it. It reads what the run left behind and solves nothing.
+Each function takes an outcome and its context and returns a :class:`~mic.report.picture.Picture`, or None if the
+outcome lacks the data. It only reads results and solves nothing.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING
+from typing import Protocol
 
 import matplotlib.style
 
@@ -39,13 +39,10 @@ from mic.results.schema import (
     Table,
 )
 
-if TYPE_CHECKING:
-    from mic.report.background_pictures import Ahead
+__all__ = ["PICTURES", "SECTIONS", "Entry", "PictureSource", "StudyPicture", "draw", "draw_all"]
 
-__all__ = ["PICTURES", "SECTIONS", "Entry", "Kept", "draw", "draw_all"]
-
-#: Sections of the page that show their pictures one below the other. ``still`` holds what stands in for the interactive
-#: views where a browser cannot show them; the page names those pictures.
+#: Sections of the page that show their pictures in a column. ``still`` has the pictures that replace the interactive
+#: views in browsers without WebGL; the page refers to them by name.
 SECTIONS = (
     "drivers",
     "steps",
@@ -65,24 +62,34 @@ SECTIONS = (
 )
 
 
+class PictureSource(Protocol):
+    """Pictures that are drawn elsewhere, such as :class:`mic.report.background_pictures.BackgroundPictures`."""
+
+    names: Sequence[str]
+
+    def pictures(self) -> Mapping[str, Picture | None]:
+        """The pictures by name."""
+
+
 @dataclass(frozen=True)
-class Kept:
-    """A picture of what a study found, drawn from the tables that its command has left in the run's folder.
+class StudyPicture:
+    """A picture of a study, drawn from the tables that its command has stored in the results folder.
 
     Attributes
     ----------
     func : callable
-        ``func(scene, *tables) -> Picture or None``; :mod:`mic.report.study_pictures` calls it with what the study returns.
+        ``func(scene, *tables) -> Picture or None``; :mod:`mic.report.study_pictures` calls it with the result of the
+        study.
     tables : tuple of Table
-        Without one of them there is no picture.
+        All of them are required.
     """
 
     func: Callable[..., Picture | None]
     tables: tuple[Table, ...]
 
     def __call__(self, outcome: Outcome, context: Context) -> Picture | None:
-        found = [outcome.study(table) for table in self.tables]
-        return None if any(one is None for one in found) else self.func(outcome.model.scene, *found)
+        tables = [outcome.study(table) for table in self.tables]
+        return None if any(table is None for table in tables) else self.func(outcome.model.scene, *tables)
 
 
 @dataclass(frozen=True)
@@ -110,14 +117,14 @@ class Entry:
 
 #: Every picture, in the order of the page.
 PICTURES = (
-    Entry("contributors", "drivers", Kept(contributor_picture, (CONTRIBUTORS, LINEARITY))),
-    Entry("sensitivities", "steps", Kept(sensitivity_picture, (SENSITIVITIES,))),
-    Entry("friction-effects", "friction", Kept(friction_effect_picture, (FRICTION_EFFECTS,))),
-    Entry("rare-misses", "misses", Kept(miss_picture, (RARE,))),
-    Entry("likeliest-misses", "misses", Kept(likeliest_miss_picture, (DESIGN_POINTS,))),
-    Entry("remedy-effects", "remedies", Kept(remedy_picture, (REMEDY_EFFECTS,))),
-    Entry("order-changes", "orders", Kept(order_picture, (ORDERS,))),
-    Entry("optimum-changes", "optimum", Kept(change_picture, (COMPARISON,))),
+    Entry("contributors", "drivers", StudyPicture(contributor_picture, (CONTRIBUTORS, LINEARITY))),
+    Entry("sensitivities", "steps", StudyPicture(sensitivity_picture, (SENSITIVITIES,))),
+    Entry("friction-effects", "friction", StudyPicture(friction_effect_picture, (FRICTION_EFFECTS,))),
+    Entry("rare-misses", "misses", StudyPicture(miss_picture, (RARE,))),
+    Entry("likeliest-misses", "misses", StudyPicture(likeliest_miss_picture, (DESIGN_POINTS,))),
+    Entry("remedy-effects", "remedies", StudyPicture(remedy_picture, (REMEDY_EFFECTS,))),
+    Entry("order-changes", "orders", StudyPicture(order_picture, (ORDERS,))),
+    Entry("optimum-changes", "optimum", StudyPicture(change_picture, (COMPARISON,))),
     Entry("assembly", "still", assembly_picture),
     Entry("path-error", "path", path_error_picture),
     Entry("tangential-density", "motion", tangential_density_picture),
@@ -137,32 +144,32 @@ PICTURES = (
 
 
 def draw(name: str, outcome: Outcome, context: Context) -> Picture | None:
-    """Draw one picture of :data:`PICTURES` under the report's own style; None where the outcome cannot fill it.
+    """Draw one picture of :data:`PICTURES` in the style of the report; None if the outcome lacks the data.
 
     Raises
     ------
     KeyError
         If there is no picture of this name.
     """
-    function = {entry.name: entry.function for entry in PICTURES}[name]
-    with matplotlib.style.context(RC, after_reset=True):  # whatever the user's own settings
+    function = {picture.name: picture.function for picture in PICTURES}[name]
+    with matplotlib.style.context(RC, after_reset=True):  # independent of the user's settings
         return function(outcome, context)
 
 
-def draw_all(outcome: Outcome, context: Context, ahead: Ahead | None = None) -> dict[str, Picture]:
-    """All pictures that the outcome can fill, by name, in the order of :data:`PICTURES`.
+def draw_all(outcome: Outcome, context: Context, background: PictureSource | None = None) -> dict[str, Picture]:
+    """All pictures for which the outcome has data, by name, in the order of :data:`PICTURES`.
 
     Parameters
     ----------
     outcome : Outcome
     context : Context
-    ahead : Ahead, optional
-        Those of this outcome that were begun before.
+    background : PictureSource, optional
+        Pictures of this outcome that are drawn already.
     """
-    names = [entry.name for entry in PICTURES if ahead is None or entry.name not in ahead.names]
+    names = [picture.name for picture in PICTURES if background is None or picture.name not in background.names]
     tasks = [partial(draw, name, outcome, context) for name in names]
-    if ahead is None:
+    if background is None:
         drawn = dict(zip(names, run_on_two_cores(tasks)))
     else:
-        drawn = {name: task() for name, task in zip(names, tasks)} | ahead.pictures()
+        drawn = {name: task() for name, task in zip(names, tasks)} | dict(background.pictures())
     return {entry.name: picture for entry in PICTURES if (picture := drawn[entry.name]) is not None}

@@ -1,4 +1,4 @@
-"""The shapes that one standard deviation of each source makes, part by part."""
+"""Pictures of the shape caused by one standard deviation of each source."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ COLUMNS = 3
 
 
 def draw_shapes(surfaces: Mapping[str, Surface], shapes: Sequence[SourceShape]) -> Picture:
-    """Each shape on its parts, coloured by how far they are off along their normals, each on a scale of its own."""
+    """Each shape on its parts, coloured by the displacement along the normals, each with its own scale."""
     shown = shapes[:MOST]
     fig, axes = panels(len(shown), min(COLUMNS, len(shown)), (3.6, 2.9))
     for ax, shape in zip(axes, shown):
@@ -33,10 +33,10 @@ def draw_shapes(surfaces: Mapping[str, Surface], shapes: Sequence[SourceShape]) 
         draw_surfaces(ax, list(own.values()), [colormaps["RdBu_r"](scale(values))[:, :3] for values in off])
         ax.set_title(f"{shape.name} ({', '.join(own)}): {number(shape.largest[2])} mm", fontsize=9)
         fig.colorbar(ScalarMappable(scale, "RdBu_r"), ax=ax, shrink=0.7, label="mm")
-    text = "What 1 σ of each source does to its part where it stands on its datum locators, along its normals; the "
-    text += "title tells the largest displacement."
+    text = "Displacement along the normals due to 1 σ of each source, with the part on its datum locators; the title "
+    text += "gives the largest displacement."
     if any(shape.face for shape in shown):
-        text += " Of a thickness it is how far a face moves, by half of it, or by all where the other face stays."
+        text += " For a thickness: the motion of a face, half of the change, or all of it if the other face stays."
     if len(shapes) > MOST:
-        text += f" The first {MOST} of {len(shapes)} are shown."
+        text += f" Shown are the first {MOST} of {len(shapes)}."
     return png(fig, "Shapes of the sources", text, 100)

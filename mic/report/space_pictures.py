@@ -1,4 +1,4 @@
-"""Pictures of the parts in space: the assembly and what holds it, its variation, displacement fields, normals."""
+"""Three-dimensional pictures: assembly with fixture, variation, displacement fields, normals, overlap."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ INK = "#1b1f24"
 
 
 def viewpoint(surfaces: Collection[Surface]) -> np.ndarray:
-    """(3,) unit vector towards the corner of space from which most of the surfaces is seen."""
+    """(3,) unit vector towards the octant from which the largest projected area is visible."""
     normal = np.concatenate([surface.normals * surface.areas[:, None] for surface in surfaces])
     corners = [
         np.array([np.cos(a) * np.cos(e), np.sin(a) * np.cos(e), np.sin(e)])
@@ -51,7 +51,7 @@ def viewpoint(surfaces: Collection[Surface]) -> np.ndarray:
 
 
 class _View:
-    """Orthographic view of the parts from their :func:`viewpoint`, each thinned to `most` vertices."""
+    """Orthographic view of the parts from their :func:`viewpoint`, each decimated to `most` vertices."""
 
     def __init__(self, surfaces: Collection[Surface], most: int = MOST):
         self.surfaces, self.most = tuple(surfaces), most
@@ -61,7 +61,7 @@ class _View:
         self.up = np.cross(self.eye, self.right)
 
     def flat(self, points: np.ndarray) -> np.ndarray:
-        """(n, 2) places on paper of (n, 3) points."""
+        """(n, 2) projections of (n, 3) points."""
         return np.column_stack([points @ self.right, points @ self.up])
 
     def draw(self, ax: Axes, colours: Sequence[np.ndarray], shading: float) -> None:
@@ -86,9 +86,9 @@ class _View:
         order = np.argsort((points @ self.eye)[triangles].mean(axis=1))
         x, y = self.flat(points).T
         mesh = TriMesh(Triangulation(x, y, triangles[order]))
-        rgba: Any = np.column_stack([rgb.clip(0, 1), np.ones(len(rgb))])  # an array, which the stubs do not know
+        rgba: Any = np.column_stack([rgb.clip(0, 1), np.ones(len(rgb))])  # an array, unknown to the type stubs
         mesh.set_facecolor(rgba)
-        ax.add_collection(mesh, autolim=False)  # by itself it would look at one triangle after the other
+        ax.add_collection(mesh, autolim=False)  # autolim would visit every triangle
         ax.update_datalim(np.column_stack([x, y]))
         ax.autoscale_view()
         ax.set_aspect("equal")
@@ -96,7 +96,7 @@ class _View:
 
 
 def draw_surfaces(ax: Axes, surfaces: Sequence[Surface], colours: Sequence[np.ndarray]) -> None:
-    """Surfaces from where most of them is seen; one colour (3,) each, or one at every vertex (v, 3)."""
+    """Surfaces from their best viewpoint; one colour (3,) each, or one at every vertex (v, 3)."""
     _View(surfaces).draw(ax, colours, 0.2)
 
 
@@ -153,7 +153,7 @@ def assembly_picture(outcome: Outcome, context: Context) -> Picture | None:
 
 
 def draw_normals(surfaces: Mapping[str, Surface]) -> Picture:
-    """Which `mic.geometry.normals.Rule` decided the normal at each corner of the triangles, by colours."""
+    """Origin of the normal at each corner of the triangles (`mic.geometry.normals.Rule`), by colour."""
     fig = Figure(figsize=(6.5 * len(surfaces), 6.0), layout="constrained")
     colours = np.array([to_rgb(RULE_COLOURS[rule]) for rule in Rule])
     for ax, (name, surface) in zip(fig.subplots(1, len(surfaces), squeeze=False)[0], surfaces.items()):
@@ -179,12 +179,12 @@ def draw_normals(surfaces: Mapping[str, Surface]) -> Picture:
         if any(map(len, places))
     ]
     fig.legend(handles=handles, loc="outside lower center", ncols=min(2 * len(surfaces), 4))
-    text = f"What decided the normals at {counts.sum()} corners of triangles."
+    text = f"Origin of the normals at {counts.sum()} triangle corners."
     return png(fig, "Normals of the sheets", text, 110)
 
 
 def draw_overlap(surfaces: Mapping[str, Surface], contacts: Contacts) -> Picture:
-    """How deep the facing surfaces are drawn into each other, pair by pair."""
+    """Nominal overlap of the facing surfaces at each pair."""
     fig = Figure(figsize=(9.5, 6.0), layout="constrained")
     ax = fig.subplots()
     view = _View(surfaces.values())
@@ -259,15 +259,15 @@ def field_picture(outcome: Outcome, context: Context) -> Picture | None:
     )
     law = outcome.laws[0]
     caption = (
-        f"Deviation from nominal after the last stage under {law}, the parts' own shape deviation included: "
-        f"{'; '.join(texts)}. 6σ rests on {rank + 1} solves at most per part; the truncation leaves out "
+        f"Deviation from nominal after the last stage under {law}, including the parts' shape deviations: "
+        f"{'; '.join(texts)}. 6σ uses at most {rank + 1} solves per part; the truncation omits "
         f"{number(discarded, 2)} of the elastic energy and {number(error, 2)} mm at the retained points."
     )
     return png(fig, f"Mean and 6σ displacement fields, {law}", caption, 100)
 
 
 def _arrow(ax, view, item, length, colour):
-    """An arrow that ends where a locator or clamp acts and points its way; a cross if that is the line of sight."""
+    """An arrow that ends where a locator or clamp acts, in its direction; a cross along the line of sight."""
     point = np.array([item.point])
     head, tail = view.flat(np.concatenate([point, point - length * np.array(item.direction)]))
     if np.linalg.norm(head - tail) > length / 7:
@@ -278,7 +278,7 @@ def _arrow(ax, view, item, length, colour):
 
 
 def deviation_map_picture(outcome: Outcome, context: Context) -> Picture | None:
-    """What parallelisms and profiles read at each point: mean and 6σ, under the first law."""
+    """Mean and 6σ at each point of parallelisms and profiles, under the first law."""
     items = [item for item in outcome.model.scene.measurements if item.points is not None][: MOST_PANELS // 2]
     if not items or not outcome.laws or not context.surfaces:
         return None
@@ -300,5 +300,5 @@ def deviation_map_picture(outcome: Outcome, context: Context) -> Picture | None:
         at = own.iloc[int(own["six_sigma"].fillna(0.0).argmax())]
         place = ", ".join(f"{at[axis]:.0f}" for axis in "xyz")
         spread = f"6σ = {number(at['six_sigma'])} mm about {number(at['mean'])} mm"
-        worst.append(f"{item.name} varies most at ({place}), by {spread}")
-    return png(fig, "Maps of deviation", f"Under {law}, at the points that are read. {'; '.join(worst)}.", 110)
+        worst.append(f"largest variation of {item.name} at ({place}): {spread}")
+    return png(fig, "Maps of deviation", f"Under {law}, at the measured points; {'; '.join(worst)}.", 110)

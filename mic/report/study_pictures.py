@@ -1,10 +1,9 @@
-"""What the public functions return, as pictures: of each command the same ones that its page shows.
+"""Pictures of the results of public functions: the same ones that the page of each command shows.
 
 >>> found = mic.sensitivity(model)                                                    # doctest: +SKIP
 >>> (picture,) = mic.report.pictures(found)                                           # doctest: +SKIP
 
-A picture that a run's report shows as well is listed in :mod:`mic.report.picture_registry`, and drawn by the same function from
-the tables that the command has left in the run's folder.
+Pictures that a run's report shows as well are listed in :mod:`mic.report.picture_registry`.
 """
 
 from __future__ import annotations
@@ -16,7 +15,7 @@ from typing import Any
 import matplotlib.style
 import pandas as pd
 
-from mic.report.assembly_pictures import foretold, moved
+from mic.report.assembly_pictures import explored, predicted
 from mic.report.change_pictures import change_picture, order_picture, remedy_picture, search_trail
 from mic.report.comparison_page import comparison_pictures
 from mic.report.context import read_context
@@ -38,23 +37,23 @@ from mic.studies.rare import RareFailures
 from mic.studies.remedy import Remedies
 from mic.studies.sensitivity import Effects
 
-__all__ = ["SHOWN", "Shown", "pictures"]
+__all__ = ["STUDIES", "StudyPictures", "pictures"]
 
 
 @dataclass(frozen=True)
-class Shown:
-    """How what a command finds is shown.
+class StudyPictures:
+    """The pictures of a command's result.
 
     Attributes
     ----------
     command : str
-        Of the same name as the public function.
+        Name of the command and of the public function.
     returns : type or Table
-        What that returns: a class, or the table that a DataFrame is.
+        What the function returns: a class, or the table of a DataFrame.
     words : str
-        What its pictures show.
+        Content of the pictures.
     draw : callable
-        ``draw(found, scene)``: the pictures; None in the place of one that has nothing to show.
+        ``draw(result, scene)`` → pictures; None for a picture without data.
     """
 
     command: str
@@ -63,107 +62,106 @@ class Shown:
     draw: Callable[[Any, Scene | None], list[Picture | None]]
 
     def takes(self, found: Any) -> bool:
-        """Whether that is what the command finds."""
+        """Whether the object is a result of the command."""
         if isinstance(self.returns, type):
             return isinstance(found, self.returns)
         return isinstance(found, pd.DataFrame) and set(self.returns.names) <= set(found.columns)
 
 
-#: Everything that is shown, by command.
-SHOWN = (
-    Shown("run", Outcome, "all those of its report", lambda found, scene: [*_of_run(found)]),
-    Shown(
+#: Pictures by command.
+STUDIES = (
+    StudyPictures("run", Outcome, "all pictures of its report", lambda found, scene: [*_of_run(found)]),
+    StudyPictures(
         "compare",
         Comparison,
         "changes with their intervals; distributions before and after",
         lambda found, scene: [*comparison_pictures(found)],
     ),
-    Shown(
+    StudyPictures(
         "contributors",
         Contributors,
-        "shares of the variance, alone and with others",
+        "shares of the variance, alone and with interactions",
         lambda found, scene: [contributor_picture(scene, found.table, found.linearity)],
     ),
-    Shown(
+    StudyPictures(
         "explain",
         Explanation,
-        "sources before and after the measurement; what they give",
+        "sources before and after the measurement; predicted characteristics",
         lambda found, scene: [*explanation_pictures(found)],
     ),
-    Shown(
+    StudyPictures(
         "explore",
         ExploredAssembly,
-        "of an answer: contact states, key characteristics against their limits",
-        lambda found, scene: [moved(found)],
+        "contact states, key characteristics against their limits",
+        lambda found, scene: [explored(found)],
     ),
-    Shown(
+    StudyPictures(
         "friction",
         FRICTION_EFFECTS,
-        "changes of mean and 6σ as all friction is multiplied",
+        "changes of mean and 6σ with the friction",
         lambda found, scene: [friction_effect_picture(scene, found)],
     ),
-    Shown(
+    StudyPictures(
         "optimise",
         Optimum,
         "changes with their intervals; the search",
         lambda found, scene: [change_picture(scene, found.table), search_trail(found.trail, found.objective)],
     ),
-    Shown(
+    StudyPictures(
         "order",
         ORDERS,
-        "by order, the largest changes of mean and 6σ",
+        "largest changes of mean and 6σ by order",
         lambda found, scene: [order_picture(scene, found)],
     ),
-    Shown(
+    StudyPictures(
         "predict",
         PREDICTIONS,
-        "what is foretold of each assembly, by verdict",
-        lambda found, scene: [foretold(found, scene)],
+        "predictions of each assembly, by verdict",
+        lambda found, scene: [predicted(found, scene)],
     ),
-    Shown(
+    StudyPictures(
         "rare",
         RareFailures,
-        "probabilities of a miss; the likeliest misses",
+        "probabilities of a miss; the most likely misses",
         lambda found, scene: [miss_picture(scene, found.table), likeliest_miss_picture(scene, found.points)],
     ),
-    Shown(
+    StudyPictures(
         "remedy",
         Remedies,
-        "mean and 6σ as it is and with each remedy",
+        "mean and 6σ without and with each remedy",
         lambda found, scene: [remedy_picture(scene, found.effects)],
     ),
-    Shown(
+    StudyPictures(
         "sensitivity",
         Effects,
-        "what a step of each input changes",
+        "effect of a step of each input",
         lambda found, scene: [sensitivity_picture(scene, found.table)],
     ),
 )
 
 
 def pictures(found: Any, scene: Scene | None = None) -> list[Picture]:
-    """The pictures of what a public function returned; none where there is nothing to show.
+    """The pictures of a public function's result; an empty list without data.
 
     Parameters
     ----------
     found : object
-        What a function of :data:`SHOWN` returned; of :func:`mic.explore`, an answer.
+        Result of a function in :data:`STUDIES`; for :func:`mic.explore`, one of its answers.
     scene : Scene, optional
-        Whose limits are drawn into the pictures of :func:`mic.predict` and :func:`mic.remedy`, which return none.
+        Its limits are drawn for :func:`mic.predict` and :func:`mic.remedy`, whose results have none.
 
     Raises
     ------
     TypeError
-        If it is something else.
+        For any other object.
     """
-    for one in SHOWN:
+    for one in STUDIES:
         if one.takes(found):
             with matplotlib.style.context(RC, after_reset=True):  # whatever the user's own settings
                 return [picture for picture in one.draw(found, scene) if picture is not None]
-    names = ", ".join(one.command for one in SHOWN)
+    names = ", ".join(one.command for one in STUDIES)
     raise TypeError(
-        f"{type(found).__name__} is not what a function returns that has pictures ({names}); of mic.explore, take an "
-        "answer"
+        f"no pictures for {type(found).__name__}: pass the result of {names}; for mic.explore, one of its answers"
     )
 
 

@@ -1,4 +1,4 @@
-"""How things look: one colour for each law, state, part and zone in every picture; numbers as people read them."""
+"""Colours of laws, states, parts and zones in all pictures, and number formats."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ __all__ = [
 
 
 STATE_COLOURS = dict(zip(STATES, ("#dfe4ea", "#56a37c", "#c8553d")))
-STATE_DOTS = STATE_COLOURS | {"open": "#8a94a0"}  # of single pairs: open ones dark enough on white
+STATE_DOTS = STATE_COLOURS | {"open": "#8a94a0"}  # single pairs: open ones must be visible on white
 STATE_WORDS = dict(zip(STATES, ("open", "sticking", "slipping")))
 INSIDE, OUTSIDE = "#2f7d4f", "#c1121f"  # of limits
 VERDICT_COLOURS = {"accepted": INSIDE, "open": "#b26a00", "rejected": OUTSIDE}
@@ -41,15 +41,15 @@ MARK_COLOURS = {
     "force": "#2a9d8f",
 }
 RULE_COLOURS = dict(zip(Rule, ("#6a8fb5", "#8fbf9a", "#dfe4ea", "#c8553d")))
-RULE_WORDS = dict(zip(Rule, ("given", "estimated from the edges", "flat", "refused: too far off")))
+RULE_WORDS = dict(zip(Rule, ("given", "estimated from the edges", "flat", "refused: angle too large")))
 PART_COLOURS = ("#a3c0dc", "#e3d1ab", "#b6cfae", "#cdb5cf", "#d8b0a4", "#a9cccb")
 ZONE_COLOURS = ("#b3168a", "#0a8f5b", "#e08a00", "#3b4cc0", "#7a4a1e", "#008fb3", "#8a2be2", "#6f7f00")
 
 MICROMETRE = 1e-3  # mm
-#: Settings of matplotlib under which every picture is drawn; all others are at their defaults.
+#: Matplotlib settings of every picture; all others have their defaults.
 RC = {
     "font.family": "sans-serif",
-    "font.sans-serif": ["DejaVu Sans", "Arial"],  # the first where pictures are drawn; pages go elsewhere
+    "font.sans-serif": ["DejaVu Sans", "Arial"],  # the first for drawing, the second for readers of SVG
     "font.size": 9,
     "axes.spines.top": False,
     "axes.spines.right": False,
@@ -61,11 +61,11 @@ RC = {
     "axes.axisbelow": True,
     "axes.titlesize": 9.5,
     "axes.titleweight": "bold",
-    "axes.titley": 1.0,  # nothing stands above the axes; looking for it takes a tenth of a picture
+    "axes.titley": 1.0,  # saves matplotlib's search for text above the axes, a tenth of the drawing time
     "legend.frameon": False,
     "legend.fontsize": 8.5,
-    "svg.hashsalt": "mic",  # the same picture is the same file
-    "svg.fonttype": "none",  # text as text: it can be searched, and takes a fraction of the room
+    "svg.hashsalt": "mic",  # reproducible files
+    "svg.fonttype": "none",  # searchable text, and smaller files
 }
 
 
@@ -80,7 +80,7 @@ def zone_colour(i: int) -> str:
 
 
 def percent(value: float, digits: int = 0) -> str:
-    """A share for people, in per cent; ``–`` for NaN."""
+    """A share in per cent; ``–`` for NaN."""
     if np.isnan(value):
         return "–"
     text = f"{100 * value:.{digits}f}"
@@ -88,21 +88,18 @@ def percent(value: float, digits: int = 0) -> str:
 
 
 def change(value: float | None, share: float | None = None) -> str:
-    """A change in mm for people, in µm and, where its share is known, in per cent; ``–`` where it is not known.
-
-    Of a change of no more than a thousandth of a millimetre only that is said.
-    """
+    """A change (mm) in µm and, if known, its share in per cent; ``≤ 1 µm`` for small ones, ``–`` for None and NaN."""
     if value is None or np.isnan(value):
         return "–"
     text = "≤ 1 µm" if abs(value) <= MICROMETRE else f"{'+' * (value > 0)}{number(1e3 * value, 2)} µm"
     if share is None or np.isnan(share):
         return text
-    told = percent(share, 1)
-    return f"{text} ({'+' * (share > 0 and told != '0.0 %')}{told})"
+    relative = percent(share, 1)
+    return f"{text} ({'+' * (share > 0 and relative != '0.0 %')}{relative})"
 
 
 def number(value: float | None, digits: int = 3) -> str:
-    """A number for people: significant digits without exponents where they can be had; ``–`` for None and NaN."""
+    """A number with significant digits, without exponent where possible; ``–`` for None and NaN."""
     if value is None or np.isnan(value):
         return "–"
     value = float(value)

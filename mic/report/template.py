@@ -1,4 +1,4 @@
-"""Pages from their templates: what every page may call, and no name that is misspelt."""
+"""HTML pages from Jinja templates; an unknown name in a template is an error."""
 
 from __future__ import annotations
 
@@ -8,19 +8,19 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from mic.report.style import change, number, percent
 
-__all__ = ["rendered"]
+__all__ = ["render"]
 
 
-def rendered(template: str, **values: Any) -> str:
+def render(template: str, **values: Any) -> str:
     """The text of a page.
 
     Parameters
     ----------
     template : str
-        Its file in this package. Filters are :func:`mic.report.style.number`, :func:`~mic.report.style.change` and
-        ``percent``, with one digit behind the point.
+        File name in this package. Filters are :func:`mic.report.style.number`, :func:`~mic.report.style.change` and
+        ``percent`` with one decimal.
     **values
-        What the template names; a name that is not among them is an error, not a gap in the page.
+        Variables of the template.
     """
     environment = Environment(
         loader=PackageLoader("mic.report", ""),

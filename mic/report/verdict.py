@@ -1,4 +1,4 @@
-"""The answer first: what is within its limits, with which probability, what drives the worst, and can it be trusted."""
+"""The verdict that opens the report: share within limits, worst characteristic, contributors, estimated errors."""
 
 from __future__ import annotations
 
@@ -14,30 +14,30 @@ from mic.results.outcome import Outcome
 from mic.results.schema import CONTRIBUTORS, FRICTION_EFFECTS, LINEARITY, RARE, REMEDIES
 from mic.results.statistic_tables import whole_yield
 
-__all__ = ["SHOWN", "Answer", "answer"]
+__all__ = ["SHOWN", "Verdict", "verdict"]
 
-SHOWN = 10  # characteristics in the table of the first screen, the least capable ones
-FEW = 10  # independent groups of samples: fewer leave intervals that say little
-CAPABLE = 1.0  # Cpk whose interval lies above that: all but 3 in a thousand are inside
+SHOWN = 10  # characteristics in the first table, the least capable ones
+FEW = 10  # independent groups of samples: fewer give very wide intervals
+CAPABLE = 1.0  # lower end of the interval of a Cpk: all but 3 in a thousand are inside
 
 
 @dataclass(frozen=True)
-class Answer:
-    """What the page opens with.
+class Verdict:
+    """The first part of the report.
 
     Attributes
     ----------
     law : str
-        The law that it holds for.
+        Contact law of all figures.
     sentences : list of str
-        The answer; the first is the shortest that there is.
+        The first is the verdict itself.
     rows : list of dict
         By key characteristic, the least capable first: the columns of
         :data:`mic.results.schema.MEASUREMENT_STATISTICS`, ``verdict`` (``in``, ``close`` or ``out``) and ``drivers``.
     more : int
-        Characteristics beyond those.
+        Number of further characteristics.
     budget : list of dict
-        Sources of error: ``name``, ``mean`` and ``six_sigma`` for people, ``width`` (%) of the bar, ``how``.
+        Sources of error: ``name``, ``mean`` and ``six_sigma`` as text, ``widths`` (%) of the bars, ``where``, ``how``.
     """
 
     law: str
@@ -47,8 +47,8 @@ class Answer:
     budget: list[dict[str, Any]]
 
 
-def answer(outcome: Outcome) -> Answer | None:
-    """The answer that a run gives, under its first law; None where nothing is measured or no sample is valid."""
+def verdict(outcome: Outcome) -> Verdict | None:
+    """The verdict of a run under its first law; None without measurements or valid samples."""
     law = next((law for law in outcome.laws if len(outcome.sample_numbers(law))), None)
     if law is None or not outcome.model.scene.measurements:
         return None
@@ -57,13 +57,15 @@ def answer(outcome: Outcome) -> Answer | None:
     drivers = outcome.study(CONTRIBUTORS)
     for row in rows:
         row["verdict"] = _verdict(row)
-        own = None
+        shares = None
         if drivers is not None:
-            own = drivers[(drivers["law"] == law) & (drivers["measurement"] == row["measurement"])]
-        row["drivers"] = None if own is None or not len(own) else named(own, "total") or "nothing: it hardly varies"
+            shares = drivers[(drivers["law"] == law) & (drivers["measurement"] == row["measurement"])]
+        row["drivers"] = (
+            None if shares is None or not len(shares) else named(shares, "total") or "none: it hardly varies"
+        )
     budget = error_budget(outcome, law)
     sentences = [_first(outcome, law, rows), *_further(outcome, law, rows), *_trust(outcome, law, budget)]
-    return Answer(law, sentences, rows[:SHOWN], max(0, len(rows) - SHOWN), _bars(budget))
+    return Verdict(law, sentences, rows[:SHOWN], max(0, len(rows) - SHOWN), _bars(budget))
 
 
 def _verdict(row: dict[Any, Any]) -> str:
@@ -73,83 +75,84 @@ def _verdict(row: dict[Any, Any]) -> str:
 
 
 def _first(outcome: Outcome, law: str, rows: list[dict[Any, Any]]) -> str:
-    """One sentence: how many assemblies are good, which characteristic is worst, what drives it."""
+    """Share of assemblies within all limits, the worst characteristic and its contributors, in one sentence."""
     good, count = whole_yield(outcome, law), len(rows)
     what = f"all {count} key characteristics are" if count > 1 else f"{rows[0]['measurement']} is"
     limits = "their limits" if count > 1 else "its limits"
     share, low, high = (percent(float(x), 1) for x in (good.value, good.low, good.high))
-    sure = f" ({low} to {high})" if good.low == good.low else ""
-    said = f"In {share} of the assemblies{sure} {what} within {limits}"
+    interval = f" ({low} to {high})" if good.low == good.low else ""
+    sentence = f"In {share} of the assemblies{interval} {what} within {limits}"
     worst = rows[0]
     if count > 1 and np.isfinite(worst["cpk"]):
         outside = f", {percent(worst['share_outside'], 1)} outside" if worst["share_outside"] > 0 else ""
-        said += f"; {worst['measurement']} is worst (Cpk {number(worst['cpk'], 2)}{outside})"
-    return said + (f", driven by {worst['drivers']}." if worst["drivers"] else ".")
+        sentence += f"; the worst is {worst['measurement']} (Cpk {number(worst['cpk'], 2)}{outside})"
+    return sentence + (f"; main contributors: {worst['drivers']}." if worst["drivers"] else ".")
 
 
 def _further(outcome: Outcome, law: str, rows: list[dict[Any, Any]]) -> list[str]:
-    """Rare misses, drivers, friction: what is known of them, or which command tells."""
-    said = []
+    """Rare misses, contributors, remedies and friction: results, or the command that computes them."""
+    command = f"results/{outcome.folder.name}" if outcome.folder.parent.name == "results" else str(outcome.folder)
+    sentences = []
     rare = outcome.study(RARE)
     own = [] if rare is None else rare[(rare["law"] == law) & (rare["measurement"] == "")].to_dict("records")
     for row in own:
         low, high = (number(1e6 * row[f"outside_{end}"], 2) for end in ("low", "high"))
         most = number(1e6 * row["outside"], 2)
-        said.append(f"By subset simulation {most} ppm ({low} to {high}) of the assemblies miss a limit.")
+        sentences.append(f"Assemblies outside a limit, by subset simulation: {most} ppm ({low} to {high}).")
         if not row["agrees"] and np.isfinite(row["first_order"]):
-            said.append(
-                f"The likeliest misses alone would say {number(1e6 * row['first_order'], 2)}: limits are curved."
+            sentences.append(
+                f"The first-order estimate differs, {number(1e6 * row['first_order'], 2)} ppm: the limits are curved."
             )
     linearity = outcome.study(LINEARITY)
     if linearity is None:
-        said.append("What drives them is not measured: mic contributors tells, of this folder.")
+        sentences.append(f"Contributors: not computed. Run `mic contributors {command}`.")
     elif (beyond := linearity[(linearity["law"] == law) & ~linearity["linear"]])["r_squared"].notna().any():
-        said.append("A linear analysis would mislead here: see what drives it.")
+        sentences.append("A linear analysis would mislead here: see Contributors.")
     elif len(beyond):
-        said.append("Whether a linear analysis holds is not known: mic contributors took too few samples.")
+        sentences.append("Validity of a linear analysis: not decided. Run `mic contributors` with more samples.")
     table = outcome.study(REMEDIES)
     serving = [] if table is None else table[(table["law"] == law) & table["reached"]].to_dict("records")
     if serving:
         last = [one for one in serving if one["remedy"] == serving[-1]["remedy"]]
         moves = ", ".join(f"{one['adjustment']} {signed(one['change'])} {unit_of(one['adjustment'])}" for one in last)
-        whom = "all of them" if last[0]["remedy"] == "together" else "the worst"
-        said.append(f"{moves} would bring {whom} within limits.")
+        which = "all characteristics" if last[0]["remedy"] == "together" else "the worst characteristic"
+        sentences.append(f"Remedy: {moves} brings {which} within limits.")
     elif table is None and any(row["verdict"] == "out" for row in rows):
-        said.append("What would mend it is not known: mic remedy tells.")
+        sentences.append(f"Remedy: not computed. Run `mic remedy {command}`.")
     if outcome.study(FRICTION_EFFECTS) is None and outcome.has_slip and outcome.model.contacts.frictional:
-        said.append("Whether friction matters is not measured: mic friction tells.")
-    return said
+        sentences.append(f"Effect of friction: not computed. Run `mic friction {command}`.")
+    return sentences
 
 
 def _trust(outcome: Outcome, law: str, budget: list[Source]) -> list[str]:
-    """How far the figures can be trusted."""
+    """Estimated errors, and samples that do not count."""
     known = [one for one in budget if one.measured]
-    said = []
+    sentences = []
     if known:
         each = np.array([[one.mean, one.six_sigma] for one in known])
         mean, six_sigma = (change(float(x)).lstrip("+") for x in np.sqrt(np.nansum(each**2, axis=0)))
         most = max(known, key=lambda one: np.nan_to_num(one.six_sigma))
         missing = [one.name for one in budget if not one.measured]
-        unknown = f"; not measured: {', '.join(missing)}" if missing else ""
-        said.append(f"Means can be trusted to {mean} and 6σ to {six_sigma}, most of it from {most.name}{unknown}.")
+        unknown = f" Not estimated: {', '.join(missing)}." if missing else ""
+        sentences.append(f"Estimated error: ±{mean} on means, ±{six_sigma} on 6σ, mostly {most.name}.{unknown}")
     groups = len(outcome.sample_numbers(law)) // outcome.together
     if outcome.together > 1 and groups < FEW:
-        said.append(
-            f"Its design makes {outcome.together} samples together, and there are {groups} such groups: intervals are "
-            f"as wide as {groups} values leave them; draw {FEW * outcome.together}, or independent samples."
+        sentences.append(
+            f"The sampling design has only {groups} independent groups of {outcome.together} samples, so intervals are "
+            f"wide: draw {FEW * outcome.together} samples, or independent ones."
         )
     lost = len(outcome.failed[law]) + outcome.missing[law]
     if lost:
-        said.append(f"{lost} of {outcome.record['samples']} samples failed or are missing, and do not count.")
+        sentences.append(f"{lost} of {outcome.record['samples']} samples failed or are missing and are excluded.")
     if outcome.unbuilt[law]:
-        said.append(
+        sentences.append(
             f"{len(outcome.unbuilt[law])} assemblies are not built: a clamp or gun falls short of its position."
         )
-    return said
+    return sentences
 
 
 def _bars(budget: list[Source]) -> list[dict[str, Any]]:
-    """Bars on a scale of the largest."""
+    """Sources of error with bars relative to the largest."""
     largest = max((np.nanmax([one.mean, one.six_sigma]) for one in budget if one.measured), default=0.0) or 1.0
     return [
         {

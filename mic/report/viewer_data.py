@@ -1,4 +1,4 @@
-"""Data of the interactive views of an assembly and its fields, which ``viewer.html`` hands to Plotly."""
+"""Data of the interactive views of an assembly and its fields, which ``viewer.html`` passes to Plotly."""
 
 from __future__ import annotations
 
@@ -34,9 +34,9 @@ SHADES = 2**10  # steps of a field: four for each colour
 def viewer_data(outcome: Outcome, context: Context) -> str | None:
     """Parts with their fields, arrows and marked points, as :func:`packed` JSON; None without parts.
 
-    The parts are thinned (:mod:`mic.report.mesh_decimation`). Arrays are base64 of little-endian bytes: ``triangles`` (t, 3)
-    as 2-byte integers; ``points`` (v, 3) and fields (v,) as ``data``, 2-byte integers i for ``low + i step`` mm, of
-    which 65535 is NaN.
+    Meshes are decimated (:mod:`mic.report.mesh_decimation`). Arrays are base64 of little-endian bytes: ``triangles``
+    (t, 3) 2-byte integers; ``points`` (v, 3) and fields (v,) as ``data``, 2-byte integers i for ``low + i step`` mm,
+    65535 for NaN.
     """
     surfaces, scene = context.surfaces, outcome.model.scene
     if not surfaces:
@@ -52,7 +52,7 @@ def viewer_data(outcome: Outcome, context: Context) -> str | None:
 
 
 def view(surfaces: Mapping[str, Surface], scene: Scene) -> dict[str, Any]:
-    """What :func:`viewer_data` says of surfaces and of what a scene places on them; no contact pairs, no fields."""
+    """Surfaces and placed items of a scene, as :func:`viewer_data` returns them; no contact pairs, no fields."""
     length = ARROW * max(surface.diameter for surface in surfaces.values())
     everything = np.concatenate([surface.points for surface in surfaces.values()])
     low, high = everything.min(axis=0) - length, everything.max(axis=0) + length
@@ -79,12 +79,12 @@ def view(surfaces: Mapping[str, Surface], scene: Scene) -> dict[str, Any]:
 
 
 def drawable(item: Any) -> bool:
-    """Whether it is known where an item stands, and which way it acts."""
+    """Whether the point and direction of an item are known."""
     return item.point is not None and not isinstance(getattr(item, "direction", None), str)
 
 
 def packed(text: str) -> str:
-    """A text as a script element may hold it: gzip, five signs for four bytes (RFC 1924), none of which HTML knows."""
+    """A text for a script element: gzip, encoded by five characters for four bytes (RFC 1924) that are safe in HTML."""
     data = gzip.compress(text.encode(), 9, mtime=0)
     words = np.frombuffer(data + bytes(-len(data) % 4), dtype=">u4").astype(np.uint32)
     signs = _SIGNS[words[:, None] // _POWERS % 85].tobytes()  # base64.b85encode takes twenty times as long
@@ -107,7 +107,7 @@ def _field(field, surface, kept):
 
 
 def _arrows(scene):
-    """What acts along a direction."""
+    """Items that act along a direction."""
     return [
         {
             "name": f"{kind}s",
@@ -155,7 +155,7 @@ def _marks(scene):
 
 
 def _numbers(values, steps=PLACES):
-    """Numbers to a share of their range."""
+    """Numbers rounded to a share of their range."""
     known = values[np.isfinite(values)]
     low, high = (float(known.min()), float(known.max())) if known.size else (0.0, 0.0)
     step = (high - low) / steps or 1.0

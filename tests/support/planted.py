@@ -41,7 +41,7 @@ def undrawn():
     from mic.commands import run
     from mic.report import page
 
-    run.Ahead = Undrawn
+    run.BackgroundPictures = Undrawn
     page.draw_all = lambda *_: {}
 
 
