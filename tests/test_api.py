@@ -14,7 +14,7 @@ def commands():
     return {one.name or one.callback.__name__ for one in app.registered_commands}
 
 
-def test_every_command_is_a_public_function_and_every_public_function_but_those_that_read_is_a_command():
+def test_commands_and_public_functions_correspond():
     for name in commands():
         found = getattr(mic, name)
         found = getattr(found, ELSEWHERE[name]) if name in ELSEWHERE else found
@@ -28,7 +28,7 @@ def test_every_command_is_a_public_function_and_every_public_function_but_those_
 @pytest.mark.parametrize(
     "name", ["contributors", "explain", "explore", "friction", "order", "predict", "rare", "remedy", "sensitivity"]
 )
-def test_what_asks_a_model_takes_it_first_and_a_law_by_name(name):
+def test_studies_take_the_model_first_and_the_law_by_name(name):
     parameters = list(inspect.signature(getattr(mic, name)).parameters.values())
     assert parameters[0].name == "model"
     law = next(one for one in parameters if one.name == "law")

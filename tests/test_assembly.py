@@ -1,5 +1,4 @@
-"""What of a scene reaches its parts, and what the rows of its joints read: production and reference share both, so that
-an error there is invisible when the two are compared."""
+"""Properties of parts and rows of joints, which production and reference share, against answers by hand."""
 
 from pathlib import Path
 
@@ -24,7 +23,7 @@ def unlike(cache):
     return assemble(scene.model_copy(update={"parts": changed}), cache)
 
 
-def test_each_part_has_its_own_sheet(unlike):
+def test_each_part_has_its_own_thickness_and_material(unlike):
     assert tuple((part.thickness, part.young, part.poisson) for part in unlike.parts) == SHEETS
 
 
@@ -37,7 +36,7 @@ def test_candidates_yield_through_half_of_either_sheet(unlike):
 
 @pytest.mark.parametrize("part", [0, 1])
 @pytest.mark.parametrize("axis", [0, 1])
-def test_a_contact_reads_its_faces_so_that_a_body_may_turn_about_it(part, axis, lap_model):
+def test_rotating_a_body_about_a_contact_causes_no_slip(part, axis, lap_model):
     """The lap joint's sheets touch at z = 0.5; about a point there a face turns, and does not slip."""
     at = lap_model.contacts.point * [1.0, 1.0, 0.0] + [0.0, 0.0, 0.5]
     centre, turn = lap_model.centres[part], np.eye(3)[axis]

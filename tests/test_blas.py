@@ -1,4 +1,4 @@
-"""Which kernels OpenBLAS is given: suiting ones, where it does not know the processor, and nowhere else."""
+"""OpenBLAS gets a suitable kernel if it does not know the processor, and keeps its own otherwise."""
 
 import os
 import subprocess
@@ -25,7 +25,7 @@ AVX512 = AVX2 | {"avx512f", "avx512cd", "avx512bw", "avx512dq", "avx512vl"}
         (AVX512, "", None),  # another library than OpenBLAS
     ],
 )
-def test_kernels_are_chosen_where_the_library_does_not_know_the_processor(monkeypatch, able, taken, chosen):
+def test_a_kernel_is_chosen_if_openblas_does_not_know_the_processor(monkeypatch, able, taken, chosen):
     monkeypatch.setattr(blas, "cpu_flags", lambda: able)
     monkeypatch.setattr(blas, "default_kernel", lambda: taken)
     monkeypatch.setattr(sys, "modules", {key: one for key, one in sys.modules.items() if key != "numpy"})
@@ -35,7 +35,7 @@ def test_kernels_are_chosen_where_the_library_does_not_know_the_processor(monkey
     assert os.environ.get(blas.NAME) == chosen
 
 
-def test_what_the_user_chose_stays(monkeypatch):
+def test_the_users_choice_of_kernel_is_respected(monkeypatch):
     monkeypatch.setattr(blas, "default_kernel", lambda: pytest.fail("nobody needs to know"))
     monkeypatch.setattr(sys, "modules", {key: one for key, one in sys.modules.items() if key != "numpy"})
     monkeypatch.setenv(blas.NAME, "NEHALEM")
@@ -43,8 +43,8 @@ def test_what_the_user_chose_stays(monkeypatch):
     assert os.environ[blas.NAME] == "NEHALEM"
 
 
-@pytest.mark.parametrize("loaded, said", [("Prescott", "OPENBLAS_CORETYPE=HASWELL"), ("Haswell", ""), ("", "")])
-def test_where_numpy_came_first_it_is_said(monkeypatch, caplog, loaded, said):
+@pytest.mark.parametrize("loaded, message", [("Prescott", "OPENBLAS_CORETYPE=HASWELL"), ("Haswell", ""), ("", "")])
+def test_importing_numpy_first_gives_a_warning(monkeypatch, caplog, loaded, message):
     """These tests have numpy."""
     monkeypatch.setattr(blas, "cpu_flags", lambda: AVX2)
     monkeypatch.setattr(blas, "loaded_kernel", lambda: loaded)
@@ -52,17 +52,17 @@ def test_where_numpy_came_first_it_is_said(monkeypatch, caplog, loaded, said):
     monkeypatch.setenv(blas.NAME, "")
     monkeypatch.delenv(blas.NAME)
     blas.choose_kernels()
-    assert blas.NAME not in os.environ and said in caplog.text and bool(caplog.text) == bool(said)
+    assert blas.NAME not in os.environ and message in caplog.text and bool(caplog.text) == bool(message)
 
 
-def test_a_process_that_imports_mic_first_has_kernels_for_its_processor():
+def test_importing_mic_first_selects_kernels_for_the_processor():
     program = (
         "import mic, numpy, threadpoolctl\n"
         "for one in threadpoolctl.threadpool_info(): print(one.get('internal_api'), one.get('architecture'))"
     )
     own = {key: value for key, value in os.environ.items() if key != blas.NAME}
-    told = subprocess.run([sys.executable, "-c", program], env=own, capture_output=True, text=True, check=True).stdout
+    output = subprocess.run([sys.executable, "-c", program], env=own, capture_output=True, text=True, check=True).stdout
     new = "avx2" in Path("/proc/cpuinfo").read_text()
-    assert "openblas" in told and not (new and "Prescott" in told)
+    assert "openblas" in output and not (new and "Prescott" in output)
     late = subprocess.run([sys.executable, "-c", f"import numpy\n{program}"], env=own, capture_output=True, text=True)
     assert (blas.NAME in late.stderr) == (new and "Prescott" in late.stdout)

@@ -1,4 +1,4 @@
-"""A cache is believed only where it is whole, of what is asked for, and one's own; everything else counts as absent."""
+"""A cache entry counts as absent unless it is whole, of the same inputs and the user's own."""
 
 import logging
 import os
@@ -22,7 +22,7 @@ def cache(tmp_path):
 
 
 def refused(cache, caplog, words, identity="abc"):
-    """Whether an entry counts as absent, said in one line with these words, and the next one kept is believed again."""
+    """Whether an entry counts as absent with one warning of these words, and a new entry is loaded without one."""
     caplog.clear()
     assert cache.load(identity) is None
     (line,) = caplog.messages
@@ -32,7 +32,7 @@ def refused(cache, caplog, words, identity="abc"):
     return cache.load(identity) is not None and not caplog.messages
 
 
-def test_what_is_kept_is_found_and_nothing_else(cache, caplog):
+def test_an_entry_is_found_by_its_key_only(cache, caplog):
     header, arrays = cache.load("abc")
     assert header == {"part": "lower"} and list(arrays) == ["H"]
     np.testing.assert_array_equal(arrays["H"], H)
@@ -40,7 +40,7 @@ def test_what_is_kept_is_found_and_nothing_else(cache, caplog):
     assert not caplog.messages
 
 
-def test_numbers_that_were_exchanged_are_not_believed(cache, caplog):
+def test_exchanged_numbers_count_as_absent(cache, caplog):
     path = cache.path("abc")
     with np.load(path) as data:
         header = data["header"]
@@ -48,32 +48,32 @@ def test_numbers_that_were_exchanged_are_not_believed(cache, caplog):
     assert refused(cache, caplog, "cut short or damaged; it counts as absent and is replaced")
 
 
-def test_a_file_cut_anywhere_is_not_believed(cache, caplog):
+def test_a_truncated_file_counts_as_absent(cache, caplog):
     whole = cache.path("abc").read_bytes()
     for length in (0, 20, 200, len(whole) - 1):
         cache.path("abc").write_bytes(whole[:length])
         assert refused(cache, caplog, "cut short or damaged")
 
 
-def test_the_file_of_something_else_is_not_believed(cache, caplog):
+def test_a_file_of_other_inputs_counts_as_absent(cache, caplog):
     cache.path("other").write_bytes(cache.path("abc").read_bytes())
     assert refused(cache, caplog, "computed from other inputs", "other")
     save_arrays(cache.path("abc"), THING, {}, {"H": H})  # whole, and says nothing of what it was computed from
     assert refused(cache, caplog, "computed from other inputs")
 
 
-def test_a_file_that_others_may_write_is_not_believed(cache, caplog):
+def test_a_file_that_others_can_write_counts_as_absent(cache, caplog):
     cache.path("abc").chmod(0o620)
     assert refused(cache, caplog, "can be written by other users")
 
 
 @pytest.mark.skipif(not hasattr(os, "geteuid") or os.geteuid() != 0, reason="only root can give a file away")
-def test_the_file_of_another_user_is_not_believed(cache, caplog):
+def test_a_file_of_another_user_counts_as_absent(cache, caplog):
     os.chown(cache.path("abc"), 65534, -1)
     assert refused(cache, caplog, "belongs to another user")
 
 
-def test_in_the_folder_of_another_user_nothing_is_believed_and_nothing_is_kept(cache, caplog, monkeypatch):
+def test_the_folder_of_another_user_is_neither_read_nor_written(cache, caplog, monkeypatch):
     before = sorted(cache.folder.rglob("*"))
     monkeypatch.setattr(os, "geteuid", lambda: os.getuid() + 1)
     assert cache.load("abc") is None and "belongs to another user" in caplog.text
@@ -88,7 +88,7 @@ def mode(path):
     return stat.S_IMODE(path.stat().st_mode)
 
 
-def test_the_cache_is_closed_to_others_whatever_the_mask_says(tmp_path):
+def test_the_cache_is_private_whatever_the_umask(tmp_path):
     folder = tmp_path / "open"
     (folder / "influence").mkdir(parents=True)
     for place in (folder, folder / "influence"):
@@ -103,7 +103,7 @@ def test_the_cache_is_closed_to_others_whatever_the_mask_says(tmp_path):
     assert cache.load("abc") is not None
 
 
-def test_a_folder_that_holds_other_things_keeps_its_permissions(tmp_path):
+def test_a_folder_with_other_content_keeps_its_permissions(tmp_path):
     folder = tmp_path / "home"
     folder.mkdir(mode=0o755)
     (folder / "letter.txt").write_text("mine")
@@ -111,7 +111,7 @@ def test_a_folder_that_holds_other_things_keeps_its_permissions(tmp_path):
     assert mode(folder) == 0o755 and mode(folder / "influence") == 0o700
 
 
-def test_where_nothing_can_be_kept_it_is_said_and_nothing_else_happens(tmp_path, caplog):
+def test_a_cache_that_cannot_be_written_gives_one_warning(tmp_path, caplog):
     (tmp_path / "file").write_text("")
     with caplog.at_level(logging.WARNING):
         Cache(tmp_path / "file", "influence", THING).store("abc", {}, {"H": H})

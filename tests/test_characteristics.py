@@ -1,4 +1,4 @@
-"""Key characteristics beyond a point: what rows read of motions and shapes that are known, and what is made of it."""
+"""Key characteristics beyond a point, evaluated on known motions and shapes."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ def rigid(shift, turn):
 STILL = rigid([0, 0, 0], [0, 0, 0])
 
 
-def test_flush_gap_and_distance_read_the_second_point_against_the_first_each_along_its_own_line(assembled):
+def test_flush_gap_and_distance_measure_the_second_point_relative_to_the_first(assembled):
     line = np.array([10, 0, 1]) / np.sqrt(101)
     assembly = assembled(between("flush"), between("gap"), between("distance"))
     normals = [np.array(item.direction) for item in assembly.scene.measurements]
@@ -72,19 +72,19 @@ def test_flush_gap_and_distance_read_the_second_point_against_the_first_each_alo
     np.testing.assert_allclose(read(assembly, rigid(shift, [0, 0, 0]), STILL), [-0.5, -0.3, -shift @ line], atol=1e-12)
 
 
-def test_a_distance_within_an_assembly_that_moves_as_a_whole_stays(assembled):
+def test_a_rigid_motion_does_not_change_a_distance(assembled):
     assembly = assembled(between("distance"))
     assert (
         abs(read(assembly, *[rigid([1, 2, 3], [1e-3, -2e-3, 3e-3])] * 2)[0]) < 1e-5
     )  # a disc's middle is found to 2 µm
 
 
-def test_a_gap_with_a_direction_of_its_own_reads_along_it(assembled):
+def test_a_gap_is_measured_along_its_given_direction(assembled):
     assembly = assembled(between("gap", direction=[0, 1, 0], point=[80, 12.5, 1]))
     assert read(assembly, STILL, rigid([0.3, -0.2, 0.5], [0, 0, 0]))[0] == pytest.approx(-0.2)
 
 
-def test_parallelism_is_the_width_that_a_tilt_opens_and_no_shift(assembled):
+def test_parallelism_measures_tilt_and_no_shift(assembled):
     assembly = assembled(LINE | {"kind": "parallelism", "radius": 0.0})
     assert read(assembly, STILL, rigid([1, 2, 3], [0, 0, 0]))[0] == pytest.approx(0.0, abs=1e-12)
     assert read(assembly, STILL, rigid([0, 0, 0], [1e-2, 0, 0]))[0] == pytest.approx(0.17, abs=1e-3)
@@ -98,14 +98,14 @@ def test_a_profile_is_twice_the_largest_deviation_on_either_side(assembled):
         assert found[0] == pytest.approx(2 * (0.1 + 0.21), rel=1e-3)
 
 
-def test_a_point_of_a_profile_reads_positive_along_the_normals_of_the_mesh(assembled):
+def test_a_profile_is_positive_along_the_mesh_normals(assembled):
     assembly = assembled(LINE | {"kind": "profile"})
     n = assembly.parts[1].surface.normals.mean(axis=0)
     assert abs(n[2]) == pytest.approx(1.0)
     np.testing.assert_allclose(points_read(assembly, STILL, rigid(0.3 * n, [0, 0, 0])), 0.3, atol=1e-12)
 
 
-def test_a_profile_over_a_box_reads_points_all_over_it_and_none_outside(assembled):
+def test_a_profile_over_a_box_has_points_all_over_it_and_none_outside(assembled):
     box = [[100, -1, 0], [161, 26, 2]]
     item = {"part": "upper", "kind": "profile", "spacing": 8.0, "box": box, "upper": 1.0}
     placed = assembled(item).scene.measurements[0]
@@ -122,7 +122,7 @@ def three(**keys):
     return [{"part": "lower", "point": [*place, 0], "direction": [0, 0, 1]} | LIMITS | keys for place in places]
 
 
-def test_after_a_best_fit_no_motion_that_the_fitted_points_tell_is_read(assembled):
+def test_a_best_fit_removes_rigid_motion(assembled):
     fit = {"best_fit": ["M0", "M1", "M2"]}
     far = {"part": "upper", "point": [150, 20, 1]} | LIMITS
     along = far | {"direction": [1, 0, 0]}
@@ -135,7 +135,7 @@ def test_after_a_best_fit_no_motion_that_the_fitted_points_tell_is_read(assemble
     assert read(assembly, shift, shift)[4] == pytest.approx(0.1)
 
 
-def test_what_lies_between_two_points_is_fitted_like_what_lies_at_one(assembled):
+def test_a_best_fit_applies_to_measurements_between_two_points(assembled):
     fit = {"best_fit": ["M0", "M1", "M2"]}
     assembly = assembled(*three(), between("flush") | fit, between("flush"))
     tilt = rigid([0.1, 0.2, 0.3], [0, 2e-3, 0])
@@ -143,7 +143,7 @@ def test_what_lies_between_two_points_is_fitted_like_what_lies_at_one(assembled)
     assert found[3] == pytest.approx(0.0, abs=1e-12) and abs(found[4]) > 0.01
 
 
-def test_a_best_fit_on_one_point_takes_its_shift_and_makes_no_turn(assembled):
+def test_a_best_fit_on_one_point_removes_its_shift_only(assembled):
     away = {"part": "upper", "point": [150, 20, 1], "direction": [0, 0, 1]} | LIMITS
     assembly = assembled(three()[0], away | {"best_fit": ["M0"]}, away)
     moved = rigid([0.1, 0.2, 0.3], [1e-3, 2e-3, 0])
@@ -151,7 +151,7 @@ def test_a_best_fit_on_one_point_takes_its_shift_and_makes_no_turn(assembled):
     assert fitted == pytest.approx(plain - point, abs=1e-12) and abs(point) > 0.1
 
 
-def test_a_best_fit_on_more_points_is_that_of_least_squares(assembled):
+def test_a_best_fit_on_more_points_is_by_least_squares(assembled):
     names = [f"M{i}" for i in range(6)]
     places = [[x, y, 0] for x in (12, 40, 70) for y in (5, 18)]
     points = [{"part": "lower", "point": place, "direction": [0, 0, 1], "radius": 0.0} | LIMITS for place in places]
@@ -172,7 +172,7 @@ def test_flatness_is_parallelism_fitted_on_itself(assembled):
     assert read(assembly, STILL, bent)[0] > 0.3
 
 
-def test_the_tangent_is_that_of_the_values(assembled):
+def test_the_tangent_is_the_derivative_of_the_values(assembled):
     assembly = assembled(*three(), LINE | {"kind": "parallelism"}, LINE | {"kind": "profile"})
     made = Characteristics.of(assembly.scene)
     readings = np.random.default_rng(3).standard_normal((5, made.start[-1]))
@@ -182,7 +182,7 @@ def test_the_tangent_is_that_of_the_values(assembled):
     assert (np.abs(change) > 1e-9).all()
 
 
-def test_a_placed_scene_comes_back_from_its_own_text(assembled):
+def test_a_placed_scene_survives_writing_and_reading(assembled):
     fitted = LINE | {"kind": "profile", "best_fit": ["M3"]}
     hole = between("distance")
     placed = assembled(between("flush"), between("gap"), hole, LINE | {"kind": "parallelism"}, fitted).scene
@@ -191,7 +191,7 @@ def test_a_placed_scene_comes_back_from_its_own_text(assembled):
 
 
 @pytest.mark.parametrize(
-    "item, said",
+    "item, message",
     [
         (between("gap") | {"to": None}, "between two points: give the other as to"),
         (POINT | LIMITS | {"to": {"part": "upper", "point": [90, 12.5, 1]}}, "point has no second point, remove it"),
@@ -216,7 +216,7 @@ def test_a_placed_scene_comes_back_from_its_own_text(assembled):
         (POINT | LIMITS | {"best_fit": ["M0"]}, "removes everything that this measurement reads"),
     ],
 )
-def test_what_cannot_be_read_is_told_in_one_sentence(assembled, item, said):
+def test_invalid_measurements_are_refused_in_one_sentence(assembled, item, message):
     with pytest.raises(SceneError) as caught:
         assembled(item)
-    assert said in str(caught.value) and len(str(caught.value).splitlines()) == 1
+    assert message in str(caught.value) and len(str(caught.value).splitlines()) == 1

@@ -1,4 +1,4 @@
-"""Compiled code that is made when the program is set up, not when it is first used."""
+"""Kernels are compiled at setup and not at the first evaluation."""
 
 import os
 import subprocess
@@ -37,14 +37,14 @@ def python(*arguments):
     return done.stdout + done.stderr
 
 
-def test_once_the_kernels_are_compiled_no_evaluation_compiles(lap_model, tmp_path):
+def test_evaluations_compile_nothing_once_kernels_are_compiled(lap_model, tmp_path):
     lap_model.save(tmp_path / "model.npz")
     python("-m", "mic.commands.compile")
-    told = python("-c", EVALUATE, str(tmp_path / "model.npz"), *(name for name, law in LAWS.items() if not law.reads))
-    assert "data loaded from" in told and "data saved to" not in told and MESSAGE not in told
+    output = python("-c", EVALUATE, str(tmp_path / "model.npz"), *(name for name, law in LAWS.items() if not law.reads))
+    assert "data loaded from" in output and "data saved to" not in output and MESSAGE not in output
 
 
-def test_compiling_is_told_once_and_what_was_kept_is_read_without_a_word(tmp_path):
+def test_compilation_is_reported_once_and_cached_code_silently_reused(tmp_path):
     (tmp_path / "adding.py").write_text(ADDING)
     command = "-c", f"import sys; sys.path.insert(0, {str(tmp_path)!r}); import mic.contact.native, adding"
     assert [python(*command).count(MESSAGE) for _ in range(2)] == [1, 0]

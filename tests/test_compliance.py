@@ -1,4 +1,4 @@
-"""Compliance by parts, and who provides it."""
+"""Compliance by parts, and its providers."""
 
 from dataclasses import replace
 
@@ -25,7 +25,7 @@ def blocks():
     return Blocks(tuple(h + h.T for h in H), tuple(rng.normal(size=(n, 6)) for n in SIZES))
 
 
-def test_every_product_equals_that_with_the_whole_matrices(blocks):
+def test_block_products_equal_dense_products(blocks):
     rng = np.random.default_rng(4)
     H, G = blocks.dense()
     assert H.shape == (14, 14) and G.shape == (14, 18) and not H[:4, 4:].any()
@@ -54,14 +54,14 @@ def part(element="springs"):
     return Part("p", surface, 1.0, 210e3, 0.3, element, one)
 
 
-def test_given_normals_are_part_of_what_coefficients_depend_on():
+def test_given_normals_enter_the_fingerprint():
     """Estimated ones are not: they follow from the mesh."""
     plain, surface = part(), part().surface
-    told = np.full((1, 3, 3), np.nan)
-    told[0, 0] = [0.1, 0, 1]
-    with_normals = replace(plain, surface=Surface(surface.points, surface.triangles, told.copy()))
-    told[0, 0, 0] = 0.2
-    others = replace(plain, surface=Surface(surface.points, surface.triangles, told))
+    given = np.full((1, 3, 3), np.nan)
+    given[0, 0] = [0.1, 0, 1]
+    with_normals = replace(plain, surface=Surface(surface.points, surface.triangles, given.copy()))
+    given[0, 0, 0] = 0.2
+    others = replace(plain, surface=Surface(surface.points, surface.triangles, given))
     assert len({one.fingerprint() for one in (plain, with_normals, others, part())}) == 3
 
 
@@ -105,7 +105,7 @@ def springs(monkeypatch):
     provider.installed.cache_clear()
 
 
-def test_another_code_can_be_the_provider(springs, tmp_path):
+def test_another_program_can_provide_coefficients(springs, tmp_path):
     assert isinstance(springs, provider.Provider)
     found, cached = influence_coefficients(Assembly, tmp_path)
     assert found["p"].H == [[1.0]] and cached == {"p": False} and is_cached(part(), tmp_path)
@@ -113,7 +113,7 @@ def test_another_code_can_be_the_provider(springs, tmp_path):
     assert cached == {"p": True} and springs.calls == 1
 
 
-def test_kept_coefficients_that_are_cut_are_computed_anew_and_that_is_said(springs, tmp_path, caplog):
+def test_truncated_coefficients_are_reported_and_computed_again(springs, tmp_path, caplog):
     influence_coefficients(Assembly, tmp_path)
     file = next((tmp_path / "influence").iterdir())
     file.write_bytes(file.read_bytes()[:200])
@@ -126,7 +126,7 @@ def test_kept_coefficients_that_are_cut_are_computed_anew_and_that_is_said(sprin
     assert influence_coefficients(Assembly, tmp_path)[1] == {"p": True}
 
 
-def test_kept_coefficients_of_another_part_are_not_believed(springs, tmp_path):
+def test_cached_coefficients_of_another_part_are_ignored(springs, tmp_path):
     influence_coefficients(Assembly, tmp_path)
     (file,) = (tmp_path / "influence").iterdir()
 
@@ -148,7 +148,7 @@ class Rank:
 
 
 @pytest.mark.parametrize("full", ["first", "second"])
-def test_processes_agree_on_what_is_missing_whatever_each_of_them_would_find(springs, tmp_path, full):
+def test_processes_with_different_caches_agree(springs, tmp_path, full):
     influence_coefficients(Assembly, tmp_path / full)
     wire = []
     found, cached = influence_coefficients(Assembly, tmp_path / "first", comm=Rank(0, wire))
@@ -159,26 +159,26 @@ def test_processes_agree_on_what_is_missing_whatever_each_of_them_would_find(spr
     assert springs.calls == (1 if full == "first" else 3)  # both compute together, or none does
 
 
-def test_only_the_first_process_keeps_what_was_computed(springs, tmp_path):
+def test_only_the_first_process_writes_the_cache(springs, tmp_path):
     influence_coefficients(Assembly, tmp_path, comm=Rank(1, [{"p": False}]))
     assert not list(tmp_path.rglob("*.npz"))
 
 
-def test_a_part_that_nobody_accepts_is_refused_with_the_remedy(springs):
+def test_a_part_without_provider_is_refused_with_the_remedy(springs):
     springs.elements = ("springs", "beams")
     words = r"part 'p': .*springs does not accept it.*apt-get install python3-dolfinx"
     with pytest.raises(MissingProvider, match=words):
         provider.find(part(element="beams"))
 
 
-def test_an_element_that_nobody_knows_is_answered_with_those_there_are(springs):
+def test_an_unknown_element_is_refused_with_a_list_of_elements(springs):
     for refused in (lambda: provider.find(part(element="beams")), lambda: provider.check_element("beams")):
         with pytest.raises(SceneError, match="element: there is none called 'beams'; known: springs"):
             refused()
     provider.check_element("springs")
 
 
-def test_a_provider_that_cannot_be_loaded_says_why(monkeypatch):
+def test_a_provider_that_cannot_be_loaded_gives_the_reason(monkeypatch):
     class Point:
         name = "broken"
 
@@ -190,6 +190,6 @@ def test_a_provider_that_cannot_be_loaded_says_why(monkeypatch):
     try:
         with pytest.raises(MissingProvider, match="broken: No module named 'dolfinx'"):
             provider.find(part())
-        provider.check_element("whatever")  # what it would have known cannot be told
+        provider.check_element("whatever")  # its elements are not known
     finally:
         provider.installed.cache_clear()

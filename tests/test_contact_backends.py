@@ -1,4 +1,4 @@
-"""The native solver against general-purpose optimisers, which share no code with it; and the study of the laws."""
+"""The native solver against general-purpose optimisers, which share no code with it; and the comparison of laws."""
 
 import numpy as np
 import pytest
@@ -40,21 +40,21 @@ def test_native_equals_an_optimiser(problem, law, backend, mu):
     np.testing.assert_allclose(energy[1], energy[0], rtol=1e-7)
 
 
-def test_backends_report_an_honest_residual(problem):
+def test_backends_report_their_true_residual(problem):
     pytest.importorskip("ecos")
     solution = solve(problem.S, problem.b, 0.27, "associated", backend="ecos", tol=1e-15)
     assert (solution.residual > 1e-15).all() and not solution.converged.any()
     assert all(status is Status.NOT_CONVERGED for status in solution.status)
 
 
-def test_normal_rows_alone_through_a_backend(problem):
+def test_a_backend_solves_normal_rows_alone(problem):
     pytest.importorskip("osqp")
     normal = solve(problem.S[::3, ::3], problem.b[:, ::3], 0.0, "frictionless", backend="osqp", tol=1e-6, dimension=1)
     native = solve(problem.S, problem.b, 0.0, "frictionless")
     np.testing.assert_allclose(normal.force, native.force[:, ::3], atol=1e-5 * np.abs(native.force).max())
 
 
-def test_study_of_one_sliding_contact_by_hand():
+def test_the_comparison_of_laws_agrees_with_one_sliding_contact_by_hand():
     """S = I, b = (-1, 1, 0): the associated gap is ``μ (1 - μ)/(1 + μ²)``."""
     mu = 0.27
     study = compare_laws(np.eye(3), [-1.0, 1.0, 0.0], [mu]).set_index("law")
@@ -66,7 +66,7 @@ def test_study_of_one_sliding_contact_by_hand():
     assert (study["contacts_slip"] == 1).all() and study["converged"].all()
 
 
-def test_laws_agree_without_friction_and_part_with_it():
+def test_laws_agree_without_friction_and_differ_with_it():
     rng = np.random.default_rng(22)
     problem = slip_dominated(10, 5, rng, condition=1e3)
     study = summarise(compare_laws(problem.S, problem.b, [0.0, 0.3]))
@@ -76,7 +76,7 @@ def test_laws_agree_without_friction_and_part_with_it():
     assert study.loc[(0.3, "associated"), "gap_at_load"] > 1e3 * study.loc[(0.3, "coulomb"), "gap_at_load"]
 
 
-def test_compliance_generator_keeps_its_promises():
+def test_the_compliance_generator_returns_the_requested_condition_number():
     S = compliant(10, np.random.default_rng(0), condition=1e6)
     assert np.linalg.cond(S) == pytest.approx(1e6, rel=1e-3)
     assert S.diagonal()[::3].mean() == pytest.approx(1.0)

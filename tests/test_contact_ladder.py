@@ -1,4 +1,4 @@
-"""Laws, states and rungs as data: one more law is one file and one registration, and nobody else keeps a list."""
+"""Laws, states and rungs are data: a law is added by one file and one registration."""
 
 import ast
 import importlib
@@ -75,7 +75,7 @@ def dilatant(monkeypatch):
     return law
 
 
-def test_one_more_law_is_its_file_and_its_registration(dilatant):
+def test_an_added_law_needs_only_its_file_and_its_registration(dilatant):
     """S = I, b = (-1, 1, 0): ``f = p (1, -μ, 0)``, ``u = (p - 1, 1 - μ p, 0)`` and ``u_n = ½ μ u_t``."""
     mu = 0.27
     p = (1.0 + 0.5 * mu) / (1.0 + 0.5 * mu**2)
@@ -110,7 +110,7 @@ def test_every_patient_rung_solves_an_added_law_and_counts_its_factorisations(di
     assert max(best.values()) <= 1e-10, best
 
 
-def test_the_splitting_heads_for_the_law_before_newton_lands(dilatant):
+def test_the_splitting_converges_to_the_law_without_newton(dilatant):
     """Newton would hide a wrong shift: after so many steps it has at most one to do."""
     rng = np.random.default_rng(6)
     problem = manufactured(compliant(5, rng, condition=1e2), np.full(5, 0.27), 1, rng, 0.3, 0.5, dilatant)
@@ -124,7 +124,7 @@ def test_the_splitting_heads_for_the_law_before_newton_lands(dilatant):
 
 @pytest.mark.parametrize("stick, slide, inverse", [(0.2, 0.6, False), (0.6, 0.3, True)])
 @pytest.mark.parametrize("name", [*(law.name for law in LAWS.values() if law.frictional), "dilatant"])
-def test_newton_converges_quadratically_where_contacts_slide(name, stick, slide, inverse, dilatant):
+def test_newton_converges_quadratically_for_sliding_contacts(name, stick, slide, inverse, dilatant):
     """From 1e-4 beside the solution: 1e-8, then rounding; for forces, and for displacements with the inverse."""
     rng, law = np.random.default_rng(7), LAWS[name]
     problem = manufactured(compliant(20, rng, condition=1e2), np.full(20, 0.27), 1, rng, stick, slide, law)
@@ -144,7 +144,7 @@ def test_a_law_with_friction_needs_an_equation():
         Law(name="sticky", title="", colour="", mark="")
 
 
-def test_unknown_laws_are_answered_with_those_there_are():
+def test_an_unknown_law_is_refused_with_a_list_of_laws():
     with pytest.raises(ValueError, match=f"law must be one of {', '.join(LAWS)}; got 'Tresca'"):
         find("Tresca")
     assert find("coulomb") is find(COULOMB) is COULOMB
@@ -159,7 +159,7 @@ def test_every_law_that_has_a_file_is_registered():
 
 
 @pytest.mark.parametrize("law", [law for law in LAWS.values() if law.frictional], ids=lambda law: law.name)
-def test_a_sliding_contact_opens_by_what_its_law_leaves_of_the_shift(law):
+def test_a_sliding_contact_opens_as_its_law_says(law):
     """S = I, b = (-1, 1, 0): ``f = p (1, -μ, 0)``, ``u = (p - 1, 1 - μ p, 0)`` and ``u_n = (1 - s) μ u_t``."""
     mu, left = 0.27, 1.0 - law.shift
     p = (1.0 + left * mu) / (1.0 + left * mu**2)
@@ -208,7 +208,7 @@ def test_states_are_read_from_forces():
     assert classify(np.zeros((2, 0, 3)), np.zeros((2, 0))).shape == (2, 0)
 
 
-def test_a_solution_says_which_rung_found_it():
+def test_a_solution_names_the_rung_that_found_it():
     rng = np.random.default_rng(13)
     slips = slip_dominated(12, 4, rng, condition=1e3)
     assert set(solve(slips.S, slips.b, slips.mu).rung) == {"sweeps"}
@@ -224,7 +224,7 @@ def test_a_solution_says_which_rung_found_it():
     assert {*np.atleast_1d(found.rung)} & (patient | {"splitting"})
 
 
-def test_a_backend_names_itself_as_its_rung():
+def test_a_backend_is_its_own_rung():
     pytest.importorskip("ecos")
     problem = slip_dominated(4, 2, np.random.default_rng(1))
     solution = solve(problem.S, problem.b, 0.3, ASSOCIATED, backend="ecos", tol=1e-5)
@@ -232,7 +232,7 @@ def test_a_backend_names_itself_as_its_rung():
 
 
 @pytest.mark.parametrize("law", LAWS.values(), ids=lambda law: law.name)
-def test_the_rungs_of_a_law_are_those_that_it_climbs(law, monkeypatch):
+def test_the_rungs_of_a_law_are_those_that_are_tried(law, monkeypatch):
     monkeypatch.setattr(ladder, "BUDGET", 1e6)
     S = compliant(4, np.random.default_rng(2))
     backend = NativeSolver(S, np.full(4, 0.3), law, 1e-10, 1, 3)
@@ -242,7 +242,7 @@ def test_the_rungs_of_a_law_are_those_that_it_climbs(law, monkeypatch):
     assert all(rung.reason.endswith(".") for rung in ladder.BATCH + ladder.PATIENT)
 
 
-def test_the_page_on_contact_has_every_rung_and_every_law():
+def test_the_contact_page_lists_every_rung_and_every_law():
     page = (MIC.parent / "docs" / "contact.md").read_text(encoding="utf-8")
     for rung in ladder.BATCH + ladder.PATIENT:
         assert f"| `{rung.name}` |" in page, rung.name
@@ -255,7 +255,7 @@ def test_contact_is_imported_without_a_compiler():
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
 
 
-def test_nobody_else_keeps_a_list_of_laws_or_states():
+def test_no_other_module_lists_laws_or_states():
     """A literal collection, or an enumeration, that holds every law or every state."""
     found = set()
     for file in MIC.rglob("*.py"):
@@ -279,7 +279,7 @@ def _words(node):
 
 
 @pytest.mark.parametrize("law, passes", [("coulomb", 10), ("frictionless", 5)])
-def test_of_a_cheap_rungs_passes_those_that_are_not_sweeps_are_factorisations(law, passes):
+def test_batch_rungs_count_sweeps_and_factorisations(law, passes):
     rng = np.random.default_rng(8)
     problem = manufactured(compliant(8, rng, condition=1e2), np.full(8, 0.27), 20, rng, 0.3, 0.4)
     found = ContactSolver(problem.S, problem.mu, law).solve(problem.b)

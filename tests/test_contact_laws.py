@@ -91,7 +91,7 @@ def test_certificate_refuses_wrong_answers(wrong):
     assert not certify(np.eye(3), [-1.0, 1.0, 0.0], 0.27, wrong).residual < 0.1
 
 
-def test_certificate_of_the_zero_force_is_one_wherever_anything_overlaps():
+def test_the_residual_of_no_force_is_one_where_bodies_overlap():
     rng = np.random.default_rng(0)
     for scale in (1e-12, 1.0, 1e3):
         b = np.array([-scale, 0.2 * scale, 0.0, 1e3, 0.0, 0.0])
@@ -101,7 +101,7 @@ def test_certificate_of_the_zero_force_is_one_wherever_anything_overlaps():
     np.testing.assert_array_equal(certify(np.eye(6), open_scene, 0.3, np.zeros((5, 6))).residual, 0.0)
 
 
-def test_certificate_measures_the_physics():
+def test_the_certificate_measures_each_violation():
     mu, force = 0.5, np.array([2.0, 1.5, 0.0])
     certificate = certify(np.eye(3), [-3.0, 0.5, 0.0], mu, force)  # u = (-1, 2, 0)
     assert certificate.penetration == pytest.approx(1.0)
@@ -139,7 +139,7 @@ def test_certificate_measures_the_physics():
         ("law", dict(backend="osqp")),
     ],
 )
-def test_bad_input_is_named(name, arguments):
+def test_invalid_arguments_are_named(name, arguments):
     valid = dict(S=np.eye(3), b=np.zeros(3), mu=0.3)
     with pytest.raises(ValueError, match=rf"\b{name}\b"):
         solve(**{**valid, **arguments})
@@ -154,7 +154,7 @@ def test_slight_asymmetry_is_symmetrised_with_a_warning():
     np.testing.assert_array_equal(solution.force, symmetric.force)
 
 
-def test_shapes_follow_b():
+def test_results_have_the_shape_of_b():
     one = solve(np.eye(6), np.full(6, -1.0), 0.3)
     assert one.force.shape == one.displacement.shape == (6,)
     assert isinstance(one.residual, float) and one.converged is True and one.status is Status.CONVERGED
@@ -165,11 +165,11 @@ def test_shapes_follow_b():
 
 
 @pytest.mark.parametrize("law", LAWS)
-def test_no_contacts(law):
+def test_a_problem_without_contacts_converges(law):
     solution = solve(np.zeros((0, 0)), np.zeros((2, 0)), 0.3, law=law)
     assert solution.converged.all() and solution.residual.tolist() == [0.0, 0.0]
 
 
-def test_every_status_says_what_to_do():
+def test_every_status_advises_a_remedy():
     for status in Status:
         assert status.advice.endswith(".") and len(status.advice) > 40

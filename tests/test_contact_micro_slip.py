@@ -137,7 +137,7 @@ def test_stiff_contacts_tend_to_cattaneos_partial_slip():
     np.testing.assert_allclose(q, exact, atol=0.02 * bound)
 
 
-def test_soft_contacts_tend_to_springs_of_their_own():
+def test_soft_contacts_tend_to_independent_springs():
     """``k_t ξ = μ p(c)``: ``c/a = (1 - (k_t ξ/(μ p0))²)^½``; in between both bodies and contacts yield."""
     bound, share = 0.3 * 5.0, 0.7
     stick, _, q, _ = sheared_cylinder(1e-2, share * bound / 1e-2)
@@ -170,7 +170,7 @@ def test_a_bar_pulled_over_its_bed_yields_and_slips_from_its_end():
     assert end == pytest.approx(q / k_t + (N * slipping + 0.5 * q * slipping**2) / EA, rel=2e-4)
 
 
-def test_the_certificate_judges_the_slider():
+def test_the_certificate_uses_the_slider_displacement():
     """A force that obeys Coulomb's law with u instead of the slider's displacement is refused, and the other way."""
     problem = slip_dominated(20, 10, np.random.default_rng(3), mu=2.0)  # a contact that slides has Coulomb's force
     friction = Friction(problem.mu, None, np.full(20, 0.3))
@@ -191,7 +191,7 @@ def test_the_certificate_judges_the_slider():
     assert np.abs(np.sum(f[..., 1:] * u[..., 1:], axis=-1)).max() > 1e-3
 
 
-def test_contacts_that_do_not_yield_are_coulombs():
+def test_rigid_contacts_obey_coulombs_law():
     problem = slip_dominated(20, 10, np.random.default_rng(4))
     expected = solve(problem.S, problem.b, problem.mu).force
     for law in (MICRO_SLIP, PRESSURE_DEPENDENT):

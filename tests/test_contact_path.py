@@ -1,4 +1,4 @@
-"""Paths of contact with known answers: what is piecewise linear to rounding, what turns to the order of the method."""
+"""Load paths with known answers: piecewise linear ones to rounding, curved ones to the order of the method."""
 
 from dataclasses import replace
 
@@ -39,23 +39,23 @@ def tractrix(path):
     return np.linalg.norm(found.anchor[0, 0] - exact) / np.linalg.norm(exact), found, np.linalg.norm(exact)
 
 
-def test_a_slider_dragged_round_a_corner_converges_with_the_second_order():
+def test_a_slider_dragged_round_a_corner_converges_with_second_order():
     errors = [tractrix(Followed(steps=steps))[0] for steps in (8, 16, 32, 64, 128)]
     assert all(coarse > 3.5 * fine for coarse, fine in zip(errors, errors[1:]))
 
 
-def test_increments_converge_with_the_first_order_only():
+def test_increments_converge_with_first_order():
     errors = [tractrix(Increments(steps))[0] for steps in (16, 32, 64)]
     assert all(1.8 < coarse / fine < 2.2 for coarse, fine in zip(errors, errors[1:]))
 
 
-def test_a_followed_slider_is_within_a_thousandth_and_its_estimate_covers_that():
+def test_the_error_of_a_followed_slider_is_below_a_thousandth_and_its_estimate():
     error, found, size = tractrix(None)
     assert error < 1e-3
     assert error * size < found.trace.error[0] < 0.1
 
 
-def test_a_contact_that_closes_while_it_moves_slips_from_where_it_touched():
+def test_a_contact_that_closes_while_moving_slips_from_its_touching_point():
     """It touches at s = 0.37, moving along t1 by 0.9 over the path: μ f_n ends at 0.5 · 0.63."""
     found = follow([[0.37, 0, 0], [-0.63, 0.9, 0]])
     slip = 0.9 * 0.63 - MU * 0.63
@@ -65,7 +65,7 @@ def test_a_contact_that_closes_while_it_moves_slips_from_where_it_touched():
     np.testing.assert_allclose(found.trace.share[0, 0], [0.37, 0, 0.63], atol=1e-12)
 
 
-def test_a_contact_that_closes_and_sticks_stays_where_it_touched():
+def test_a_contact_that_closes_and_sticks_stays_at_its_touching_point():
     found = follow([[0.37, 0, 0], [-0.63, 0.4, 0]])
     np.testing.assert_allclose(found.anchor[0, 0], [0.37 * 0.4, 0], atol=1e-12)
     np.testing.assert_allclose(found.trace.slip[0, 0], 0, atol=1e-12)
@@ -76,7 +76,7 @@ def rounded(a, random):
     return a * (1 + 1e-14 * random.normal(size=a.shape))
 
 
-def test_what_an_increment_tells_does_not_hang_on_the_last_bits_of_its_inputs():
+def test_an_increment_does_not_depend_on_rounding_of_its_inputs():
     """At its start most contacts that press stand on their cone, and one of each sample touches without force."""
     random = np.random.default_rng(0)
     m, n = 12, 20
@@ -105,7 +105,7 @@ def test_what_an_increment_tells_does_not_hang_on_the_last_bits_of_its_inputs():
         np.testing.assert_allclose(getattr(again, name), getattr(found, name), rtol=0, atol=1e-9, err_msg=name)
 
 
-def test_a_load_that_turns_round_leaves_the_hysteresis_of_a_single_slider():
+def test_a_reversed_load_gives_the_hysteresis_of_a_single_slider():
     """Drag by 2, then back by 2: the string is taut both ways, so that the slider goes 1.5 forth and 1 back."""
     found = follow([[-1, 0, 0], [-1, 2, 0], [-1, 0, 0]])
     np.testing.assert_allclose(found.anchor[0, 0], [0.5, 0], atol=1e-10)
@@ -114,8 +114,8 @@ def test_a_load_that_turns_round_leaves_the_hysteresis_of_a_single_slider():
     np.testing.assert_allclose(found.force[0], [1, MU, 0], atol=1e-10)
 
 
-def test_of_two_contacts_in_series_the_weaker_slips_first():
-    """Both are pulled through the one spring that they share; the second holds until the first has let all load go on.
+def test_the_weaker_of_two_contacts_in_series_slips_first():
+    """Both are pulled through one shared spring; the second sticks until the first passes on all further load.
 
     S couples the tangential displacements, w1 = y1 + y2/2 + d, w2 = y1/2 + y2 + d/2, with bounds 0.2 and 0.5. The first
     slips from d = 0.2 on, from where the second's force grows by 1/2 of the drag alone.
@@ -131,7 +131,7 @@ def test_of_two_contacts_in_series_the_weaker_slips_first():
 
 
 @pytest.mark.parametrize("path", [Followed(steps=1), None], ids=["one step", "default"])
-def test_of_two_contacts_of_one_body_the_second_closes_where_the_first_holds_it(path):
+def test_a_sticking_contact_holds_the_body_until_a_second_one_closes(path):
     """Both stick, of 0.01 each by itself and 1 together: the first at 0.2; until 0.6 the body moves on by 0.01/1.01."""
     S = np.diag([1, 0.01, 0.01] * 2)
     for c in (1, 2):
@@ -150,9 +150,8 @@ def test_a_block_pushed_on_an_arc_ends_where_the_finest_path_ends():
     assert np.linalg.norm(follow(loads[[0, -1]]).anchor[0, 0] - exact) > 0.1  # a straight way is another way
 
 
-def test_a_contact_that_opens_while_it_slides_has_slipped_as_far_as_on_the_finest_path():
-    """Its normal force hangs on how it turns, so that no straight prediction knows when it opens; its position would
-    not tell."""
+def test_a_sliding_contact_that_opens_slips_as_on_the_finest_path():
+    """Its normal force depends on the direction of slip, so that no linear prediction knows when it opens."""
     S = np.array([[1, 0.3, 0.1], [0.3, 1, 0.1], [0.1, 0.1, 1]])
     loads = [[-1, 0.3, 0.35], [0.3, 2, 0.3]]
     exact = follow(loads, Followed(1e-9), S=S).trace.slip[0, 0]
@@ -162,7 +161,7 @@ def test_a_contact_that_opens_while_it_slides_has_slipped_as_far_as_on_the_fines
     assert error < found.error[0]
 
 
-def test_a_motion_that_is_less_than_may_be_in_error_takes_one_step():
+def test_a_motion_below_the_tolerance_takes_one_step():
     exact = tractrix(Followed(1e-9))[1].anchor
     for floor, steps in ((2.0, 1), (0.2, 2)):
         found = tractrix(Followed(1e-3, least=1e3 * floor))[1]
@@ -171,7 +170,7 @@ def test_a_motion_that_is_less_than_may_be_in_error_takes_one_step():
 
 
 @pytest.mark.parametrize("beside", [0, 1])
-def test_contacts_that_touch_at_no_load_are_followed_from_there(beside):
+def test_contacts_that_touch_without_force_are_followed(beside):
     """Two touch as the load begins, a third closes later and takes over from one of them: what slips, since when; by
     themselves, and beside one that presses all along."""
     random = np.random.default_rng(1)
@@ -238,7 +237,7 @@ def test_slip_and_work_of_a_followed_path_are_those_of_many_increments(followed_
     np.testing.assert_allclose(found.trace.share.sum(-1), 1, atol=1e-9)
 
 
-def test_a_sample_does_not_hang_on_its_neighbours_nor_on_threads(followed_sheets):
+def test_a_sample_does_not_depend_on_its_batch_or_on_threads(followed_sheets):
     solver, b, found, _ = followed_sheets
     alone = solver.follow(b[7:8])
     np.testing.assert_array_equal(alone.anchor[0], found.anchor[7])
@@ -253,7 +252,7 @@ def test_a_path_in_other_units_is_the_same_path(followed_sheets):
     np.testing.assert_allclose(1e3 * scaled.anchor, found.anchor[:20], atol=1e-5)
 
 
-def test_small_steps_of_the_associated_law_tend_to_coulombs():
+def test_small_steps_of_the_associated_law_converge_to_coulombs_law():
     """Its contacts open by μ times the slip of a step, and steps may be as small as one likes: it has no path of its
     own."""
     loads = [[-1, 0, 0], [-1, 2, 0]]
@@ -262,7 +261,7 @@ def test_small_steps_of_the_associated_law_tend_to_coulombs():
 
 
 @pytest.mark.parametrize("path", [Followed(), Increments(3)], ids=["followed", "increments"])
-def test_a_rescued_path_counts_what_was_factorised_in_vain_and_what_the_ladder_factorised(path, monkeypatch):
+def test_a_repeated_path_counts_all_its_factorisations(path, monkeypatch):
     solver, b = sheets(30, 2, seed=5)
     plain, find, solve, spent = solver.follow(b, path=path), solver.backend.follow, solver.solve, []
 
@@ -278,7 +277,7 @@ def test_a_rescued_path_counts_what_was_factorised_in_vain_and_what_the_ladder_f
     assert rescued.tolist() == [before[0] + sum(spent), before[1]]
 
 
-def test_a_sliders_lag_is_told_however_far_it_slides():
+def test_the_lag_of_a_slider_is_accurate_for_any_distance():
     z = np.array([1e-6, 0.3, 3.0, 30.0])
     with np.errstate(over="raise", invalid="raise", divide="raise"):
         np.testing.assert_allclose(lag(z), 1 / z - 1 / np.expm1(z), atol=1e-9)

@@ -1,4 +1,4 @@
-"""Friction that depends on pressure: pieces, closed forms, the certificate, and every method that looks for it."""
+"""Friction that depends on pressure: pieces, closed forms, the certificate, and each method of solution."""
 
 import numpy as np
 import pytest
@@ -31,7 +31,7 @@ def friction(pieces, m, area=1.0):
 
 
 @CASES
-def test_pieces_are_the_function_that_they_came_from(pieces, mu):
+def test_pieces_reproduce_their_friction_function(pieces, mu):
     p = np.concatenate([np.geomspace(1e-3, 100.0, 200), [x for x, _ in POINTS]])
     area = 2.5
     parameters = PRESSURE_DEPENDENT.parameters(friction(pieces, len(p), area))
@@ -41,7 +41,7 @@ def test_pieces_are_the_function_that_they_came_from(pieces, mu):
 
 
 @CASES
-def test_a_contact_that_slides_holds_what_its_pressure_gives(pieces, mu):
+def test_a_sliding_contact_has_the_friction_of_its_pressure(pieces, mu):
     """S = I: the normal force is the overlap, the friction force ``μ(f_n/A) f_n``."""
     area = 0.7
     for overlap in (0.01, 0.4, 1.3, 3.0, 30.0):
@@ -73,7 +73,7 @@ def test_a_pressed_disc_slides_at_the_integral_of_its_bound():
 
 
 @CASES
-def test_it_is_coulombs_law_with_the_coefficients_of_the_force_itself(pieces, mu):
+def test_solutions_obey_coulombs_law_with_the_coefficients_of_their_pressure(pieces, mu):
     rng = np.random.default_rng(5)
     problem = slip_dominated(30, 20, rng)
     law = friction(pieces, 30, 0.2)
@@ -102,15 +102,15 @@ def test_the_answer_does_not_depend_on_units():
 
 
 @CASES
-def test_all_samples_converge_on_the_cheap_rungs(pieces, mu):
+def test_all_samples_converge_on_batch_rungs(pieces, mu):
     problem = slip_dominated(60, 60, np.random.default_rng(7))
     solution = solve(problem.S, problem.b, friction(pieces, 60, 0.2), PRESSURE_DEPENDENT)
     assert solution.converged.all()
     assert not {*solution.rung} & {rung.name for rung in ladder.PATIENT}
 
 
-def test_every_patient_rung_renews_the_friction_that_it_holds(monkeypatch):
-    """From nothing and without Newton's polish, the rungs end at the law asked for and not at Coulomb's."""
+def test_every_patient_rung_updates_the_frozen_friction(monkeypatch):
+    """The rungs start from zero and converge to the requested law, not to Coulomb's."""
     monkeypatch.setattr(ladder, "BUDGET", 1e6)
     problem = slip_dominated(6, 1, np.random.default_rng(8), condition=1e2)
     law = friction(FUNCTIONS["table"][0], 6, 0.2)
@@ -123,8 +123,8 @@ def test_every_patient_rung_renews_the_friction_that_it_holds(monkeypatch):
     assert "renewed friction" in best and max(best.values()) <= 1e-10, best
 
 
-def test_methods_that_hold_friction_are_given_that_of_the_last_force(monkeypatch):
-    """Newton would hide it: with Newton left out, sweeps alone end at the law asked for."""
+def test_methods_with_frozen_friction_use_that_of_the_last_force(monkeypatch):
+    """Sweeps without Newton's method converge to the requested law."""
     monkeypatch.setattr(ladder, "BUDGET", 5.0)
     monkeypatch.setattr(patience, "landed", lambda problem, rung, q, y: (y, np.inf, 0))
     problem = slip_dominated(6, 1, np.random.default_rng(8), condition=1e2)
@@ -138,8 +138,8 @@ def test_methods_that_hold_friction_are_given_that_of_the_last_force(monkeypatch
 
 
 @CASES
-def test_renewing_the_coefficients_alone_converges(pieces, mu, monkeypatch):
-    """What is handed to Newton gets there by itself: with Newton left out, the coefficients settle."""
+def test_updating_the_coefficients_alone_converges(pieces, mu, monkeypatch):
+    """The coefficients converge without Newton's method."""
     handed = []
 
     landed = patience.landed
@@ -162,7 +162,7 @@ def test_renewing_the_coefficients_alone_converges(pieces, mu, monkeypatch):
     assert len(handed) == rung["steps"] and residuals[-1] <= 1e-7 < residuals[0]
 
 
-def test_with_little_friction_every_start_leads_to_one_solution():
+def test_little_friction_has_one_solution():
     """``cond(S) sup|g'| < 1``: there is but one."""
     rng = np.random.default_rng(10)
     S = compliant(10, rng, condition=5.0)
@@ -191,12 +191,12 @@ def test_with_little_friction_every_start_leads_to_one_solution():
         (lambda: solve(np.eye(3), -np.ones(3), Friction(np.ones(1), None, -np.ones(1))), "compliance must not be neg"),
     ],
 )
-def test_bad_functions_are_refused(build, words):
+def test_invalid_friction_functions_are_refused(build, words):
     with pytest.raises(ValueError, match=words):
         build()
 
 
-def test_a_straight_line_of_a_table_may_fall_until_its_bound_is_level():
+def test_friction_may_fall_until_its_bound_is_constant():
     """``(μ p)' = μ + p dμ/dp`` vanishes at the second point for ``μ₂ = μ₁ p₂/(2 p₂ - p₁)``."""
     p1, p2, mu1 = 1.0, 3.0, 0.5
     level = mu1 * p2 / (2.0 * p2 - p1)

@@ -1,4 +1,4 @@
-"""What the solver must survive: degenerate, extreme and impossible problems.  The certificate is the oracle."""
+"""Degenerate, extreme and infeasible contact problems, judged by the certificate."""
 
 import itertools
 from dataclasses import replace
@@ -47,7 +47,7 @@ def assert_solved(solution, S, b, mu, law="coulomb", tol=1e-10):
     seed=st.integers(0, 10_000),
     log_size=st.floats(-9, 9),
 )
-def test_random_feasible_problems(m, rank, mu, law, seed, log_size):
+def test_random_feasible_problems_are_solved(m, rank, mu, law, seed, log_size):
     """Any rank, any friction, any size: feasible because ``b - S f₀`` opens every contact for some ``f₀``."""
     rng = np.random.default_rng(seed)
     root = rng.standard_normal((3 * m, max(1, int(rank * 3 * m))))
@@ -66,7 +66,7 @@ def test_random_feasible_problems(m, rank, mu, law, seed, log_size):
 
 @pytest.mark.parametrize("law", LAWS)
 @pytest.mark.parametrize("mu", FRICTION)
-def test_every_friction(mu, law):
+def test_problems_with_any_friction_are_solved(mu, law):
     rng = np.random.default_rng(3)
     S = compliant(12, rng)
     b = rng.standard_normal((6, 36))
@@ -97,7 +97,7 @@ def test_manufactured_solutions_are_found(law, stick, slide):
 
 
 @pytest.mark.parametrize("gap", [1e-12, 1e-6, 1.0, 1e3])
-def test_gaps_of_every_size(gap):
+def test_problems_with_gaps_of_any_size_are_solved(gap):
     rng = np.random.default_rng(6)
     S = compliant(10, rng, condition=1e3)
     b = rng.standard_normal((5, 30))
@@ -109,14 +109,14 @@ def test_gaps_of_every_size(gap):
     np.testing.assert_array_equal(solution.residual, 0.0)
 
 
-def test_zero_right_hand_side():
+def test_a_zero_load_gives_no_force():
     solution = solve(compliant(5, np.random.default_rng(0)), np.zeros((2, 15)), 0.3)
     assert np.all(solution.converged) and not solution.force.any()
     np.testing.assert_array_equal(solution.residual, 0.0)
 
 
 @pytest.mark.parametrize("law", LAWS)
-def test_duplicated_contacts_have_the_displacements_of_single_ones(law):
+def test_duplicated_contacts_do_not_change_displacements(law):
     rng = np.random.default_rng(7)
     single = manufactured(compliant(8, rng, condition=1e3), np.full(8, 0.3), 5, rng, 0.5, 0.3)
     pick = np.arange(24).reshape(8, 3)[[0, 0, 1, 2, 2, 2, 3, 4, 5, 6, 7, 7]].ravel()
@@ -128,7 +128,7 @@ def test_duplicated_contacts_have_the_displacements_of_single_ones(law):
 
 
 @pytest.mark.parametrize("law", LAWS)
-def test_contact_without_compliance(law):
+def test_a_contact_without_compliance_is_infeasible_once_it_overlaps(law):
     """An all-zero block: harmless while it is open, infeasible once it overlaps."""
     S = np.zeros((6, 6))
     S[:3, :3] = np.eye(3)
@@ -139,7 +139,7 @@ def test_contact_without_compliance(law):
 
 
 @pytest.mark.parametrize("law", LAWS)
-def test_tangential_rows_without_compliance(law):
+def test_contacts_without_tangential_compliance_are_solved(law):
     S = np.diag([1.0, 0.0, 0.0, 1.0, 1.0, 1.0])
     S[0, 3] = S[3, 0] = 0.5
     b = np.array([-1.0, 0.0, 0.0, -1.0, 0.3, 0.0])
@@ -175,7 +175,7 @@ RIGID = {
 
 @pytest.mark.parametrize("mu", [0.3, 0.6, 1.0])
 @pytest.mark.parametrize("scene", RIGID)
-def test_rigid_bodies(scene, mu):
+def test_rigid_bodies_in_contact_are_solved(scene, mu):
     """Many more contacts than degrees of freedom, at rest and disturbed."""
     for speed in (0.0, 0.05):
         problem = RIGID[scene]().problem(mu, np.random.default_rng(2), speed)
@@ -198,7 +198,7 @@ def test_jammed_problems_are_solved_in_any_order_of_their_contacts(jammed, order
     assert_solved(solve(S, b, problem.mu), S, b, problem.mu)
 
 
-def test_sweeps_that_know_their_neighbours_are_those_that_do_not():
+def test_sparse_sweeps_equal_dense_sweeps():
     problem = box_stack(6).problem(0.4, np.random.default_rng(1), 0.1)
     scaled = NativeSolver(problem.S, problem.mu, COULOMB, 1e-10, 1, 3).problem
     every = np.empty(0, np.int64)
@@ -215,7 +215,7 @@ def test_sweeps_that_know_their_neighbours_are_those_that_do_not():
 
 @pytest.mark.slow
 def test_a_thrown_wall_is_solved():
-    """540 contacts that hang together; forces are not unique, and the cheap methods leave 3 %."""
+    """540 coupled contacts, in random order; forces are not unique, and batch rungs leave errors of 3 %."""
     problem = brick_wall(8, 7).problem(0.6, np.random.default_rng(2), 1.0)
     order = np.random.default_rng(5).permutation(540)
     rows = (3 * order[:, None] + np.arange(3)).ravel()
@@ -227,7 +227,7 @@ def test_a_thrown_wall_is_solved():
 
 @pytest.mark.parametrize("law", LAWS)
 @pytest.mark.parametrize("condition", [1e3, 1e8, 1e12])
-def test_ill_conditioned_compliance(condition, law):
+def test_problems_with_ill_conditioned_compliance_are_solved(condition, law):
     rng = np.random.default_rng(8)
     S = compliant(10, rng, condition)
     problem = manufactured(S, np.full(10, 0.27), 6, rng, 0.4, 0.4, "associated" if law == "associated" else "coulomb")
@@ -236,7 +236,7 @@ def test_ill_conditioned_compliance(condition, law):
 
 @pytest.mark.parametrize("condition", [1e4, 1e7])
 @pytest.mark.parametrize("m", [2, 3])
-def test_slip_that_opens_contacts_is_found_where_nothing_overlaps(m, condition):
+def test_slip_that_opens_contacts_is_found_without_overlap(m, condition):
     """Under the associated law a contact with a gap carries force where it slips by more than the gap allows. Without
     overlaps nor forces an error had no size, and no force at all passed for the solution of an easier problem."""
     mu, apart = np.full(m, 1.5), 0
@@ -323,7 +323,7 @@ def test_normal_rows_alone_give_the_frictionless_answer():
     np.testing.assert_allclose(normal.residual, full.residual, atol=1e-12)
 
 
-def test_a_good_guess_saves_work():
+def test_a_good_guess_saves_iterations():
     problem = slip_dominated(30, 10, np.random.default_rng(13))
     solver = ContactSolver(problem.S, problem.mu)
     cold = solver.solve(problem.b)
@@ -353,7 +353,7 @@ def test_newton_for_forces_and_for_displacements_agree(law):
 
 
 @pytest.mark.parametrize("condition, near", [(10.0, True), (1e6, False)])
-def test_a_large_step_is_approached_or_else_factorised(condition, near):
+def test_a_large_newton_step_is_solved_iteratively_or_by_factorisation(condition, near):
     """Contacts that all stick: the forces that take their displacements back."""
     m = kernels.LARGE // 3 + 5
     W, rng = compliant(m, np.random.default_rng(4), condition), np.random.default_rng(5)
@@ -363,7 +363,7 @@ def test_a_large_step_is_approached_or_else_factorised(condition, near):
     np.testing.assert_allclose(W @ x, -z, atol=1e-7 * np.abs(z).max())
 
 
-def test_many_contacts_that_stick_are_the_same_in_any_company():
+def test_many_sticking_contacts_do_not_depend_on_their_batch():
     m = kernels.LARGE // 3 + 5
     rng = np.random.default_rng(6)
     problem = manufactured(compliant(m, rng, 1e3), np.full(m, 0.3), 6, rng, stick=0.8, slide=0.1)
@@ -389,7 +389,7 @@ def test_a_sample_ends_within_its_budget(monkeypatch):
     assert 1 <= counts[0] < counts[1] < counts[2]
 
 
-def test_contacts_that_hang_together_are_solved_by_themselves():
+def test_uncoupled_groups_of_contacts_are_solved_separately():
     """Two elastic interfaces that mostly stick and a contact that nothing else moves, in one S, by chance."""
     parts = [
         manufactured(compliant(12, np.random.default_rng(k)), np.full(12, 0.4), 3, np.random.default_rng(k), 0.8, 0.1)
@@ -410,7 +410,7 @@ def test_contacts_that_hang_together_are_solved_by_themselves():
     np.testing.assert_allclose(solver.with_friction(0.2).solve(b).force, solve(S, b, 0.2).force, atol=1e-8)
 
 
-def test_each_part_of_a_stubborn_problem_keeps_what_was_found_for_the_others():
+def test_each_group_of_contacts_starts_from_the_solutions_of_the_others():
     heaps = [rock_heap(12, np.random.default_rng(k)).problem(0.6, np.random.default_rng(k), 0.2) for k in (2, 4, 7)]
     S, b = block_diag(*(heap.S for heap in heaps)), np.hstack([heap.b for heap in heaps])
     rungs = {*np.concatenate([solve(heap.S, heap.b, 0.6).rung for heap in heaps])}
@@ -419,7 +419,7 @@ def test_each_part_of_a_stubborn_problem_keeps_what_was_found_for_the_others():
     assert_solved(together, S, b, 0.6)
 
 
-def test_what_a_proximal_step_has_not_solved_is_rejected():
+def test_unsolved_proximal_steps_are_rejected():
     problem = box_stack(5).problem(0.4, np.random.default_rng(1), 0.1)
     native = NativeSolver(problem.S, problem.mu, COULOMB, 1e-10, 1, 3)
     start, method = 0.1 * np.abs(np.random.default_rng(2).standard_normal(60)), patience.METHODS["proximal points"]

@@ -1,4 +1,4 @@
-"""Every problem ends in a verdict, whatever its numbers: a force that obeys the law, or a status that says why not."""
+"""Every problem ends with a force that obeys the law, or with a status that gives the reason."""
 
 import numpy as np
 import pytest
@@ -44,7 +44,7 @@ def broken_condition(S, b, mu, force, law):
 
 @pytest.mark.parametrize("law", FREE)
 @pytest.mark.parametrize("compliance, length", [(1, 1e-200), (1, 1e200), (1e-200, 1), (1e200, 1e150), (1e-90, 1e-90)])
-def test_no_number_is_too_large_or_too_small(law, compliance, length):
+def test_very_large_and_very_small_numbers_are_solved(law, compliance, length):
     S, b = problem()
     near, far = solve(S, b, 0.3, law), solve(S * compliance, b * length, 0.3, law)
     assert far.status is Status.CONVERGED and far.residual <= 1e-10
@@ -58,7 +58,7 @@ def test_no_number_is_too_large_or_too_small(law, compliance, length):
 
 @pytest.mark.parametrize("law", FREE)
 @pytest.mark.parametrize("compliance, length", [(1e-200, 1e200), (1e200, 1e-200), (1, 1e-320)])
-def test_a_force_that_no_number_tells_is_refused(law, compliance, length):
+def test_a_force_outside_the_range_of_numbers_is_refused(law, compliance, length):
     S, b = problem()
     solution = solve(S * compliance, b * length, 0.3, law)
     assert solution.status is Status.OUT_OF_RANGE and not solution.converged and not solution.force.any()
@@ -66,7 +66,7 @@ def test_a_force_that_no_number_tells_is_refused(law, compliance, length):
 
 
 @pytest.mark.parametrize("law", BOUND)
-def test_a_law_with_units_of_its_own_refuses_what_is_beyond_them(law):
+def test_a_law_with_units_refuses_values_out_of_range(law):
     S, b = problem()
     friction = Friction(
         np.full(4, 0.3), pressure=np.tile([0.0, 0.3, 0.0, 0.0, 0.0], (4, 1, 1)), compliance=np.full(4, 0.1)
@@ -79,7 +79,7 @@ def test_a_law_with_units_of_its_own_refuses_what_is_beyond_them(law):
 
 
 @pytest.mark.parametrize("law", FREE)
-def test_a_sample_has_the_same_bits_beside_one_with_strange_numbers(law):
+def test_extreme_samples_do_not_change_others_in_their_batch(law):
     S, b = problem()
     batch = ContactSolver(S, 0.3, law).solve(np.stack([1e-200 * b, b]))
     assert batch.converged.all()
@@ -87,7 +87,7 @@ def test_a_sample_has_the_same_bits_beside_one_with_strange_numbers(law):
 
 
 @pytest.mark.parametrize("law", LAWS)
-def test_where_nothing_moves_overlap_is_infeasible_and_all_else_solved(law):
+def test_overlap_without_compliance_is_infeasible(law):
     S, b = np.zeros((6, 6)), np.array([0.1, 0.3, 0.0, 1.0, 0.0, 0.2])
     assert solve(S, b, 0.3, law).status is Status.CONVERGED
     b[0] = 0.0  # touching, it slides without force; under the associated law it would have to open, and cannot
@@ -99,7 +99,7 @@ def test_where_nothing_moves_overlap_is_infeasible_and_all_else_solved(law):
 
 
 @pytest.mark.parametrize("share, refused", [(1e-6, True), (1e-12, False)])
-def test_a_compliance_that_does_work_for_nothing_is_refused(share, refused):
+def test_an_indefinite_compliance_is_refused(share, refused):
     S, b = problem()
     values, vectors = np.linalg.eigh(S)
     values[0] = -share * values[-1]
@@ -124,7 +124,7 @@ def test_a_compliance_that_does_work_for_nothing_is_refused(share, refused):
     seed=st.integers(0, 2**32 - 1),
 )
 @pytest.mark.slow
-def test_nothing_wrong_is_marked_as_right(m, rank, mu, law, compliance, length, stiff, still, seed):
+def test_wrong_solutions_are_never_reported_as_converged(m, rank, mu, law, compliance, length, stiff, still, seed):
     """Any rank, any friction, any size; contacts without compliance; most loads are not made to be balanced."""
     rng = np.random.default_rng(seed)
     root = rng.standard_normal((3 * m, rank)) * 10.0 ** (stiff * rng.uniform(-1, 1, m)).repeat(3)[:, None]
@@ -140,7 +140,7 @@ def test_nothing_wrong_is_marked_as_right(m, rank, mu, law, compliance, length, 
         assert np.isfinite(solution.force).all() and broken_condition(S, b, mu, solution.force, law) < 1e-6
 
 
-def test_a_guess_that_leads_nowhere_costs_no_solution(monkeypatch):
+def test_a_useless_guess_does_not_prevent_a_solution(monkeypatch):
     S, b = problem()
     solver = ContactSolver(S, 0.3)
     right, find = solver.solve(b), solver.backend.solve

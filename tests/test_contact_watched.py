@@ -1,4 +1,4 @@
-"""Candidates of which only those that would penetrate take part, against all of them at once."""
+"""A working set of candidates against all candidates at once."""
 
 import pickle
 import time
@@ -50,7 +50,7 @@ def followed(solver, b, path):
 
 
 @pytest.mark.parametrize("law", ["coulomb", "frictionless", "associated"])
-def test_the_outcome_is_that_of_all_candidates_at_once(problem, law):
+def test_the_working_set_gives_the_result_of_all_candidates(problem, law):
     S, _, b = problem
     path = Increments(1)
     few, all_ = followed(watched(problem, law), b, path), followed(ContactSolver(S, 0.3, law), b, path)
@@ -63,14 +63,14 @@ def test_the_outcome_is_that_of_all_candidates_at_once(problem, law):
 
 
 @pytest.mark.parametrize("law", ["coulomb", "frictionless", "associated"])
-def test_solved_at_once_it_is_what_a_solver_of_all_candidates_finds(problem, law):
+def test_one_solve_with_a_working_set_gives_the_result_of_all_candidates(problem, law):
     S, _, b = problem
     few, all_ = watched(problem, law).solve(b[:, 1]), ContactSolver(S, 0.3, law).solve(b[:, 1])
     assert few.converged.all() and (all_.force[:, ::3] > 1e-9).any(axis=1).all()
     np.testing.assert_allclose(few.displacement, all_.displacement, atol=1e-5)
 
 
-def test_a_followed_path_ends_where_that_of_all_candidates_ends(problem):
+def test_a_followed_path_ends_as_with_all_candidates(problem):
     S, _, b = problem
     path = Followed(1e-5)
     few, all_ = followed(watched(problem), b, path), followed(ContactSolver(S, 0.3), b, path)
@@ -81,7 +81,7 @@ def test_a_followed_path_ends_where_that_of_all_candidates_ends(problem):
 
 
 @pytest.mark.parametrize("path", [Followed(1e-6), Increments(600)], ids=["followed", "increments"])
-def test_what_touches_on_the_way_alone_takes_part(path):
+def test_candidates_that_touch_only_on_the_way_are_included(path):
     """The second of two candidates touches first, and rubs until the first one, deeper at the end, lifts it."""
     S = np.kron([[1.0, 0.9], [0.9, 1.0]], np.diag([1.0, 0.5, 0.5])) + np.diag([0, 0.2, 0.2] * 2)
     b = np.array([[[0.5, 0, 0, 0.1, 0, 0], [-1.0, 0.6, 0, -0.5, 0.6, 0]]])
@@ -96,7 +96,7 @@ def test_what_touches_on_the_way_alone_takes_part(path):
     np.testing.assert_allclose(few.anchor, all_.anchor, atol=1e-5)
 
 
-def test_how_many_are_followed_together_changes_nothing(problem, monkeypatch):
+def test_the_batch_size_does_not_change_the_result(problem, monkeypatch):
     together = followed(watched(problem), problem[2], Followed())
     monkeypatch.setattr("mic.contact.working_set.MAX_RECORDED", 1)
     alone = followed(watched(problem), problem[2], Followed())
@@ -113,7 +113,7 @@ def test_a_sample_does_not_depend_on_its_batch(problem):
         np.testing.assert_allclose(alone.trace.error[0], together.trace.error[i], rtol=1e-6)
 
 
-def test_the_outcome_does_not_depend_on_what_it_starts_from(problem):
+def test_the_initial_working_set_does_not_change_the_result(problem):
     _, _, b = problem
     one = followed(watched(problem), b, Increments(1))
     solver = watched(problem, start=np.arange(M) % 3 == 0)
@@ -121,7 +121,7 @@ def test_the_outcome_does_not_depend_on_what_it_starts_from(problem):
     assert (solver.carried == (one.force[:, ::3] > 1e-9).any(axis=0)).mean() > 0.95
 
 
-def test_what_is_not_allowed_carries_no_force_and_loses_what_it_had(problem):
+def test_excluded_candidates_carry_no_force(problem):
     _, _, b = problem
     free = followed(watched(problem), b, Increments(1))
     most = int(free.force[:, ::3].sum(axis=0).argmax())
@@ -132,7 +132,7 @@ def test_what_is_not_allowed_carries_no_force_and_loses_what_it_had(problem):
     assert found.displacement[:, 3 * most].min() < -0.01 and found.converged.all()
 
 
-def test_where_nothing_touches_nothing_is_solved(problem):
+def test_open_candidates_need_no_solve(problem):
     _, _, b = problem
     apart = b.copy()
     apart[:, :, ::3] += 10.0
@@ -142,7 +142,7 @@ def test_where_nothing_touches_nothing_is_solved(problem):
 
 
 @pytest.mark.parametrize("noise", [0, 1, 2])
-def test_rounding_does_not_say_which_of_two_candidates_takes_part(noise):
+def test_rounding_does_not_choose_between_equal_candidates(noise):
     """Six places, at each two candidates that read the same: one holds up both, the first of them."""
     apart = np.abs(np.subtract.outer(np.arange(6.0), np.arange(6.0)))
     twins = np.kron(np.exp(-apart / 2), np.ones((2, 2))) + 1e-6 * np.eye(12)
@@ -162,7 +162,7 @@ def test_rounding_does_not_say_which_of_two_candidates_takes_part(noise):
     np.testing.assert_allclose(rounded, plain, rtol=0, atol=1e-9 * plain.max())
 
 
-def test_what_the_rounds_before_the_last_factorised_counts(problem, monkeypatch):
+def test_factorisations_of_all_rounds_count(problem, monkeypatch):
     step, spent = NativeSolver.step, []
 
     def counted(*args):
@@ -177,7 +177,7 @@ def test_what_the_rounds_before_the_last_factorised_counts(problem, monkeypatch)
     assert sum(int(each.trace.factorisations[0]) for each in found) == sum(spent)
 
 
-def test_forces_are_forecast_to_change_as_those_of_the_sample_with_the_nearest_gaps():
+def test_the_forecast_uses_the_sample_with_the_nearest_gaps():
     seen = PathForecast(
         touching=np.array([True, True]),
         load=np.array([[-1.0, 0.5], [-0.1, -2.0]]),
@@ -190,14 +190,14 @@ def test_forces_are_forecast_to_change_as_those_of_the_sample_with_the_nearest_g
     assert not PathForecast.empty(2, 3).forces(np.ones((2, 2)), force).any()
 
 
-def test_a_forecast_saves_factorisations_and_does_not_move_the_outcome(problem):
+def test_a_forecast_saves_factorisations_and_does_not_change_the_result(problem):
     b = problem[2]
     plain = followed(watched(problem), b, Increments(1))
     change, load = plain.force, b[:, 1, ::3]
     touching = (plain.force[:, ::3] > 0).any(axis=0)
     spent = {}
-    for name, told in {"none": change[:0], "right": change, "wrong": -3.0 * change[::-1] + change.max()}.items():
-        seen = PathForecast(touching, load[: len(told)], told)
+    for name, known in {"none": change[:0], "right": change, "wrong": -3.0 * change[::-1] + change.max()}.items():
+        seen = PathForecast(touching, load[: len(known)], known)
         found = followed(watched(problem, start=touching, forecast=seen), b, Increments(1))
         assert found.converged.all() and (found.rung == "increments").all()
         np.testing.assert_allclose(found.displacement, plain.displacement, atol=1e-6)
@@ -206,7 +206,7 @@ def test_a_forecast_saves_factorisations_and_does_not_move_the_outcome(problem):
     assert spent["right"] < 0.7 * spent["none"] < spent["wrong"]
 
 
-def test_a_guessing_solver_tells_what_its_samples_went_through(problem):
+def test_a_screening_solver_records_its_samples(problem):
     b = problem[2]
     solver = watched(problem, screening=True)
     found = followed(solver, b, Increments(1))
@@ -219,7 +219,7 @@ def test_a_guessing_solver_tells_what_its_samples_went_through(problem):
 
 
 @pytest.mark.parametrize("law", ["coulomb", "micro-slip", "associated", "frictionless"])
-def test_one_increment_of_all_samples_in_one_call_is_that_of_each_alone(problem, law):
+def test_one_increment_of_a_batch_equals_that_of_single_samples(problem, law):
     """The step from loaded contacts, with a start of its own and some that may not touch, against the general way."""
     S, _, b = problem
     start, allowed = np.arange(M) % 5 == 0, np.arange(M) % 7 != 3
@@ -244,8 +244,8 @@ def test_one_increment_of_all_samples_in_one_call_is_that_of_each_alone(problem,
 
 
 @pytest.mark.parametrize("law", ["coulomb", "associated", "micro-slip", "pressure-dependent"])
-def test_a_round_that_lands_from_the_one_before_finds_what_the_ladder_finds(problem, law, monkeypatch):
-    """Where most press the same contacts: the same answer, and the same bits in whatever company."""
+def test_a_round_started_from_the_previous_one_gives_the_same_solution(problem, law, monkeypatch):
+    """The samples press mostly the same contacts; results do not depend on the batch, to the bit."""
     _, point, b = problem
     start, end = np.arange(M) % 3 == 0, 0.3 * b[:, 1]
     end[:, ::3][:, start] = -1.0  # these press, and most stick; of the others some join
@@ -271,7 +271,7 @@ def test_a_round_that_lands_from_the_one_before_finds_what_the_ladder_finds(prob
 
 
 @pytest.mark.parametrize("law", ["coulomb", "frictionless", "associated", "micro-slip"])
-def test_some_contacts_of_a_prepared_solver_are_solved_as_if_they_were_alone(problem, law):
+def test_a_subset_of_a_prepared_solver_equals_a_solver_of_these_contacts(problem, law):
     S, _, b = problem
     own = np.arange(M) % 3 == 1
     rows = np.repeat(own, 3)
@@ -299,7 +299,7 @@ def alike(one, other):
 
 
 @pytest.mark.parametrize("law", LAWS)
-def test_under_another_friction_a_solver_is_to_the_bit_as_one_made_for_it(problem, law):
+def test_changing_the_friction_of_a_solver_equals_a_new_solver(problem, law):
     S, _, b = problem
     before, path = ContactSolver(S, rough(0.5), law), Increments(1)
     first = followed(before, b, path)
@@ -311,7 +311,7 @@ def test_under_another_friction_a_solver_is_to_the_bit_as_one_made_for_it(proble
 
 
 @pytest.mark.parametrize("law", LAWS)
-def test_candidates_under_another_friction_are_to_the_bit_as_such_made_for_it(problem, law):
+def test_changing_the_friction_of_a_working_set_equals_a_new_one(problem, law):
     _, _, b = problem
     before, path = watched(problem, law, friction=rough(0.5)), Increments(1)
     followed(before, b, path)
@@ -322,7 +322,7 @@ def test_candidates_under_another_friction_are_to_the_bit_as_such_made_for_it(pr
     np.testing.assert_array_equal(after.bound(normal), made.bound(normal))
 
 
-def test_columns_that_threads_ask_for_at_once_are_each_its_own():
+def test_threads_that_request_columns_at_once_get_the_right_ones():
     """Finding them lets others run meanwhile, as compiled code does."""
     S = np.random.default_rng(0).standard_normal((40, 40))
 
@@ -336,14 +336,14 @@ def test_columns_that_threads_ask_for_at_once_are_each_its_own():
         return [columns.take(order[i : i + 3]) for i in range(0, 40, 3)]
 
     with ThreadPoolExecutor(4) as pool:
-        for order, told in zip(orders, pool.map(asked, orders)):
-            np.testing.assert_array_equal(np.concatenate(told), S.T[order])
+        for order, columns_found in zip(orders, pool.map(asked, orders)):
+            np.testing.assert_array_equal(np.concatenate(columns_found), S.T[order])
     assert columns.found == 40
     again = pickle.loads(pickle.dumps(Columns.of(S)))
     np.testing.assert_array_equal(again.take(orders[0]), S.T[orders[0]])
 
 
-def test_columns_that_are_passed_on_are_kept_where_they_go_and_found_once():
+def test_columns_are_computed_once_and_cached_where_they_are_used():
     S, asked = np.random.default_rng(0).standard_normal((6, 6)), []
 
     def find(numbers):
@@ -359,13 +359,13 @@ def test_columns_that_are_passed_on_are_kept_where_they_go_and_found_once():
 
 
 def crowd(monkeypatch):
-    """So few candidates and contacts are many from here on."""
+    """Lowers the numbers of candidates and contacts that count as many."""
     monkeypatch.setattr("mic.contact.working_set.MANY_CANDIDATES", 10)
     monkeypatch.setattr("mic.contact.working_set.MAX_INITIAL", 5)
 
 
 @pytest.mark.parametrize("path", [Increments(1), Followed(1e-5)], ids=["at once", "followed"])
-def test_in_a_crowd_a_path_ends_where_it_does_else(problem, monkeypatch, path):
+def test_a_path_with_many_candidates_ends_at_the_same_state(problem, monkeypatch, path):
     """Begun with candidates that touch without friction, grown by all that penetrate and their neighbours."""
     _, _, b = problem
     likely = np.arange(M) % 2 == 0
@@ -380,7 +380,7 @@ def test_in_a_crowd_a_path_ends_where_it_does_else(problem, monkeypatch, path):
     np.testing.assert_allclose(alone.displacement[0], many.displacement[3], atol=1e-9)
 
 
-def test_a_guess_about_a_crowd_is_what_presses_without_friction(problem, monkeypatch):
+def test_the_initial_guess_for_many_candidates_is_frictionless(problem, monkeypatch):
     S, _, b = problem
     crowd(monkeypatch)
     smooth = ContactSolver(S, 0.0, "frictionless").solve(b[:, 1]).force

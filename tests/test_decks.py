@@ -1,4 +1,4 @@
-"""What decks tell beside the mesh: node numbers, sets, sheets; instances, coordinate systems; what is passed over."""
+"""Content of decks beside the mesh: node numbers, sets, sections, instances, coordinate systems, ignored elements."""
 
 import numpy as np
 import pytest
@@ -27,16 +27,16 @@ def written(tmp_path, text, name="deck.inp"):
         ("deck.bdf", NASTRAN, (Sheet(1.5, -0.5, 210e3, 0.29, "7"), Sheet(0.8, 0.2, 210e3, 0.3125, "8"))),
     ],
 )
-def test_a_deck_tells_its_sets_and_the_sheet_of_each(tmp_path, name, text, sheets):
+def test_a_deck_gives_its_sets_and_the_sheet_of_each(tmp_path, name, text, sheets):
     surface, deck = read_mesh(written(tmp_path, text, name))
     assert deck.parts == ("left plate", "right")
     for part, sheet, area in zip(("left plate", "right"), sheets, (1, 0.5)):
         triangles = deck.element_sets[part]
         assert surface.areas[triangles].sum() == pytest.approx(area)
-        (told,) = deck.distinct_sheets(triangles)
-        assert (told.thickness, told.material) == (sheet.thickness, sheet.material)
+        (found,) = deck.distinct_sheets(triangles)
+        assert (found.thickness, found.material) == (sheet.thickness, sheet.material)
         for key in ("offset", "young", "poisson"):
-            assert getattr(told, key) == pytest.approx(getattr(sheet, key)) or getattr(sheet, key) is None
+            assert getattr(found, key) == pytest.approx(getattr(sheet, key)) or getattr(sheet, key) is None
     assert len(deck.distinct_sheets()) == 2
 
 
@@ -51,7 +51,7 @@ def test_node_numbers_and_sets_are_those_of_the_deck(tmp_path):
     assert len(deck.node_sets["row"]) == 4 and "row" not in deck.element_sets and len(deck.element_sets["PID 1"]) == 2
 
 
-def test_one_part_is_taken_out_of_a_deck_by_the_name_of_its_set(tmp_path):
+def test_a_part_is_selected_from_a_deck_by_its_set(tmp_path):
     for name, text, sets in (("a.inp", ABAQUS, ["RIGHT"]), ("a.bdf", NASTRAN, ["2"]), ("a.bdf", NASTRAN, ["right"])):
         surface, deck = read_mesh(written(tmp_path, text, name), sets)
         assert surface.areas.tolist() == pytest.approx([0.5]) and len(surface.points) == 3
@@ -75,23 +75,25 @@ def test_parts_of_one_deck_that_touch_are_not_merged(tmp_path):
         assert not deck.repair.triangles_repeated and not deck.repair.points_merged
 
 
-def test_a_deck_in_another_unit_is_in_mm_and_mpa(tmp_path):
+def test_a_deck_in_another_unit_is_converted_to_mm_and_mpa(tmp_path):
     surface, deck = read_mesh(written(tmp_path, ABAQUS.replace("210000.", "2.1e11")), ["left plate"], "m")
     (sheet,) = deck.distinct_sheets()
     assert surface.areas.sum() == pytest.approx(1e6) and sheet.thickness == pytest.approx(1500)
     assert sheet.young == pytest.approx(210e3) and sheet.offset == -0.5
-    (sheet,) = read_mesh(written(tmp_path, ABAQUS.replace("210000.", "3.0e7")), ["left plate"], "in")[1].distinct_sheets()
+    (sheet,) = read_mesh(written(tmp_path, ABAQUS.replace("210000.", "3.0e7")), ["left plate"], "in")[
+        1
+    ].distinct_sheets()
     assert sheet.young == pytest.approx(206843, rel=1e-5) and sheet.thickness == pytest.approx(38.1)
 
 
-def test_the_offset_of_a_triangle_that_is_turned_is_turned(tmp_path):
+def test_reversing_a_triangle_reverses_its_offset(tmp_path):
     turned = ABAQUS.replace("2, 2, 10, 3", "2, 3, 10, 2")
     _, deck = read_mesh(written(tmp_path, turned))
     assert deck.repair.triangles_turned == 1
     assert [deck.distinct_sheets(deck.element_sets[name])[0].offset for name in ("left plate", "right")] == [-0.5, -0.2]
 
 
-def test_instances_are_placed_and_their_sets_are_theirs(tmp_path):
+def test_instances_are_placed_and_have_their_own_sets(tmp_path):
     head, _, sections = ABAQUS.partition("*Material")
     parts = head.replace("*Heading\n", "*Part, name=P\n")
     parts += "*Shell Section, elset=both, material=DC04\n1.5\n*End Part\n"
@@ -119,7 +121,7 @@ def test_instances_are_placed_and_their_sets_are_theirs(tmp_path):
     assert np.ptp(surface.points[:, 0]) == pytest.approx(0) and surface.areas.sum() == pytest.approx(1.5)
 
 
-def test_what_is_no_sheet_is_passed_over_and_counted(tmp_path):
+def test_elements_other_than_shells_are_ignored_and_counted(tmp_path):
     more = """*Element, type=M3D4R, elset=skin
 5, 1, 2, 3, 4
 *Element, type=MASS, elset=m
@@ -131,7 +133,9 @@ def test_what_is_no_sheet_is_passed_over_and_counted(tmp_path):
 9, 1, 2, 3
 """
     surface, deck = read_mesh(written(tmp_path, ABAQUS + more))
-    assert deck.ignored_elements == {"M3D4R": 1, "MASS": 2, "CONN3D2": 1, "R3D3": 1} and not deck.repair.triangles_repeated
+    assert (
+        deck.ignored_elements == {"M3D4R": 1, "MASS": 2, "CONN3D2": 1, "R3D3": 1} and not deck.repair.triangles_repeated
+    )
     assert any("ignored elements other than shells: 1 CONN3D2" in note for note in deck.notes())
     with pytest.raises(FormatError, match="the set 'm' holds no triangles or quadrilaterals, only MASS"):
         read_mesh(tmp_path / "deck.inp", ["m"])
@@ -140,7 +144,7 @@ def test_what_is_no_sheet_is_passed_over_and_counted(tmp_path):
     assert deck.ignored_elements == {"RBE2": 1, "CONM2": 1, "CBUSH": 1, "CELAS2": 1}
 
 
-def test_what_was_mended_is_told_and_what_is_usual_is_not(tmp_path):
+def test_repairs_are_reported_and_usual_steps_are_not(tmp_path):
     assert read_mesh(written(tmp_path, ABAQUS), ["right"])[1].notes() == []
     torn = ABAQUS.replace("2, 2, 10, 3", "2, 3, 10, 12").replace(" 10, 2., 0., 0.", " 10, 2., 0., 0.\n 12, 1., 0., 0.")
     notes = "; ".join(read_mesh(written(tmp_path, torn))[1].notes())
@@ -158,7 +162,7 @@ def test_midside_nodes_are_dropped_and_counted(tmp_path):
     assert deck.midside_nodes == 4 and "4 midside nodes dropped" in deck.notes() and len(surface.points) == 5
 
 
-def test_raw_content_names_the_parts_before_anything_is_repaired(tmp_path):
+def test_raw_content_names_the_parts(tmp_path):
     raw = read_raw(written(tmp_path, ABAQUS))
     assert raw.parts == ("left plate", "right") and raw.element_sets["right"].tolist() == [0]
 
@@ -215,7 +219,7 @@ SYSTEMS = {
 
 @pytest.mark.parametrize("kind", SYSTEMS)
 @pytest.mark.parametrize("how", ["GRID", "GRDSET", "CORD1", "chain"])
-def test_points_in_coordinate_systems_of_nastran_stand_where_they_should(tmp_path, kind, how):
+def test_points_in_nastran_coordinate_systems_are_transformed(tmp_path, kind, how):
     a, b, c = SYSTEMS[kind]
     axes = ((1.0, 1.0, 1.0), (2.0, 1.0, 1.0), (1.0, 2.0, 1.0))  # origin, on z, in xz
     flat = ",".join(f"{value}" for value in np.ravel(axes)[:6])

@@ -1,4 +1,4 @@
-"""Stage elimination against the saddle-point system that it condenses, solved whole and dense."""
+"""Stage elimination against the dense saddle-point system that it condenses."""
 
 import pickle
 import tracemalloc
@@ -55,7 +55,7 @@ def whole(K, L, bilateral, v, force_rows, force):
 
 
 @pytest.mark.parametrize("held", [12, 16])
-def test_elimination_matches_the_whole_system(two_parts, held):
+def test_elimination_equals_the_saddle_point_system(two_parts, held):
     rng, K, R, L, H, G = two_parts
     rows = {
         name: rng.normal(size=(count, 40))
@@ -89,7 +89,7 @@ def test_redundant_rows_are_named_and_change_nothing(two_parts):
 
 
 @pytest.mark.parametrize("noise", [-1e-13, 0.0, 1e-13])
-def test_a_single_redundant_row_is_found_whatever_the_rounding(two_parts, noise):
+def test_a_single_redundant_row_is_found_despite_rounding(two_parts, noise):
     """Twelve rows hold two parts; a thirteenth that repeats one leaves nothing but rounding to eliminate."""
     rng, K, R, L, H, G = two_parts
     bilateral, contact, none = rng.normal(size=(12, 40)), csr_matrix(rng.normal(size=(6, 40))), csr_matrix((0, 40))
@@ -110,7 +110,7 @@ def test_a_part_that_can_move_is_refused(two_parts):
     assert np.linalg.norm(motions[6:]) == pytest.approx(np.linalg.norm(motions), rel=1e-6)
 
 
-def test_the_locators_that_hold_a_part_do_not_depend_on_how_it_is_turned_nor_on_units():
+def test_the_choice_of_six_locators_does_not_depend_on_rotation_or_units():
     """Eleven locators on a rectangle, of which several choices of six hold it as well."""
     x, y, long, wide = [1, 0, 0], [0, 1, 0], 40.0, 20.0
     rest = [(a * long, b * wide, 0.0) for a in (0, 0.5, 1) for b in (0, 0.5, 1) if (a, b) != (0.5, 0.5)]
@@ -128,7 +128,7 @@ def test_the_locators_that_hold_a_part_do_not_depend_on_how_it_is_turned_nor_on_
     assert len(chosen) == 1
 
 
-def test_support_does_not_matter(two_parts):
+def test_the_support_of_the_coefficients_has_no_effect(two_parts):
     """The same stage on coefficients from other pins."""
     rng, K, R, L, H, G = two_parts
     other = np.zeros_like(K)
@@ -141,7 +141,7 @@ def test_support_does_not_matter(two_parts):
     np.testing.assert_allclose(second.T_out, first.T_out, rtol=0, atol=1e-7 * np.abs(first.T_out).max())
 
 
-def test_nothing_is_made_dense_over_all_parts():
+def test_no_dense_matrix_over_all_parts_is_formed():
     """Sixteen parts: what a stage costs follows its rows, not the square of all functionals."""
     rng = np.random.default_rng(11)
     parts, own = 16, 120
@@ -179,7 +179,7 @@ def pressed(rng, yields=None, series=None):
 
 
 @pytest.mark.parametrize("soft", [False, True])
-def test_columns_on_demand_are_those_of_the_dense_compliance(soft):
+def test_columns_on_demand_equal_the_dense_compliance(soft):
     """Against the rows eliminated from dense matrices, in one step: the inverse of the saddle-point system."""
     rng = np.random.default_rng(5)
     yields = rng.uniform(0.5, 1.0, 15) if soft else None
@@ -205,7 +205,7 @@ def test_columns_on_demand_are_those_of_the_dense_compliance(soft):
     np.testing.assert_allclose(stage.S.block(own), S[np.ix_(own, own)], rtol=0, atol=1e-12 * np.abs(S).max())
 
 
-def test_displacements_are_the_same_bits_whatever_was_asked_for_before():
+def test_displacements_do_not_depend_on_earlier_requests():
     force = np.random.default_rng(8).normal(size=(6, 40)) * (np.random.default_rng(9).random((6, 40)) < 0.3)
     alone, together = (pressed(np.random.default_rng(5))[2].S for _ in range(2))
     together.take(np.array([39, 2, 17]))
@@ -216,7 +216,7 @@ def test_displacements_are_the_same_bits_whatever_was_asked_for_before():
         assert (alone.under(force[[sample]])[0] == every[sample]).all()
 
 
-def test_a_contact_that_the_rows_hold_altogether_has_no_compliance_below_zero():
+def test_a_fixed_contact_has_no_negative_compliance():
     """Welded where it stands: but for rounding, which a solver would refuse."""
     for seed in range(8):
         compliance, rows, _ = pressed(np.random.default_rng(seed))
@@ -226,8 +226,8 @@ def test_a_contact_that_the_rows_hold_altogether_has_no_compliance_below_zero():
         assert S.diagonal().min() >= 0 and S.diagonal()[:15].max() < 1e-10 * S.diagonal().max()
 
 
-def test_only_the_columns_of_contacts_that_carry_force_are_made():
-    """Of 900 contacts a few touch: nothing over all pairs of contacts is formed."""
+def test_only_columns_of_loaded_contacts_are_computed():
+    """A few of 900 contacts touch: no matrix over all pairs of contacts is formed."""
     rng = np.random.default_rng(2)
     own, count = 1806, 900
     U = rng.normal(size=(own, 8))

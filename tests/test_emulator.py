@@ -1,4 +1,4 @@
-"""Splines between what was evaluated: what is linear is met, what bends is met the better the more is known."""
+"""The spline emulator: exact for linear functions, better with more points elsewhere."""
 
 import numpy as np
 import pytest
@@ -12,14 +12,14 @@ def z():
     return np.random.default_rng(0).standard_normal((60, 3))
 
 
-def test_what_is_linear_is_met_exactly_and_so_are_its_slopes(z):
+def test_linear_functions_and_their_slopes_are_exact(z):
     B, a = np.array([[1.0, -2.0], [0.0, 3.0], [0.5, 0.0]]), np.array([4.0, -1.0])
     spline, there = Emulator(z[:6], z[:6] @ B + a), 2 * z[10:]
     np.testing.assert_allclose(spline(there), there @ B + a, atol=1e-10)
     np.testing.assert_allclose(spline.slopes(there), np.tile(B.T, (len(there), 1, 1)), atol=1e-6)
 
 
-def test_a_bend_is_met_the_better_the_more_is_known(z):
+def test_more_points_reduce_the_error_at_a_bend(z):
     def bent(z):
         return np.column_stack([np.maximum(z[:, 0] + 0.3 * z[:, 1], 0.2), z[:, 2] ** 2])
 
@@ -28,8 +28,8 @@ def test_a_bend_is_met_the_better_the_more_is_known(z):
     assert (many < 0.6 * few).all()
 
 
-def test_small_differences_are_met_as_large_ones_are(z):
-    """Of assemblies close to each other nothing is smoothed away, and units do not matter."""
+def test_the_emulator_does_not_depend_on_scale(z):
+    """Assemblies close to each other are not smoothed, and units do not matter."""
     h = np.sin(z[:, :1]) + z[:, 1:2] * z[:, 2:]
     there = np.random.default_rng(1).standard_normal((20, 3))
     large = Emulator(z, h)(there)
@@ -37,8 +37,8 @@ def test_small_differences_are_met_as_large_ones_are(z):
     np.testing.assert_allclose(Emulator(z, 1e-4 * h)(there), 1e-4 * large, rtol=1e-8, atol=1e-12)
 
 
-def test_what_is_left_out_is_missed_by_as_much_as_the_others_alone_miss_it(z):
-    """And how far it is off them is told in the same units as everywhere else."""
+def test_leave_one_out_errors_equal_those_of_a_refit(z):
+    """The distance to the others has the same units as elsewhere."""
     h = np.column_stack([np.maximum(z[:, 0], 0.2), z[:, 1] ** 2])
     whole, own = Emulator(z, h), np.arange(len(z)) != 7
     missed, apart = whole.leave_one_out()

@@ -1,4 +1,4 @@
-"""Mean and 6σ fields against one finite-element solve per sample, and against the reduced model's own readings."""
+"""Mean and 6σ fields against one finite-element solve per sample and the reduced model's measurements."""
 
 import meshlane
 import numpy as np
@@ -41,13 +41,13 @@ def _misread(model, evaluation):
     return np.abs(measured - evaluation.measurements).max(), np.abs(evaluation.measurements).max()
 
 
-def test_forces_and_motions_read_what_was_measured(lap_model, evaluation):
+def test_forces_and_motions_reproduce_the_measurements(lap_model, evaluation):
     """Forces, motions and signs are right."""
     error, scale = _misread(lap_model, evaluation)
     assert scale > 0.01 and error < 1e-9 * scale
 
 
-def test_forces_and_motions_heed_that_redundant_rows_have_no_effect(lap_scene, cache):
+def test_redundant_rows_have_no_effect_on_forces_and_motions(lap_scene, cache):
     """A second locator at the place of the first, off by 0.3 mm, in the last stage."""
     content = lap_scene.model_dump()
     twin = content["locators"][0] | {"name": "twin"}
@@ -95,15 +95,15 @@ def test_fields_agree_with_one_solve_per_sample(folder, lap_model, lap_scene, ca
         assert field.rank < SAMPLES // 2, "the factor saves nothing"
 
 
-def condensed(force, motion, pieces=1, **room):
+def condensed(force, motion, pieces=1, **options):
     """The samples as the fields take them in, in several pieces."""
-    condenser = ForceAccumulator(**room)
+    condenser = ForceAccumulator(**options)
     for part, other in zip(np.array_split(force, pieces), np.array_split(motion, pieces)):
         condenser.add(part, other)
     return condenser.centred()
 
 
-def test_what_stands_for_blocks_of_samples_has_their_factor():
+def test_condensed_blocks_of_samples_have_the_factor_of_all():
     """Whether a block has more samples than columns, fewer, or none."""
     rng = np.random.default_rng(5)
     C = rng.normal(size=(7, 7))
@@ -123,7 +123,7 @@ def test_what_stands_for_blocks_of_samples_has_their_factor():
     np.testing.assert_allclose(*covariances, rtol=1e-8)
 
 
-def test_the_factor_keeps_the_energy_it_promises():
+def test_the_factor_has_the_promised_energy():
     rng = np.random.default_rng(0)
     C = rng.normal(size=(12, 12))
     H = C @ C.T
@@ -141,14 +141,14 @@ def test_the_factor_keeps_the_energy_it_promises():
     assert ranks[-1] == 12
 
 
-def test_however_many_samples_the_condensed_ones_have_the_same_factor():
+def test_condensing_does_not_change_the_factor():
     rng = np.random.default_rng(3)
     C = rng.normal(size=(9, 9))
     force = (5 + rng.normal(size=(700, 9))) * 10.0 ** -np.arange(9)
     force[:, 4] = 0.0  # loaded by no sample
     force[:, 5] = 2.0  # by all alike
     motion = force @ rng.normal(size=(9, 6)) + rng.normal(size=(700, 6))
-    whole, few = condensed(force, motion), condensed(force, motion, pieces=40, room=0)
+    whole, few = condensed(force, motion), condensed(force, motion, pieces=40, buffer=0)
     assert len(whole.rows) == 700 and len(few.rows) == 15
     one, other = low_rank(whole, C @ C.T), low_rank(few, C @ C.T)
     assert one.rank == other.rank > 2 and other.samples == 700
@@ -156,7 +156,7 @@ def test_however_many_samples_the_condensed_ones_have_the_same_factor():
     np.testing.assert_allclose(other.mean_motion, one.mean_motion, rtol=1e-12, atol=1e-12)
 
     def covariance(factor):
-        """Of forces and motions, whichever way the retained columns point."""
+        """Covariance of forces and motions, which does not depend on the sign of the columns."""
         basis = np.zeros((15, factor.rank + 6))
         basis[:9, : factor.rank], basis[9:, factor.rank :] = factor.force, np.eye(6)
         return basis @ factor.gram @ basis.T
@@ -173,7 +173,7 @@ def test_one_sample_has_a_mean_and_no_spread(lap_model):
 
 
 @pytest.mark.fem
-def test_fields_on_disk(folder):
+def test_written_fields_are_read_unchanged(folder):
     written = write_fields(folder)
     read, skipped = read_fields(folder)
     assert skipped is None and len(read) == 4 and {(f.law, f.part) for f in read} == {(f.law, f.part) for f in written}
@@ -188,7 +188,7 @@ def test_fields_on_disk(folder):
 
 
 @pytest.mark.fem
-def test_fields_that_fit_are_kept_and_others_computed_anew(folder):
+def test_matching_fields_are_reused_and_others_computed_again(folder):
     write_fields(folder)
     path = folder / "fields" / "coulomb-lower.vtu"
     note = folder / "fields" / "notes.vtu"
@@ -206,7 +206,7 @@ def test_fields_that_fit_are_kept_and_others_computed_anew(folder):
 
 
 @pytest.mark.fem
-def test_without_finite_elements_a_sentence_stands_for_the_fields(folder, monkeypatch):
+def test_missing_finite_elements_are_reported_in_place_of_fields(folder, monkeypatch):
     (folder / "fields" / "fields.npz").unlink(missing_ok=True)
 
     def none(part):
@@ -221,7 +221,7 @@ def test_without_finite_elements_a_sentence_stands_for_the_fields(folder, monkey
 
 
 @pytest.mark.fem
-def test_cut_fields_are_refused_in_one_sentence_and_computed_anew(folder):
+def test_truncated_fields_are_refused_and_computed_again(folder):
     write_fields(folder)
     path = folder / "fields" / "fields.npz"
     path.write_bytes(path.read_bytes()[:500])

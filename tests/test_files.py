@@ -1,4 +1,4 @@
-"""Files are written whole or not at all, and read back only as what they are."""
+"""Files are written whole or not at all, and read only as what they are."""
 
 import json
 import os
@@ -20,7 +20,7 @@ def path(tmp_path):
     return tmp_path / "thing.npz"
 
 
-def test_arrays_come_back_as_they_were(path):
+def test_saved_arrays_are_loaded_unchanged(path):
     header, arrays = files.load_arrays(path, THING)
     assert header == {"part": "lower"} and set(arrays) == set(ARRAYS)
     for name, array in ARRAYS.items():
@@ -28,7 +28,7 @@ def test_arrays_come_back_as_they_were(path):
     assert [entry.name for entry in path.parent.iterdir()] == ["thing.npz"]  # nothing partial is left
 
 
-def test_a_file_cut_anywhere_is_refused_in_one_sentence(path):
+def test_a_truncated_file_is_refused_in_one_sentence(path):
     whole = path.read_bytes()
     for length in [0, 1, 30, *range(100, len(whole), 211), len(whole) - 1]:
         path.write_bytes(whole[:length])
@@ -36,7 +36,7 @@ def test_a_file_cut_anywhere_is_refused_in_one_sentence(path):
             files.load_arrays(path, THING)
 
 
-def test_a_file_with_any_byte_altered_never_yields_other_numbers(path):
+def test_an_altered_byte_never_changes_loaded_numbers(path):
     whole = path.read_bytes()
     for position in range(0, len(whole), 37):
         altered = bytearray(whole)
@@ -51,7 +51,7 @@ def test_a_file_with_any_byte_altered_never_yields_other_numbers(path):
             np.testing.assert_array_equal(arrays[name], array)
 
 
-def test_content_that_was_exchanged_fails_its_checksum(path):
+def test_exchanged_content_fails_its_checksum(path):
     _, arrays = files.load_arrays(path, THING)
     with np.load(path) as data:
         header = data["header"]
@@ -61,7 +61,7 @@ def test_content_that_was_exchanged_fails_its_checksum(path):
 
 
 @pytest.mark.parametrize("version, word", [(2, "an older version"), (4, "a newer version")])
-def test_another_version_is_named(path, version, word):
+def test_a_file_of_another_version_is_refused(path, version, word):
     files.save_arrays(path, files.Format("thing", version, ""), {}, ARRAYS)
     with pytest.raises(
         FormatError, match=rf"written by {word} of the program \(format {version}, this version reads 3\)"
@@ -72,7 +72,7 @@ def test_another_version_is_named(path, version, word):
         files.load_json(path.with_suffix(".json"), THING)
 
 
-def test_a_foreign_file_is_named(path):
+def test_a_file_of_another_kind_is_refused(path):
     files.save_arrays(path, files.Format("other", 3, ""), {}, ARRAYS)
     with pytest.raises(FormatError, match="this is no thing; make it again"):
         files.load_arrays(path, THING)
@@ -94,7 +94,7 @@ def test_no_content_is_ever_executed(path, tmp_path):
     assert not (tmp_path / "sprung").exists()
 
 
-def test_an_error_while_writing_leaves_the_old_file_and_nothing_else(path):
+def test_an_error_while_writing_keeps_the_old_file(path):
     before = path.read_bytes()
     with pytest.raises(RuntimeError, match="power cut"):
         with files.replacing(path) as temporary:
@@ -104,7 +104,7 @@ def test_an_error_while_writing_leaves_the_old_file_and_nothing_else(path):
     assert [entry.name for entry in path.parent.iterdir()] == ["thing.npz"]
 
 
-def test_json_comes_back_and_refuses_what_json_does_not_know(tmp_path):
+def test_saved_json_is_loaded_unchanged_and_nan_is_refused(tmp_path):
     files.save_json(tmp_path / "run.json", THING, {"samples": 3, "laws": ["coulomb"]})
     assert files.load_json(tmp_path / "run.json", THING) == {"samples": 3, "laws": ["coulomb"]}
     with pytest.raises(ValueError):
@@ -113,21 +113,21 @@ def test_json_comes_back_and_refuses_what_json_does_not_know(tmp_path):
 
 
 @pytest.mark.parametrize("lasting", [True, False])
-def test_content_is_on_disk_before_its_name_and_the_name_where_it_must_last(tmp_path, monkeypatch, lasting):
+def test_content_is_synchronised_before_it_is_renamed(tmp_path, monkeypatch, lasting):
     events, path = [], tmp_path / "table.txt"
     sync = os.fsync
 
-    def told(descriptor):
+    def synced(descriptor):
         events.append((Path(os.readlink(f"/proc/self/fd/{descriptor}")) == tmp_path, path.exists()))
         sync(descriptor)
 
-    monkeypatch.setattr(os, "fsync", told)
+    monkeypatch.setattr(os, "fsync", synced)
     with files.replacing(path, lasting) as temporary:
         temporary.write_text("content", encoding="utf-8")
     assert events == [(False, False), (True, True)][: 1 + lasting]  # (of the folder, once the name stands)
 
 
-def test_files_written_together_take_their_places_in_their_order_once_all_are_on_disk(tmp_path, monkeypatch):
+def test_files_of_a_group_are_renamed_in_order_once_all_are_written(tmp_path, monkeypatch):
     events, sync, replace = [], os.fsync, Path.replace
 
     def synced(descriptor):
@@ -152,7 +152,7 @@ def test_files_written_together_take_their_places_in_their_order_once_all_are_on
     assert [path.read_text() for path in sorted(tmp_path.iterdir())] == sorted(names)
 
 
-def test_of_files_written_together_none_takes_its_place_after_an_error(tmp_path, monkeypatch):
+def test_an_error_in_a_group_keeps_all_old_files(tmp_path, monkeypatch):
     (tmp_path / "a.txt").write_text("old")
 
     def write(*names):

@@ -23,7 +23,7 @@ def build(part, size):
 """
 
 
-def test_sizes_grow_with_the_distance_up_to_the_largest():
+def test_sizes_grow_with_distance_up_to_the_largest():
     size = GradedSize(10, [[0, 0, 0], [50, 0, 0]], [2, 4])
     x = np.array([[0, 0, 0], [10, 0, 0], [50, 3, 4], [1000, 0, 0.0]])
     assert size == 10
@@ -32,12 +32,12 @@ def test_sizes_grow_with_the_distance_up_to_the_largest():
     assert size.times(0.5).at(x)[:3] == pytest.approx([1, 1 + 10 * GROWTH, 2 + 5 * GROWTH])
 
 
-def test_no_place_is_coarser_than_the_rest_and_none_need_be_given():
+def test_a_graded_size_never_exceeds_the_overall_size():
     assert GradedSize(3, [[0, 0, 0]], [8]).at(np.zeros((1, 3))) == pytest.approx([3])
     assert GradedSize(3, [], []).at(np.ones((2, 3))) == pytest.approx([3, 3])
 
 
-def test_a_script_may_follow_the_graded_size_and_its_mesh_is_kept_by_it(tmp_path):
+def test_a_script_can_use_the_graded_size_and_its_mesh_is_cached_by_it(tmp_path):
     (tmp_path / "strip.py").write_text(GRADED)
     part = Part(name="strip", geometry="strip.py", accuracy=0.1, thickness=1.0)
     graded = GradedSize(10, [[50, 0, 0]], [1])
@@ -60,7 +60,7 @@ def test_elements_are_no_larger_than_the_discs_of_the_scene(tmp_path, cache):
     assert size.at(np.array(points)) == pytest.approx(np.minimum([6] * 7 + [8] * 3, size))
 
 
-def test_a_scene_with_an_accuracy_is_itself_again_when_it_is_read(tmp_path):
+def test_a_scene_with_an_accuracy_survives_writing_and_reading(tmp_path):
     scene = curved_scene(tmp_path, accuracy=0.02)
     again = mic.scene.Scene(**scene.model_dump(), folder=scene.folder)
     assert again == scene

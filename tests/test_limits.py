@@ -1,4 +1,4 @@
-"""Clamps and guns of limited force, held against two springs and a gap by hand."""
+"""Clamps and guns of limited force against two springs and a gap by hand."""
 
 import numpy as np
 import pytest
@@ -30,7 +30,7 @@ def closing_along(stroke, limit):
 
 @pytest.mark.parametrize("law", ["coulomb", "frictionless", "associated"])
 @pytest.mark.parametrize("keys", [{}, {"path": "one-step"}, {"increments": 3}])
-def test_a_clamp_closes_to_its_position_if_its_limit_allows_and_stops_short_if_not(law, keys):
+def test_a_clamp_closes_to_its_position_or_to_its_force_limit(law, keys):
     """b's face, pressed down by w with a's beneath it at the gap g: the force is k w up to g, then k w + k (w − g).
 
     Under the limit F it comes to w = F/k before it touches, to (F + k g)/2k after.
@@ -64,7 +64,7 @@ def test_a_clamp_closes_to_its_position_if_its_limit_allows_and_stops_short_if_n
 
 
 @pytest.mark.parametrize("press, stroke", [(0.0, 0.5), (60.0, 0.4)])
-def test_a_limit_that_is_never_reached_changes_nothing(press, stroke):
+def test_an_unreached_limit_has_no_effect(press, stroke):
     """The clamp comes down on the gap, or brings back a face that is pressed beyond; the drag makes the way count.
 
     While the clamp opens, its force fades from what it was, and the drag slips on.
@@ -93,7 +93,7 @@ def test_a_limit_that_is_never_reached_changes_nothing(press, stroke):
     assert max(work.max() for work in ways[:2]) > 1e-3  # there is something to compare
 
 
-def test_a_clamp_that_is_overpowered_later_gives_way_and_comes_back():
+def test_an_overpowered_clamp_yields_and_returns():
     """Another force pushes b's face up against it: the clamp holds as far as its limit goes, whenever that comes."""
     lift = at_face("b", (0, 0, 1), name="L", force=8.0, stage="lift")
     stages = stage_list(
@@ -116,8 +116,8 @@ def test_a_clamp_that_is_overpowered_later_gives_way_and_comes_back():
     assert back.left[0, 0] == 0.0 and not found.built[0]
 
 
-def test_a_part_beyond_the_position_is_brought_back_and_held_there():
-    """As a clamp without a limit does: the limit is what it pushes with, not what its stop holds."""
+def test_a_part_beyond_the_clamp_position_is_pulled_back():
+    """As with a clamp without a limit: the limit applies to pushing and not to the stop."""
     push = at_face("b", (0, 0, -1), name="P", force=10.0)
     model = plates(clamps=[push, closing(0.1, 4.0)])
     found = model.evaluate({})
@@ -127,7 +127,7 @@ def test_a_part_beyond_the_position_is_brought_back_and_held_there():
     assert closed.displacement[0, 0, 0] == pytest.approx(GAP - 0.1, rel=1e-9)
 
 
-def test_every_assembly_has_its_own_verdict_and_none_is_dropped():
+def test_every_sample_is_judged_and_none_is_dropped():
     """The clamp's position varies: those that it cannot reach are not built, and measured all the same."""
     one = {"name": "setting", "kind": "clamp", "target": "C", "sigma": 0.1}
     model = plates(clamps=[closing(0.2, 12.0)], deviations=[one])
@@ -144,7 +144,7 @@ def test_every_assembly_has_its_own_verdict_and_none_is_dropped():
     np.testing.assert_array_equal(alone.resolutions["clamp"].needed[0], closed.needed[-1])
 
 
-def test_the_results_count_what_is_not_built_and_say_what_it_would_take(tmp_path):
+def test_results_count_unbuilt_samples_and_give_the_force_needed(tmp_path):
     one = {"name": "setting", "kind": "clamp", "target": "C", "sigma": 0.05}
     model = plates(clamps=[closing(0.2, 12.0)], deviations=[one])
     sample_into(tmp_path, model, ["coulomb"], 40, 1)
@@ -191,8 +191,8 @@ def test_a_gun_presses_both_faces_until_they_touch_and_opens_after_the_weld(gun,
     assert found.measurements[0, 0] == pytest.approx(down, rel=1e-9)
 
 
-def test_beyond_what_a_gun_needs_nothing_hangs_on_its_force():
-    """So that it is nothing to optimise: the face stops where the two touch, and what the gun has left it keeps."""
+def test_excess_gun_force_has_no_effect():
+    """The force of a gun is no variable of optimisation: the faces stop where they touch."""
     deviations = [{"name": "D", "kind": "locator", "target": "bl1", "mean": 0.0, "sigma": 0.05}]
     found = [
         plates(welds=[weld(gun=gun)], stages=WELDED, deviations=deviations).evaluate([[0.0], [0.1]], "coulomb")
@@ -202,7 +202,7 @@ def test_beyond_what_a_gun_needs_nothing_hangs_on_its_force():
     np.testing.assert_allclose(found[0].measurements, found[1].measurements, rtol=0, atol=1e-12)
 
 
-def test_guns_one_after_the_other_press_only_while_their_weld_is_made():
+def test_guns_press_only_during_their_weld():
     """The second gun finds the gap closed; without a weld, the first leaves nothing behind."""
     two = [weld(gun=100.0), weld(name="V", gun=3.0)]
     found = plates(welds=two, stages=[WELDED[0], {"kind": "weld", "sequence": True}, *WELDED[2:]]).evaluate({})
@@ -212,7 +212,7 @@ def test_guns_one_after_the_other_press_only_while_their_weld_is_made():
     assert found.measurements[0, 0] == pytest.approx(-GAP / 2, rel=1e-9)
 
 
-def test_what_goes_with_a_limit_and_a_gun_is_said():
+def test_invalid_limits_and_guns_are_refused():
     for clamp, words in (
         (at_face("b", name="C", force=3.0, limit=4.0), "limit needs a stroke"),
         (at_face("b", name="C", stroke=0.1, limit=0.0), "limit"),
@@ -228,7 +228,7 @@ def test_what_goes_with_a_limit_and_a_gun_is_said():
     assert isinstance(plates().scene, mic.Scene)
 
 
-def test_limits_and_guns_in_words():
+def test_limits_and_guns_are_described_in_words():
     model = plates(
         clamps=[closing(0.5, 300.0)],
         welds=[weld(gun=100.0), weld(name="V", gun=100.0), weld(name="U", gun=50.0)],
@@ -246,7 +246,7 @@ def test_limits_and_guns_in_words():
 
 @pytest.mark.parametrize("limit", [10.0, 100.0])
 @pytest.mark.parametrize("stiffness", [None, 40.0])
-def test_what_is_handed_on_for_the_fields_is_in_balance_and_reads_what_was_measured(limit, stiffness):
+def test_forces_and_motions_balance_and_reproduce_the_measurements(limit, stiffness):
     """Forces f on the functionals and rigid motions q at the end: Gᵀ f = 0, and H f + G q is what the rows read."""
     soft = [item | ({} if stiffness is None else {"stiffness": stiffness}) for item in six("b")]
     model = plates(
@@ -263,7 +263,7 @@ def test_what_is_handed_on_for_the_fields_is_in_balance_and_reads_what_was_measu
     assert found.measurements[0, 0] < -0.1
 
 
-def test_what_would_be_needed_is_that_of_the_friction_of_the_sample():
+def test_the_force_needed_depends_on_the_friction_of_the_sample():
     """The clamp drags the face over the other, pressed on by a second one: what it takes grows with friction, once."""
     keys = {
         "clamps": [at_face("b", (0, 0, -1), name="P", force=60.0), closing_along(0.5, 5.0)],

@@ -1,4 +1,4 @@
-"""What is linear in a process gives what its stages give one by one, and the rest is made when it is asked for."""
+"""Linear maps of a process against its stages one by one."""
 
 import numpy as np
 import pytest
@@ -48,7 +48,7 @@ def close(found, expected, share=1e-9):
 @pytest.mark.parametrize(
     "name, law", [("lap_model", "coulomb"), ("lap_model", "associated"), ("hat_model", "frictionless")]
 )
-def test_samples_go_through_the_maps_as_through_the_stages(name, law, request):
+def test_linear_maps_equal_the_stages(name, law, request):
     process = Process(request.getfixturevalue(name), law)
     deviations = draw(process.model.scene, 5, 0, 4)
     maps = Linear.of(process, deviations.shape[1])
@@ -67,7 +67,7 @@ def test_samples_go_through_the_maps_as_through_the_stages(name, law, request):
         np.testing.assert_array_equal(one.state, resolutions[stage].state)
 
 
-def test_contacts_are_given_the_same_problems(monkeypatch):
+def test_linear_maps_give_contact_the_same_problems(monkeypatch):
     """Plates that overlap when a clamp lets them settle, and were moved aside before."""
     named = [{"name": name, "kind": "locator", "target": name, "sigma": 0.1} for name in ("bl1", "bl4")]
     process = plates(deviations=named).process("coulomb")
@@ -99,7 +99,7 @@ def test_a_sample_has_the_same_bits_alone_and_among_others(lap_model):
         np.testing.assert_array_equal(alone.functional_force[0], together.functional_force[number])
 
 
-def test_stages_are_gone_through_once_and_only_when_they_are_asked_for(lap_model, monkeypatch):
+def test_stages_are_evaluated_once_and_only_on_request(lap_model, monkeypatch):
     process, deviations = Process(lap_model, "coulomb"), draw(lap_model.scene, 5, 0, 3)
     process.evaluate(deviations)  # the maps are made
     calls = []
@@ -118,7 +118,7 @@ def test_stages_are_gone_through_once_and_only_when_they_are_asked_for(lap_model
         found.resolutions["measure"]
 
 
-def test_what_is_too_large_is_not_kept(lap_model, monkeypatch):
+def test_linear_maps_that_are_too_large_are_not_built(lap_model, monkeypatch):
     process, count = Process(lap_model, "coulomb"), len(lap_model.scene.deviations)
     assert Linear.of(process, count) is not None
     monkeypatch.setattr("mic.process.linear_maps.MAX_NUMBERS", 10_000)

@@ -1,4 +1,4 @@
-"""What is kept of contact pairs and parts is what would be made, to the bit, and never of anything that has changed."""
+"""Memoised assemblies and warnings equal new ones bit for bit and are keyed by all their inputs."""
 
 import shutil
 from dataclasses import dataclass, fields, is_dataclass
@@ -51,7 +51,7 @@ def same(a, b):
     return a == b
 
 
-def test_what_was_packed_is_unpacked_as_it_was():
+def test_unpacked_content_equals_packed_content():
     known = {"here": Leaf("known", np.ones(2))}
     content = CONTENT | {"known": known["here"]}
     header, arrays = pack(content, known)
@@ -60,7 +60,7 @@ def test_what_was_packed_is_unpacked_as_it_was():
     assert len(arrays) == 4  # one a kind, however many there are
 
 
-def test_nothing_but_what_is_named_is_made():
+def test_only_named_classes_are_unpacked():
     header, arrays = pack(CONTENT, {})
     with pytest.raises(KeyError, match="Leaf"):
         unpack(header, arrays, (), {})
@@ -69,7 +69,7 @@ def test_nothing_but_what_is_named_is_made():
             pack(other, {})
 
 
-def test_something_is_made_once_for_what_it_follows_from(tmp_path, monkeypatch):
+def test_a_result_is_computed_once_for_its_inputs(tmp_path, monkeypatch):
     made, room = [], Cache(tmp_path, "assemblies", THING, 2)
 
     def found(content):
@@ -103,7 +103,7 @@ def changed_scenes(scene):
     yield scene.model_copy(update={"report": scene.report.model_copy(update={"laws": ["frictionless"]})})
 
 
-def test_a_kept_assembly_is_the_one_that_is_made_and_only_of_the_same_scene(small_scene, tmp_path, monkeypatch):
+def test_a_cached_assembly_equals_a_new_one_and_belongs_to_one_scene(small_scene, tmp_path, monkeypatch):
     there = lambda: len(list((tmp_path / "assemblies").iterdir()))
     first, again = assemble(small_scene, tmp_path), assemble(small_scene, tmp_path)
     assert there() == 1 and first.identity == again.identity
@@ -119,7 +119,7 @@ def test_a_kept_assembly_is_the_one_that_is_made_and_only_of_the_same_scene(smal
     assert there() == count + 1
 
 
-def test_an_assembly_is_made_anew_when_a_file_has_changed(small_scene, tmp_path):
+def test_a_changed_file_invalidates_the_cached_assembly(small_scene, tmp_path):
     folder = tmp_path / "scene"
     shutil.copytree(small_scene.folder, folder)
     scene = small_scene.model_copy(update={"folder": folder})
@@ -130,11 +130,11 @@ def test_an_assembly_is_made_anew_when_a_file_has_changed(small_scene, tmp_path)
     assert assemble(scene, tmp_path).identity != first.identity
 
 
-def test_warnings_are_kept_and_those_of_another_scene_are_its_own(small_scene, tmp_path):
+def test_warnings_are_cached_for_each_scene(small_scene, tmp_path):
     assembly = assemble(small_scene, tmp_path)
     soft = [part.model_copy(update={"young": 1e3}) for part in small_scene.parts]
-    told = find_warnings(small_scene, assembly, tmp_path)
-    assert told == find_warnings(small_scene, assembly, tmp_path) == find_warnings(small_scene, assembly)
+    expected = find_warnings(small_scene, assembly, tmp_path)
+    assert expected == find_warnings(small_scene, assembly, tmp_path) == find_warnings(small_scene, assembly)
     odd = assemble(small_scene.model_copy(update={"parts": soft}), tmp_path)
     warned = find_warnings(small_scene, odd, tmp_path)
-    assert warned != told and warned == find_warnings(small_scene, odd) == find_warnings(small_scene, odd, tmp_path)
+    assert warned != expected and warned == find_warnings(small_scene, odd) == find_warnings(small_scene, odd, tmp_path)

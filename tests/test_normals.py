@@ -1,4 +1,4 @@
-"""Normals at the corners of triangles: given, or estimated from meshes of sheets whose normals are known."""
+"""Normals at the corners of triangles: given, or estimated on sheets with known normals."""
 
 import numpy as np
 import pytest
@@ -60,7 +60,7 @@ def swept(profile, normals, jitter=0.0, cells=10, length=60.0, seed=0):
 
 
 @pytest.mark.parametrize("shape", ["paraboloid", "cylinder", "ball"])
-def test_a_smooth_sheet_s_normals_are_found_borders_included(shape):
+def test_normals_of_a_smooth_sheet_are_exact_up_to_the_border(shape):
     height = {
         "paraboloid": lambda x, y: x * x / 90 - y * y / 70 + x * y / 100,
         "cylinder": lambda x, y: np.sqrt(80.0**2 - (0.6 * x + 0.8 * y) ** 2),
@@ -85,7 +85,7 @@ def test_a_smooth_sheet_s_normals_are_found_borders_included(shape):
 
 @pytest.mark.parametrize("jitter", [0.0, 0.3])
 @pytest.mark.parametrize("rows", [5, 8, 12])
-def test_a_bend_is_curved_and_the_flats_beside_it_are_not(rows, jitter):
+def test_only_the_bend_between_two_flats_is_curved(rows, jitter):
     surface, exact = swept(*bend(rows), jitter=jitter)
     found = surface.curvature
     error = angles(found.normal, exact)
@@ -129,7 +129,7 @@ def test_a_fold_between_curved_sheets_stays_a_fold_and_both_are_curved():
     assert (found.rule[on_fold] == Rule.ESTIMATED).mean() > 0.8
 
 
-def test_sheets_that_meet_in_a_junction_keep_their_own():
+def test_sheets_that_meet_in_a_junction_keep_their_own_normals():
     """A curved sheet, and a web that stands on one of its lines."""
     curved = grid(12, 8, lambda X, Y: np.column_stack([60 * X - 30, 40 * Y, -((60 * X - 30) ** 2) / 100]))
     line = np.flatnonzero(np.abs(curved.points[:, 0]) < 1e-9)
@@ -146,13 +146,13 @@ def test_sheets_that_meet_in_a_junction_keep_their_own():
 
 
 @pytest.mark.parametrize("angle", [60.0, 100.0, 130.0])
-def test_a_single_row_is_a_bend_said_to_be_coarse_where_it_turns_far_and_refused_beyond_the_guard(angle):
+def test_a_bend_of_one_row_is_reported_as_coarse_or_left_flat(angle):
     surface, exact = swept(*bend(1, angle=angle))
     refused = angles(own(surface), exact) > GUARD
     assert refused.any() == (angle > 2 * GUARD)
-    told = Surface(surface.points, surface.triangles, exact).curvature
-    assert ((told.rule == Rule.GUARDED) == refused).all()
-    assert angles(told.normal, np.where(refused[..., None], own(surface), exact)).max() < 1e-6
+    found = Surface(surface.points, surface.triangles, exact).curvature
+    assert ((found.rule == Rule.GUARDED) == refused).all()
+    assert angles(found.normal, np.where(refused[..., None], own(surface), exact)).max() < 1e-6
     if not refused.any():
         found = surface.curvature
         assert angles(found.normal, exact).max() < 1e-6
@@ -169,7 +169,7 @@ PROFILES = {
 @pytest.mark.parametrize("jitter", [0.0, 0.25])
 @pytest.mark.parametrize("radius", [None, 250.0], ids=["straight", "arched"])
 @pytest.mark.parametrize("shape", PROFILES)
-def test_bends_of_two_rows_that_meet_and_that_end_in_curved_sheets_are_known(shape, radius, jitter):
+def test_bends_of_two_rows_have_accurate_normals(shape, radius, jitter):
     surface, exact = pressings.swept(PROFILES[shape], 10.0, 2, radius=radius, jitter=jitter)
     error, flat = angles(surface.corner_normals, exact), angles(own(surface), exact)
     assert error.max() < 0.2 * flat.max() and error.mean() < 0.1 * flat.mean()
@@ -177,13 +177,13 @@ def test_bends_of_two_rows_that_meet_and_that_end_in_curved_sheets_are_known(sha
 
 @pytest.mark.parametrize("depth, limit", [(20.0, 1.0), (40.0, 0.5)], ids=["walls of two rows", "walls of four"])
 @pytest.mark.parametrize("rows", [2, 4])
-def test_a_box_with_radii_is_known_in_its_corners_too(rows, depth, limit):
+def test_a_box_with_radii_has_accurate_normals_in_its_corners(rows, depth, limit):
     surface, exact = pressings.box(10.0, rows, depth=depth)
     assert angles(own(surface), exact).max() > 10
     assert angles(surface.corner_normals, exact).max() < limit
 
 
-def test_a_row_that_may_be_flat_is_said():
+def test_a_row_that_may_be_flat_is_reported():
     """Bends of two rows, and a flat of one row between them."""
     at = np.radians([0, 20, 40])
     arc = np.column_stack([6 * np.sin(at), 6 * (1 - np.cos(at))])
@@ -197,7 +197,7 @@ def test_a_row_that_may_be_flat_is_said():
     assert not len(smooth.curvature.single)
 
 
-def test_neighbours_that_disagree_which_side_is_up_count_as_folded():
+def test_oppositely_oriented_neighbours_count_as_a_fold():
     surface = panel(6)
     turned = surface.triangles.copy()
     lone = [10, 40]
@@ -232,16 +232,16 @@ def test_normals_follow_a_turned_mirrored_scaled_and_renumbered_surface():
     assert (again.curvature.rule == surface.curvature.rule[order]).all()
 
 
-def test_given_normals_are_taken_and_the_others_estimated():
+def test_given_normals_are_used_and_missing_ones_estimated():
     surface = panel(6)
     estimated, given = surface.corner_normals, np.full((len(surface.triangles), 3, 3), np.nan)
     given[4], given[5, 0], given[6, 1] = -2 * own(surface)[4], [0, 0, 0], surface.points[1] - surface.points[0]
-    told = Surface(surface.points, surface.triangles, given).curvature
-    assert (told.rule[4] == Rule.GIVEN).all() and angles(told.normal[4], own(surface)[4]).max() < 1e-6
-    assert told.rule[6, 1] == Rule.GUARDED and angles(told.normal[6, 1], surface.normals[6]).max() < 1e-6
-    others = np.ones(told.rule.shape, dtype=bool)
+    found = Surface(surface.points, surface.triangles, given).curvature
+    assert (found.rule[4] == Rule.GIVEN).all() and angles(found.normal[4], own(surface)[4]).max() < 1e-6
+    assert found.rule[6, 1] == Rule.GUARDED and angles(found.normal[6, 1], surface.normals[6]).max() < 1e-6
+    others = np.ones(found.rule.shape, dtype=bool)
     others[4], others[6, 1] = False, False
-    assert angles(told.normal[others], estimated[others]).max() < 1e-9
+    assert angles(found.normal[others], estimated[others]).max() < 1e-9
 
 
 def test_normals_of_a_wrong_shape_are_refused():

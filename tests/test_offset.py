@@ -1,4 +1,4 @@
-"""Meshes drawn on a skin of the sheet: moved to its middle; sheets drawn onto each other; gaps that zones state."""
+"""Meshes drawn on a skin of the sheet, coincident sheets, and zones that state their gap."""
 
 from pathlib import Path
 
@@ -47,7 +47,7 @@ def lap(folder, drawn=(0.5, 0.5), sections=("", ""), turned=(False, False), part
 
 @pytest.mark.parametrize("angle", [20, 60, 90, 110])
 @pytest.mark.parametrize("h", [1.0, -1.0])
-def test_flats_beside_a_fold_are_moved_by_the_whole_offset(angle, h):
+def test_flats_beside_a_fold_move_by_the_whole_offset(angle, h):
     """The mitre: every point of each flat is as far from the plane that it was drawn in."""
     a = np.radians(angle)
     points, triangles, _ = extrude([(-20, 0), (0, 0), (20 * np.cos(a), 20 * np.sin(a))], 0, 30, 4.0)
@@ -61,7 +61,7 @@ def test_flats_beside_a_fold_are_moved_by_the_whole_offset(angle, h):
     assert np.linalg.norm((found.points - points)[fold], axis=1) == pytest.approx(1 / np.cos(a / 2))
 
 
-def test_the_corner_of_a_box_goes_to_the_corner_of_the_box_about_it():
+def test_the_corner_of_a_box_moves_to_the_corner_of_the_offset_box():
     square = grid(4, 4, lambda X, Y: np.column_stack([X, Y, 0 * X]))
     faces = [square.points, square.points[:, [2, 0, 1]], square.points[:, [1, 2, 0]]]
     points, index = np.unique(np.concatenate(faces).round(12), axis=0, return_inverse=True)
@@ -72,7 +72,7 @@ def test_the_corner_of_a_box_goes_to_the_corner_of_the_box_about_it():
     assert found.points[:, 0][points[:, 0] == 0] == pytest.approx(-0.1)
 
 
-def test_a_curved_sheet_is_moved_to_the_sheet_that_is_so_far_away():
+def test_a_curved_sheet_moves_to_its_parallel_surface():
     radius, h = 20.0, 1.0
     arc = lambda X, Y: np.column_stack([30 * X, radius * np.sin(1.5 * Y), radius * np.cos(1.5 * Y)])
     surface = grid(12, 18, arc, jitter=0.2, pattern="cross")  # facets of 5°
@@ -86,7 +86,7 @@ def test_a_curved_sheet_is_moved_to_the_sheet_that_is_so_far_away():
         assert np.abs(slip[inside] - h).max() < 0.01
 
 
-def test_a_mesh_finer_than_its_offset_is_moved_without_folding_up():
+def test_a_mesh_finer_than_its_offset_does_not_fold_up():
     """Two points of a crease a hundredth of the offset apart, as real decks have them."""
     points = np.array([[0, 0, 0], [0, 10, 0], [5, 5, 0], [5, 5.01, 0], [10, 0, 4], [10, 10, 4]], dtype=float)
     triangles = np.array([[0, 2, 1], [1, 2, 3], [0, 4, 2], [1, 3, 5], [2, 4, 5], [2, 5, 3]])
@@ -96,19 +96,19 @@ def test_a_mesh_finer_than_its_offset_is_moved_without_folding_up():
         assert (np.einsum("ij,ij->i", found.normals, surface.normals) > 0.5).all()
 
 
-def test_a_junction_has_no_upper_side_and_is_refused():
+def test_the_offset_of_a_junction_is_refused():
     points = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1]], dtype=float)
     with pytest.raises(ValueError, match=r"three or more of its triangles share the edge at \(0\.5, 0\.0, 0\.0\)"):
         moved(Surface(points, [[0, 1, 2], [1, 0, 3], [0, 1, 4]]), 0.1)
 
 
-def test_parts_drawn_on_the_faying_surface_are_those_drawn_in_their_middle_once_offset(tmp_path, cache):
+def test_offsets_move_parts_from_the_faying_surface_to_their_middle(tmp_path, cache):
     middle = assemble(lap(tmp_path, (0.0, 1.0)), cache)
-    told = STEEL + "*Shell Section, elset=all, material=S, offset=SPOS\n1.,\n"
+    offset_section = STEEL + "*Shell Section, elset=all, material=S, offset=SPOS\n1.,\n"
     for keys, turned, sections in (
         (({"offset": -0.5}, {"offset": 0.5}), (False, False), ("", "")),
         (({"offset": -0.5}, {"offset": -0.5}), (False, True), ("", "")),
-        (({"thickness": None}, {}), (False, False), (told, "*Shell Section, elset=all, offset=-0.5\n1.,\n")),
+        (({"thickness": None}, {}), (False, False), (offset_section, "*Shell Section, elset=all, offset=-0.5\n1.,\n")),
     ):
         found = assemble(lap(tmp_path, (0.5, 0.5), sections, turned, keys), cache)
         for a, b in zip(middle.parts, found.parts):
@@ -119,13 +119,13 @@ def test_parts_drawn_on_the_faying_surface_are_those_drawn_in_their_middle_once_
 
 
 @pytest.mark.parametrize("noise", [0.0, -1e-9, 1e-6, 0.1, -0.1])
-def test_sheets_drawn_onto_each_other_are_refused_whatever_rounding_does(tmp_path, cache, noise):
+def test_coincident_sheets_are_refused_despite_rounding(tmp_path, cache, noise):
     with pytest.raises(SceneError, match=r"zones\[0\] \(lap\): lower and upper coincide .* offset = "):
         assemble(lap(tmp_path, (0.5, 0.5 + noise)), cache)
 
 
 @pytest.mark.slow
-def test_the_offsets_that_are_proposed_are_those_that_help(tmp_path, cache):
+def test_the_proposed_offsets_separate_coincident_sheets(tmp_path, cache):
     """A hat on a plate: where the hat leaves the plate tells on which side it lies."""
     plate = extrude([(-60, 0), (60, 0)], 0, 80, 5.0)
     hat = extrude([(-40, 0), (-20, 0), (-15, 20), (15, 20), (20, 0), (40, 0)], 0, 80, 5.0)
@@ -147,7 +147,7 @@ def test_the_offsets_that_are_proposed_are_those_that_help(tmp_path, cache):
         assert np.abs(found.contacts.gap).max() < 1e-9 and found.contacts.frame[:, 2, 0] == pytest.approx(1)
 
 
-def test_a_zone_may_state_its_gap_in_place_of_the_drawn_one(tmp_path, cache):
+def test_a_zone_can_state_its_gap(tmp_path, cache):
     for drawn, stated in (((0.0, 1.3), 0.05), ((0.0, 0.8), 0.0)):
         found = assemble(lap(tmp_path, drawn, gap=stated), cache)
         assert (found.contacts.gap == stated).all() and (mean_gaps(found) == stated).all()
@@ -156,7 +156,7 @@ def test_a_zone_may_state_its_gap_in_place_of_the_drawn_one(tmp_path, cache):
     assert found.contacts.gap == pytest.approx(0.3) and mean_gaps(found) == pytest.approx(0.3)
 
 
-def test_the_scene_wins_over_the_deck_and_what_nobody_tells_is_asked_for(tmp_path, cache):
+def test_the_scene_overrides_the_deck_and_missing_values_are_refused(tmp_path, cache):
     section = STEEL + "*Shell Section, elset=all, material=S\n0.7,\n"
     scene = lap(
         tmp_path, (0.0, 0.85), (section, section), parts=({"thickness": None}, {"young": 70e3, "poisson": 0.33})
@@ -176,13 +176,13 @@ def test_the_scene_wins_over_the_deck_and_what_nobody_tells_is_asked_for(tmp_pat
         ("*Elset, elset=half, generate\n1, 100, 1\n*Shell Section, elset=half\n0.7\n", "thickness: .* gives several"),
     ],
 )
-def test_what_a_deck_tells_is_doubted_where_it_cannot_be(tmp_path, cache, section, words):
+def test_implausible_values_of_a_deck_are_refused(tmp_path, cache, section, words):
     section = section if "Section" in section else section + "*Shell Section, elset=all, material=S\n0.7,\n"
     with pytest.raises(SceneError, match=words):
         load_part(lap(tmp_path, sections=(section, ""), parts=({"thickness": None}, {})).parts[0], tmp_path, cache)
 
 
-def test_a_part_in_two_pieces_is_refused_before_anything_is_solved(tmp_path, cache):
+def test_a_part_in_two_pieces_is_refused(tmp_path, cache):
     points, triangles, _ = extrude([(0, 0), (20, 0)], 0, 30, 5.0)
     twice = np.concatenate([points, points + [0, 0, 40]]), np.concatenate([triangles, triangles[:6] + len(points)])
     deck(tmp_path / "a.inp", *twice)
@@ -193,7 +193,7 @@ def test_a_part_in_two_pieces_is_refused_before_anything_is_solved(tmp_path, cac
         load_part(part, tmp_path, cache)
 
 
-def test_check_tells_where_values_come_from_and_what_was_mended(tmp_path, cache, monkeypatch):
+def test_check_reports_the_source_of_values_and_repairs(tmp_path, cache, monkeypatch):
     monkeypatch.setenv("MIC_CACHE", str(cache))
     section = (
         STEEL + "*Shell Section, elset=all, material=S, offset=-0.5\n0.7,\n*Element, type=MASS, elset=m\n9999, 1\n"
@@ -205,19 +205,19 @@ def test_check_tells_where_values_come_from_and_what_was_mended(tmp_path, cache,
         end = text.index("[[", start + 9)
         text = f'{text[:start]}[[parts]]\nname = "{name}"\nmesh = "{name}.inp"\n{keys}\n{text[end:]}'
     (tmp_path / "scene.toml").write_text(text)
-    told = (
+    output = (
         CliRunner()
         .invoke(app, ["check", str(tmp_path), "--page", str(tmp_path / "check.html")], env={"COLUMNS": "200"})
         .output
     )
-    assert "lower: t = 0.7 mm (lower.inp), offset = -0.5 t (lower.inp), E = 205000 MPa (lower.inp)" in told
-    assert "upper: t = 1 mm (scene; upper.inp gives 0.7), offset = 0.5 t (upper.inp)" in told
-    assert "lower: moved 0.35 mm from the mesh, mostly in the direction (" in told
-    assert "upper: upper.inp: ignored elements other than shells: 1 MASS" in told and "valid" in told
+    assert "lower: t = 0.7 mm (lower.inp), offset = -0.5 t (lower.inp), E = 205000 MPa (lower.inp)" in output
+    assert "upper: t = 1 mm (scene; upper.inp gives 0.7), offset = 0.5 t (upper.inp)" in output
+    assert "lower: moved 0.35 mm from the mesh, mostly in the direction (" in output
+    assert "upper: upper.inp: ignored elements other than shells: 1 MASS" in output and "valid" in output
 
 
 @pytest.mark.parametrize("fused", [True, False])
-def test_a_weld_over_a_wedge_reads_how_its_gap_tilts(tmp_path, cache, fused):
+def test_a_weld_over_a_wedge_measures_the_tilt_of_its_gap(tmp_path, cache, fused):
     """g = 0.3 + α x + β y over a disc of radius R: moments α R / 4, β R / 4; rotations (β, −α)."""
     α, β = 2e-3, -3e-3
 

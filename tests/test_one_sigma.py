@@ -1,4 +1,4 @@
-"""What one standard deviation of each source makes of its part, told and drawn by the check."""
+"""The shape of one standard deviation of each source, reported and drawn by the check."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def found(table, cache):
 
 
 def test_the_shapes_are_those_of_the_full_solve(found):
-    """Of one without spread its mean; locators and clamps give none."""
+    """A source without spread gives its mean; locators and clamps give no shape."""
     assembly, shapes = found
     assert [shape.name for shape in shapes] == ["F1", "F2", "warm", "bent", "fixed"]
     full, names = FullModel(assembly), [item.name for item in assembly.scene.deviations]
@@ -66,7 +66,7 @@ def test_the_shapes_are_those_of_the_full_solve(found):
     assert abs(bent[nearest, 2]) == pytest.approx(0.3, rel=0.1)  # given in mm at this point
 
 
-def test_they_are_drawn_each_on_its_part(found):
+def test_shapes_are_drawn_on_their_parts(found):
     assembly, shapes = found
     surfaces = {part.name: part.surface for part in assembly.parts}
     picture = draw_shapes(surfaces, shapes)
@@ -78,7 +78,7 @@ def test_they_are_drawn_each_on_its_part(found):
     assert "are shown" not in picture.caption
 
 
-def test_the_check_tells_them_once_the_coefficients_are_there(table, found, cache, tmp_path, monkeypatch):
+def test_check_shows_shapes_once_coefficients_are_cached(table, found, cache, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     text = (LAP / "scene.toml").read_text().replace("friction = 0.27", "friction = 0.27\npairs = 6")
     (tmp_path / "scene.toml").write_text(text.replace('size = "medium"', 'size = "coarse"'))
@@ -93,6 +93,6 @@ def test_the_check_tells_them_once_the_coefficients_are_there(table, found, cach
     assert "told once the influence coefficients are computed" in output and "Shapes of the sources" not in page
     mic.reduce(mic.load_scene(tmp_path), tmp_path / "cache")
     output, page = checked()
-    told = re.search(r"F1 +│ force +│ -5 +│ 1.5 +│ ([\d.]+) mm, upper at", output)
-    assert told and float(told[1]) > 0.01
-    assert "Shapes of the sources" in page and "data:image/png;base64,iVBOR" in page and f"{float(told[1]):.3g}" in page
+    row = re.search(r"F1 +│ force +│ -5 +│ 1.5 +│ ([\d.]+) mm, upper at", output)
+    assert row and float(row[1]) > 0.01
+    assert "Shapes of the sources" in page and "data:image/png;base64,iVBOR" in page and f"{float(row[1]):.3g}" in page

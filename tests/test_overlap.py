@@ -1,4 +1,4 @@
-"""Nominal overlap: closed at pairs and welds alike, told, refused where drawing does not explain it."""
+"""Nominal overlap is closed at pairs and welds, reported, and refused beyond a limit."""
 
 from pathlib import Path
 
@@ -23,7 +23,7 @@ def lap(thickness, **zone):
     return scene.model_copy(update={"parts": parts, "zones": zones})
 
 
-def test_overlap_is_closed_at_pairs_and_welds_alike_and_its_depth_and_area_are_known(cache):
+def test_overlap_is_closed_at_pairs_and_welds_and_reported(cache):
     assembly = assemble(lap(1.06), cache)
     np.testing.assert_array_equal(assembly.contacts.gap, 0.0)
     np.testing.assert_array_equal(mean_gaps(assembly), 0.0)
@@ -31,20 +31,20 @@ def test_overlap_is_closed_at_pairs_and_welds_alike_and_its_depth_and_area_are_k
     np.testing.assert_allclose(assembly.contacts.overlapping, assembly.contacts.area, rtol=1e-9)
 
 
-def test_overlap_that_is_meant_is_kept_at_pairs_and_welds_alike(cache):
+def test_intended_overlap_remains_at_pairs_and_welds(cache):
     assembly = assemble(lap(1.06, nominal_overlap="keep"), cache)
     np.testing.assert_allclose(assembly.contacts.gap, -0.06, rtol=1e-9)
     np.testing.assert_allclose(mean_gaps(assembly), -0.06, rtol=1e-9)
 
 
-def test_gaps_that_are_open_stay(cache):
+def test_open_gaps_remain(cache):
     assembly = assemble(lap(0.9), cache)
     np.testing.assert_allclose(assembly.contacts.gap, 0.1, rtol=1e-9)
     np.testing.assert_allclose(mean_gaps(assembly), 0.1, rtol=1e-9)
     assert not assembly.contacts.overlap.any() and not assembly.contacts.overlapping.any()
 
 
-def test_overlap_beyond_the_limit_is_refused_naming_zone_depth_place_and_remedy(cache):
+def test_overlap_beyond_the_limit_is_refused_with_the_remedy(cache):
     with pytest.raises(
         SceneError, match=r"zones\[0\] \(lap\).*0\.4 mm at \(.*at most 0\.35 mm.*half a thickness.*keep"
     ):
@@ -70,18 +70,18 @@ def test_a_weld_where_no_pair_lies_has_the_same_limit(cache):
         assemble(scene, cache)
 
 
-def test_check_tells_depth_area_and_what_is_done_and_draws_the_map(tmp_path, monkeypatch):
+def test_check_reports_and_draws_the_overlap(tmp_path, monkeypatch):
     monkeypatch.setenv("COLUMNS", "200")
     monkeypatch.setenv("MIC_CACHE", str(tmp_path / "cache"))
     folder = tmp_path / "scene"
     mic.examples.copy("lap_joint", folder)
     text = (folder / "scene.toml").read_text()
     (folder / "scene.toml").write_text(text.replace("thickness = 1\n", "thickness = 1.06\n"))
-    told = CliRunner().invoke(
+    done = CliRunner().invoke(
         app, ["check", str(folder), "--overlap", str(tmp_path / "map.png"), "--page", str(tmp_path / "check.html")]
     )
-    assert told.exit_code == 0, told.output
-    assert "0.060 mm deep, over 1000 mm²: closed" in told.output
+    assert done.exit_code == 0, done.output
+    assert "0.060 mm deep, over 1000 mm²: closed" in done.output
     assert (tmp_path / "map.png").read_bytes().startswith(b"\x89PNG")
 
 
@@ -95,7 +95,7 @@ def test_welds_that_freeze_a_gap_wider_than_chords_explain_are_reported(gap, wel
 
 
 @pytest.mark.fem
-def test_a_nominal_assembly_whose_drawing_overlaps_does_not_move(cache):
+def test_a_nominal_assembly_with_closed_overlap_does_not_move(cache):
     closed = mic.reduce(lap(1.06, pairs=62), cache)
     nothing = np.zeros(len(closed.parameters))
     evaluation = closed.evaluate(nothing)

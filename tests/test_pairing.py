@@ -37,7 +37,7 @@ def test_gap_normal_and_sides_do_not_depend_on_orientation(flip_a, flip_b):
 
 @pytest.mark.parametrize("thickness", [(None, 0.8), (1.0, None)])
 @pytest.mark.parametrize("find", [find_pairs, node_pairs])
-def test_the_normal_points_to_the_second_body_whichever_of_them_is_a_fixture(find, thickness):
+def test_the_normal_points_to_the_second_body_also_with_a_fixture(find, thickness):
     first, second = Side(plane(0), thickness[0]), Side(plane(1.5, n=7), thickness[1])
     apart = 1.5 - first.half_thickness - second.half_thickness
     for pair in find(zone(), first, second):
@@ -66,7 +66,7 @@ BENT = {
 
 
 def beside(pairs, bodies, angle, thickness, at_nodes=False):
-    """Of each pair that reads the second body farther beside the first's normal than may be: how far, mm."""
+    """Sideways distances, mm, of pairs whose points lie too far off the normal of the first body."""
     found = []
     for pair in pairs:
         first, second = (body.surface.at(p.triangle, p.barycentric) for body, p in zip(bodies, pair.patches))
@@ -92,8 +92,8 @@ def test_facing_points_lie_along_the_normal(find, shape, bent_first, angle):
 
 
 @pytest.mark.parametrize("find", [find_pairs, node_pairs])
-def test_no_pair_lies_beside_what_it_faces_where_two_channels_of_a_body_side_cross(find, tmp_path):
-    """Where the web of one ends, the lip of the other stands: up to 7 mm beside, it would face the web."""
+def test_crossing_channels_of_a_body_side_have_no_pairs_beside_each_other(find, tmp_path):
+    """The lip of one channel stands up to 7 mm beside the web of the other and must not face it."""
     scene = mic.load_scene(Path(__file__).resolve().parents[1] / "meshes" / "body_side" / "body_side.toml")
     joint = next(one for one in scene.zones if one.name == "waist-a")
     parts = [next(part for part in scene.parts if part.name == name) for name in joint.parts]
@@ -102,7 +102,7 @@ def test_no_pair_lies_beside_what_it_faces_where_two_channels_of_a_body_side_cro
     assert len(pairs) > 30 and not beside(pairs, bodies, joint.max_angle_deg, min(part.thickness for part in parts))
 
 
-def test_candidates_read_the_edges_of_both_sheets_and_the_folds_where_they_end():
+def test_candidates_lie_on_the_edges_and_folds_of_both_sheets():
     """A sheet of 20 mm on another that reaches beyond it; and an L, whose foot ends at its fold."""
     below = Side(plane(0, size=30.0, n=13), 1.0)
     above = (Side(plane(1, x0=5.0), 1.0), [(0, 5.0), (0, 25.0), (1, 0.0), (1, 20.0)])
@@ -118,8 +118,8 @@ def test_candidates_read_the_edges_of_both_sheets_and_the_folds_where_they_end()
 
 
 @pytest.mark.parametrize("spacing", [3.0, 9.0])
-def test_a_candidate_stands_at_every_corner_of_a_border_and_where_a_fold_ends_on_it(spacing):
-    """Of a square above a larger one, and of an L whose foot ends at its fold."""
+def test_a_candidate_lies_at_every_corner_and_fold_end_of_a_border(spacing):
+    """A square above a larger one, and an L whose foot ends at its fold."""
     below = Side(plane(0, size=30.0, n=13), 1.0)
     above = Side(plane(1, x0=5.0), 1.0), [(5, 0), (5, 20), (25, 0), (25, 20)]
     foot = Side(BENT["L"], 1.0), [(0, 5), (20, 5), (0, 25), (20, 25)]
@@ -132,7 +132,7 @@ def test_a_candidate_stands_at_every_corner_of_a_border_and_where_a_fold_ends_on
 
 
 @pytest.mark.parametrize("spacing", [3.0, 9.0])
-def test_a_candidate_stands_where_edges_of_two_sheets_cross_and_none_where_they_run_along_each_other(spacing):
+def test_a_candidate_lies_where_edges_cross_but_not_along_common_edges(spacing):
     """Two strips that cross: neither has a corner there. Moved upon each other, they have no more than their own."""
     first = Side(Surface(*extrude([(-5.0, 0.0), (5.0, 0.0)], -15.0, 30.0, 2.3)[:2]), 1.0)
     turned = first.surface.points @ np.array([[0, 1, 0], [-1, 0, 0], [0, 0, 1]]) + [0, 0, 1]
@@ -151,8 +151,8 @@ def test_a_candidate_stands_where_edges_of_two_sheets_cross_and_none_where_they_
 
 
 @pytest.mark.parametrize("turn", [0.0, 0.4])
-def test_candidates_read_the_rim_of_a_round_rest_wherever_its_axes_point(turn):
-    """And stand on it where it crosses the sheet's edge, 6 mm from its middle."""
+def test_candidates_lie_on_the_rim_of_a_round_rest(turn):
+    """Two of them lie where it crosses the edge of the sheet, 6 mm from its centre."""
     disc = (13.0, 6.0, -0.5), 8.0
     angle = np.linspace(0, 2 * np.pi, 37)[:-1] + turn
     around = 8.0 / np.cos(np.pi / 36) * np.column_stack([np.cos(angle), np.sin(angle), np.zeros(36)])
@@ -171,7 +171,7 @@ def test_candidates_read_the_rim_of_a_round_rest_wherever_its_axes_point(turn):
     assert [x[1] for x in ends] == pytest.approx([0.0, 0.0], abs=1e-9)
 
 
-def test_corners_nearer_than_half_a_spacing_are_one_and_those_of_the_border_come_first():
+def test_close_corners_are_merged_and_border_corners_win():
     """A tab 1.5 mm wide; a fold 1.5 mm before the border's end gives way to it."""
     below = Side(plane(-1, size=30.0, n=13), 1.0)
     tab = Surface(*extrude([(10.0, 0.0), (20.0, 0.0), (21.5, 0.4)], 3.0, 1.5, 1.0)[:2])
@@ -181,7 +181,7 @@ def test_corners_nearer_than_half_a_spacing_are_one_and_those_of_the_border_come
     assert len(points) == 2 and sorted(points[:, 1]) == pytest.approx([10.0, 21.5])
 
 
-def test_seven_candidates_stand_under_a_pad_however_coarse_the_elements_are():
+def test_seven_candidates_lie_under_a_pad_on_any_mesh():
     """One in the middle, six about it: two sheets that one candidate alone presses together tilt on it."""
     bodies = Side(plane(0, n=3), 1.0), Side(plane(1, n=3), 1.0)
     centre = np.array([9.0, 10.5, 0.5])
@@ -194,7 +194,7 @@ def test_seven_candidates_stand_under_a_pad_however_coarse_the_elements_are():
     assert {round(pair.spacing, 6) for pair in pairs} == {8.0, round(3.5 * 2 / 3, 6)}
 
 
-def test_a_candidate_reads_where_its_cell_is_nearest():
+def test_a_candidate_lies_where_the_gap_of_its_cell_is_smallest():
     """Over a plate that is tilted, contact begins at the lower end of each cell."""
     bodies = Side(plane(0, n=16), 1.0), Side(plane(1, n=16, tilt=0.02), 1.0)
     for pair in find_pairs(zone(pairs=None, spacing=5.0), *bodies):
@@ -220,7 +220,7 @@ def hem():
         (node_pairs, {}, True),
     ],
 )
-def test_of_a_sheet_within_a_hem_each_side_has_pairs_of_its_own(find, keys, within_first):
+def test_each_side_of_a_sheet_within_a_hem_has_its_own_pairs(find, keys, within_first):
     bodies = hem()[::-1] if within_first else hem()
     pairs = find(zone(**keys), *bodies)
     up = np.array([pair.frame[2, 0] for pair in pairs]) * (-1 if within_first else 1)
@@ -238,7 +238,7 @@ def test_of_a_sheet_within_a_hem_each_side_has_pairs_of_its_own(find, keys, with
 
 
 @pytest.mark.parametrize("within_first", [False, True])
-def test_what_presses_a_hem_has_a_candidate_on_either_side_of_the_sheet(within_first):
+def test_a_pad_on_a_hem_has_a_candidate_on_either_side_of_the_sheet(within_first):
     bodies = hem()[::-1] if within_first else hem()
     pads = [PressedPoint(np.array([15.0, 14.0, 1.0]), 4.0), PressedPoint(np.array([8.0, 12.0, 0.0]), 2.0, weld=5)]
     pairs = find_pairs(zone(pairs=None, spacing=5.0), *bodies, pressed=pads)
@@ -252,7 +252,7 @@ def test_what_presses_a_hem_has_a_candidate_on_either_side_of_the_sheet(within_f
         assert {np.sign(pair.frame[2, 0]) for pair in pairs if pair.nugget == 5} == {up}
 
 
-def test_given_points_stand_on_the_side_of_the_sheet_that_they_lie_on():
+def test_given_points_belong_to_the_nearer_side_of_the_sheet():
     for bodies, sign in ((hem(), 1), (hem()[::-1], -1)):
         pairs = find_pairs(zone(pairs=None, points=[(15, 10, 0.2), (15, 15, 1.8), (10, 12, 1.9)]), *bodies)
         np.testing.assert_allclose([sign * pair.frame[2, 0] for pair in pairs], [1, -1, -1], atol=1e-9)
@@ -274,7 +274,7 @@ def test_a_sheet_within_a_rigid_slot_is_held_on_both_sides():
         assert all(pair.gap == pytest.approx(0.2) for pair in own)
 
 
-def test_no_candidate_reads_across_the_rim_of_a_nugget():
+def test_no_candidate_patch_crosses_the_rim_of_a_nugget():
     bodies = Side(plane(0, n=16), 1.0), Side(plane(1, n=15), 1.0)
     weld = PressedPoint(np.array([9.0, 10.5, 0.5]), 2.5, weld=3)
     pairs = find_pairs(zone(pairs=None, spacing=4.0), *bodies, pressed=[weld])
@@ -286,8 +286,8 @@ def test_no_candidate_reads_across_the_rim_of_a_nugget():
     assert sum(pair.area for pair in pairs) == pytest.approx(400)
 
 
-def test_no_candidate_reads_across_the_rim_of_a_pad():
-    """Of two pads upon each other the smaller ends first; one that only touches the zone keeps no rim."""
+def test_no_candidate_patch_crosses_the_rim_of_a_pad():
+    """Two concentric pads, and one that only touches the zone and has no rim there."""
     bodies = Side(plane(0, n=16), 1.0), Side(plane(1, n=15), 1.0)
     centre = np.array([9.0, 10.5, 0.5])
     pads = [PressedPoint(centre, 5.0), PressedPoint(centre, 3.5), PressedPoint(np.array([-4.9, 10.0, 0.5]), 5.0)]
@@ -306,7 +306,7 @@ def test_no_candidate_reads_across_the_rim_of_a_pad():
     assert len(alone) == len(pairs)
 
 
-def test_no_candidate_reads_across_the_rim_of_a_rest_beneath_a_pad_and_none_stands_nearer_for_it():
+def test_a_rest_beneath_a_pad_bounds_patches_but_not_the_spacing():
     """A small rest has as many candidates as its share of the pad; how near all others stand the clamp decides."""
     bodies = Side(plane(0, n=16), 1.0), Side(plane(1, n=15), 1.0)
     centre = np.array([9.0, 10.5, 0.5])
@@ -329,7 +329,7 @@ def test_no_candidate_reads_across_the_rim_of_a_rest_beneath_a_pad_and_none_stan
 
 
 @pytest.mark.parametrize("keys", [{}, {"spacing": 4.0}])
-def test_a_factor_brings_candidates_nearer_under_pads_and_elsewhere(keys):
+def test_a_spacing_factor_applies_under_pads_and_elsewhere(keys):
     """Half the distance, four times as many in either place."""
     bodies = Side(plane(0, n=16), 1.0), Side(plane(1, n=15), 1.0)
     clamp = PressedPoint(np.array([9.0, 10.5, 0.5]), 5.0)
@@ -344,7 +344,7 @@ def test_a_factor_brings_candidates_nearer_under_pads_and_elsewhere(keys):
     assert under[0] == (7, pytest.approx(10 / 3)) and under[1] == (28, pytest.approx(5 / 3))
 
 
-def test_a_factor_is_for_candidates_and_ends_where_elements_do():
+def test_an_invalid_spacing_factor_is_refused():
     bodies = Side(plane(0, n=16), 1.0), Side(plane(1, n=15), 1.0)
     with pytest.raises(ValueError, match=r"spacing = \S+ mm times spacing_factor = 0\.05 .*finer than the elements"):
         candidate_spacing(zone(pairs=None, spacing_factor=0.05), *bodies)
@@ -361,7 +361,7 @@ def bend(turn, size, z=0.0):
     return Surface(*extrude(profile, 0.0, 20.0, size)[:2])
 
 
-def test_normals_along_a_bend_are_the_arcs_and_do_not_jump_with_the_facet_that_a_candidate_lies_on():
+def test_normals_along_a_bend_follow_the_arc_and_not_the_facets():
     """A bend of four facets of 22.5°, one row each, upon itself.
 
     Where it begins, its estimate shares the turn between flat and arc.
@@ -381,7 +381,7 @@ def test_normals_along_a_bend_are_the_arcs_and_do_not_jump_with_the_facet_that_a
             assert len(seen) > 10 and max(seen) < 2.0
 
 
-def test_every_node_is_every_node_of_both_sheets():
+def test_node_pairs_use_every_node_of_both_sheets():
     bodies = Side(plane(0, n=8), 1.0), Side(plane(1, n=7, x0=3.0), 1.0)
     pairs = node_pairs(zone(), *bodies)
     points = np.vstack([body.surface.points[:, :2] for body in bodies])
@@ -394,7 +394,7 @@ def test_every_node_is_every_node_of_both_sheets():
 @pytest.mark.parametrize("beyond", [None, 3.0])
 @pytest.mark.parametrize("bent_first", [False, True])
 @pytest.mark.parametrize("angle", [45.0, 90.0])
-def test_a_node_on_a_fold_presses_along_the_flange_and_not_along_the_mean_of_flange_and_wall(angle, bent_first, beyond):
+def test_a_node_on_a_fold_has_the_normal_of_the_flange(angle, bent_first, beyond):
     """A flange on a flat sheet, or on another whose wall leaves the other way, from a fold that lies beyond its own."""
     dy, dz = 20 * np.cos(np.radians(angle)), 20 * np.sin(np.radians(angle))
     bent = Surface(*extrude([(25, 1), (5, 1), (5 - dy, 1 + dz)], 0.0, 20.0, 2.3))
@@ -421,7 +421,7 @@ def test_a_node_on_a_fold_presses_along_the_flange_and_not_along_the_mean_of_fla
         assert any(pairs[i].area == pytest.approx(thirds[k] / 2) for i in np.flatnonzero(at))
 
 
-def test_a_node_in_a_corner_faces_both_walls_of_another_that_it_lies_in():
+def test_a_node_in_a_corner_faces_both_walls():
     inner = Side(Surface(*extrude([(25, 1), (1, 1), (1, 25)], 0.0, 20.0, 2.3)), 1.0)
     outer = Side(Surface(*extrude([(26, 0), (0, 0), (0, 26)], 0.0, 20.0, 2.1)), 1.0)
     fold = [pair for pair in node_pairs(zone(max_gap=2.0), inner, outer) if np.allclose(pair.point[1:], 1)]
@@ -431,7 +431,7 @@ def test_a_node_in_a_corner_faces_both_walls_of_another_that_it_lies_in():
 
 
 @pytest.mark.parametrize("within_first", [False, True])
-def test_nodes_upon_each_other_are_one_on_each_side_of_a_sheet_within_a_slot(within_first):
+def test_coincident_nodes_are_merged_on_each_side_of_a_sheet_in_a_slot(within_first):
     """Three equal meshes above each other, the outer two of one body: a node of the middle one faces both."""
     leaves = [plane(z) for z in (0, 2)]
     slot = Surface(
@@ -449,7 +449,7 @@ def test_nodes_upon_each_other_are_one_on_each_side_of_a_sheet_within_a_slot(wit
         np.testing.assert_allclose([own[k].area for k in away.argmin(1)], of_node)
 
 
-def test_a_round_pad_ends_at_its_circle_however_its_triangles_lie():
+def test_a_round_pad_ends_at_its_circle_on_any_mesh():
     plate = plane(0, n=16)
     found = []
     for turn in np.radians([0, 3, 17]):
@@ -465,7 +465,7 @@ def test_a_round_pad_ends_at_its_circle_however_its_triangles_lie():
         np.testing.assert_allclose([p.point for p in pairs], [p.point for p in found[0]], atol=1e-9)
 
 
-def test_a_border_of_the_region_is_inside():
+def test_the_border_of_a_region_belongs_to_it():
     bodies = Side(plane(0, n=4), 1.0), Side(plane(1, n=4), 1.0)
     low, high = 1 / 3, 20 - 1 / 3  # through sampling points: edges of 5 mm are divided by five
     for nudge in (-1e-9, 0.0, 1e-9):
@@ -477,7 +477,7 @@ def test_a_border_of_the_region_is_inside():
         np.testing.assert_allclose([pair.point for pair in pairs], wanted, atol=1e-9)
 
 
-def test_equals_are_chosen_by_the_landmarks():
+def test_landmarks_choose_between_equal_pairs():
     """The square and its mesh are the same after half a turn: so are the pairs, where the landmarks turn as well."""
     bodies = Side(plane(0), 1.0), Side(plane(1), 1.0)
     middle, half_turn = np.array([10, 10, 0]), np.diag([-1, -1, 1])
@@ -490,7 +490,7 @@ def test_equals_are_chosen_by_the_landmarks():
 
 
 @pytest.mark.parametrize("apart", [0.0, 1e-9, 1e-3])
-def test_points_that_coincide_share_their_area(apart):
+def test_coincident_points_share_their_area(apart):
     bodies = Side(plane(0), 1.0), Side(plane(1.5, n=7), 0.8)
     once = find_pairs(zone(pairs=None, points=[(4, 10, 0), (16, 10, 0)]), *bodies)
     often = find_pairs(zone(pairs=None, points=[(4, 10, 0), (16, 10, 0), (4 + apart, 10, 0), (4, 10, 0)]), *bodies)
@@ -503,7 +503,7 @@ def test_points_that_coincide_share_their_area(apart):
         np.testing.assert_allclose(often[i].frame, once[0].frame, atol=1e-12)
 
 
-def test_given_points_are_met_exactly():
+def test_pairs_lie_exactly_at_given_points():
     bodies = Side(plane(0, n=7), 1.0), Side(plane(1, n=5), 1.0)
     wanted = np.array([(5.123, 5.321, 0.0), (15.01, 4.97, 0.0), (10.77, 15.2, 0.0)])
     for order in (1, -1):
@@ -533,7 +533,7 @@ def test_both_patches_of_a_pair_cover_the_same_points():
     assert sum(pair.area for pair in pairs) == pytest.approx(14 * 20, rel=0.06)
 
 
-def test_filters_of_distance_angle_and_region():
+def test_distance_angle_and_region_limit_the_pairs():
     low, high = Side(plane(0), 1.0), Side(plane(1.2, tilt=np.radians(20)), 1.0)
     near = find_pairs(zone(max_gap=2.0), low, high)
     assert max(pair.point[0] for pair in near) < 2.8 / np.tan(np.radians(20)) + 1
@@ -545,7 +545,7 @@ def test_filters_of_distance_angle_and_region():
     assert max(abs(pair.point[0] - 2) for pair in tube) < 2
 
 
-def test_rigid_pad_and_sheet():
+def test_a_rigid_pad_and_a_sheet_have_the_right_gap():
     pad = Surface([[0, 0, -0.6], [20, 0, -0.6], [20, 20, -0.6], [0, 20, -0.6]], [[0, 1, 2], [0, 2, 3]])
     for order in (1, -1):
         bodies = [Side(pad, 0.0), Side(plane(0), 1.0)][::order]
@@ -554,7 +554,7 @@ def test_rigid_pad_and_sheet():
             assert pair.frame[2, 0] == pytest.approx(order)
 
 
-def test_a_patch_radius_bounds_what_a_pair_reads_and_leaves_its_area_alone():
+def test_a_patch_radius_bounds_patches_but_not_areas():
     first, second = plane(0), plane(1.0, n=7)
     pairs = find_pairs(
         zone(pairs=None, points=[(5, 5, 0), (15, 12, 0)], patch=3.0), Side(first, 1.0), Side(second, 1.0)
@@ -566,8 +566,8 @@ def test_a_patch_radius_bounds_what_a_pair_reads_and_leaves_its_area_alone():
             assert r.max() < 3.2 and patch.weight @ r**2 == pytest.approx(4.5, rel=0.1)  # a disc's mean r²
 
 
-def test_every_point_is_read_by_the_pair_whose_middle_is_nearest():
-    """As cells end that have moved to the middles of what they hold; to half a step of the sampling."""
+def test_every_point_belongs_to_the_nearest_pair():
+    """Cells of a centroidal Voronoi tessellation, to half a step of the sampling."""
     bodies = Side(plane(0), 1.0), Side(plane(1), 1.0)
     pairs = find_pairs(zone(pairs=17), *bodies)
     middle = np.array([pair.point for pair in pairs])
@@ -577,7 +577,7 @@ def test_every_point_is_read_by_the_pair_whose_middle_is_nearest():
         assert (np.linalg.norm(x - pair.point, axis=1) <= away + 0.4).all()
 
 
-def test_spacing_points_and_nodal_patches():
+def test_spacing_given_points_and_nodal_patches_give_the_expected_pairs():
     bodies = Side(plane(0), 1.0), Side(plane(1), 1.0)
     candidates = find_pairs(zone(pairs=None, spacing=5.0), *bodies)
     assert len(candidates) == 80 / 5 + (400 - 80 * 5 / 2) / 25  # along the edges, and within
@@ -603,7 +603,7 @@ def cylinder(radius, degrees, elements, size, flat=0.0):
     return Surface(points, triangles, about * np.sign((about * normals).sum(2, keepdims=True)))
 
 
-def test_on_bends_candidates_stand_as_near_as_bent_sheets_demand_and_as_facets_allow():
+def test_the_spacing_on_bends_follows_curvature_and_mesh():
     """√(R t) of the inner sheet, of 7 mm in 2 mm; on two facets of 5.4 mm across nothing nearer than these is read."""
 
     def spacing(radius, *shape, **flat):
@@ -619,7 +619,7 @@ def test_on_bends_candidates_stand_as_near_as_bent_sheets_demand_and_as_facets_a
     assert spacing(7.0, 90, 12, 2.0, flat=300.0)[0] == pytest.approx(8.0)  # a bend of 4 % of the zone
 
 
-def test_a_bend_is_found_whatever_stands_first_and_which_way_its_normals_point():
+def test_bend_detection_does_not_depend_on_order_or_orientation():
     inner, outer = cylinder(7.0, 90, 12, 1.0), cylinder(9.0, 90, 12, 1.0)
     outer = Surface(outer.points - [0, 0, 2.0], outer.triangles[:, ::-1], -outer.given_normals[:, ::-1])
     one, other = (Side(body, 2.0) for body in (inner, outer))

@@ -1,4 +1,4 @@
-"""What production and reference share is what the scene means: plan and drive, held against hand-made answers.
+"""Plan and drive, which production and reference share, against answers by hand.
 
 Comparing the two solves with each other cannot show an error here.
 """
@@ -63,20 +63,20 @@ def plans():
     return {plan.name: plan for plan in plan_stages(mic.Scene(**SCENE), WELD_SIZE)}
 
 
-def test_locators_hold_from_the_stage_that_they_name(plans):
+def test_locators_hold_from_their_stage_on(plans):
     assert plans["set"].bilateral == tuple(("locator", i) for i in range(12))
     assert set(plans["close"].bilateral) - set(plans["set"].bilateral) == {("locator", 12), ("clamp", 0)}
 
 
 def moves(plan):
-    """What each step of a stage adds to what holds, pushes and is made, or takes away from it."""
+    """Settling, released rows, dropped loads, closing welds, bilateral rows and loads of each step of a stage."""
     return [
         (step.settles, step.released, step.dropped_loads, step.closing, step.bilateral, step.loads)
         for step in plan.steps
     ]
 
 
-def test_what_overlaps_settles_first_then_locators_close_then_clamps_as_the_file_has_them(plans):
+def test_overlap_settles_first_then_locators_and_clamps_close_in_order(plans):
     set_down = tuple(("locator", i) for i in range(12))
     located = (*set_down, ("locator", 12))
     assert moves(plans["close"]) == [
@@ -93,18 +93,18 @@ def test_clamps_with_a_force_push_and_clamps_with_a_stroke_hold(plans):
     assert plans["close"].path == "followed" and plans["close2"].path == "increments"
 
 
-def test_what_has_settled_does_not_settle_again(plans):
+def test_overlap_settles_only_once(plans):
     assert [name for name, plan in plans.items() if any(step.settles for step in plan.steps)] == ["close"]
 
 
-def test_a_weld_freezes_all_its_rows_once_and_a_closing_one_is_named(plans):
+def test_a_weld_freezes_all_its_rows_once(plans):
     (join,) = plans["join"].steps
     assert join.made == tuple(range(9)) and join.closing == (1,)
     assert not any(step.made for step in plans["open"].steps)
     assert {("weld", i) for i in range(9)} <= set(plans["open"].bilateral)
 
 
-def test_release_opens_every_clamp_and_every_locator_but_those_kept_the_last_first(plans):
+def test_a_release_opens_all_but_the_kept_in_reverse_order(plans):
     kept = {("locator", i) for i in range(6)} | {("weld", i) for i in range(9)}
     assert set(plans["open"].bilateral) == kept
     assert [(step.released, step.dropped_loads) for step in plans["open"].steps] == [
@@ -122,7 +122,7 @@ def variant(**stages):
     return {plan.name: plan for plan in plan_stages(mic.Scene(**SCENE | {"stages": changed}), WELD_SIZE)}
 
 
-def test_an_order_closes_its_groups_one_after_the_other():
+def test_groups_of_an_order_close_one_after_the_other():
     plan = variant(close={"order": [["press"], ["further", "hold"]]})["close"]
     added = [set(after.bilateral) - set(before.bilateral) for before, after in zip(plan.steps, plan.steps[1:])]
     assert added == [set(), {("locator", 12), ("clamp", 0)}] and [step.loads for step in plan.steps] == [(), (1,), (1,)]
@@ -148,20 +148,20 @@ def test_a_clamp_that_is_kept_stays_closed_in_the_reverse_order_too():
     assert plan.steps[-1].loads == (1,) and ("clamp", 0) in plan.bilateral
 
 
-def test_all_at_once_is_one_step_overlaps_included():
+def test_a_one_step_stage_includes_overlap():
     (close,) = variant(close={"path": "one-step"})["close"].steps
     assert close.settles and close.loads == (1,) and {("locator", 12), ("clamp", 0)} <= set(close.bilateral)
     (opened,) = variant(open={"path": "one-step"})["open"].steps
     assert len(opened.released) == 8 and opened.dropped_loads == (1, 2)
 
 
-def test_parts_may_settle_while_the_first_thing_closes():
+def test_parts_can_settle_during_the_first_closing():
     steps = variant(set={"settle": False})["close"].steps
     assert [step.settles for step in steps] == [True, False, False]
     assert ("locator", 12) in steps[0].bilateral
 
 
-def test_clamps_that_press_two_parts_together_close_as_one_and_others_by_themselves():
+def test_opposing_clamps_close_together():
     def groups(**changes):
         lower = clamp("lower", part="a", force=40.0)
         upper = clamp("upper", force=40.0, direction=[0, 0, -1]) | changes
@@ -171,13 +171,13 @@ def test_clamps_that_press_two_parts_together_close_as_one_and_others_by_themsel
     assert groups(part="a") == groups(direction=[0, 0, 1]) == groups(point=[20, 5, 0]) == [(0,), (1,)]
 
 
-def test_a_release_that_keeps_too_little_is_refused_with_the_part_and_what_opened():
+def test_a_release_that_frees_a_part_is_refused():
     with pytest.raises(mic.SceneError, match=r"stages \(open\): 3 rigid-body motions are free once a3, a4.* opened"):
         variant(open={"keep": ["a0", "a1", "a2"]})
 
 
-def test_the_step_that_frees_a_part_is_the_one_that_is_named():
-    """What still holds the two parts, welded together, then: `hold` and `further`, two supports along z."""
+def test_the_error_names_the_step_that_frees_a_part():
+    """Then only `hold` and `further`, two supports along z, hold the two welded parts."""
     opened = {"keep": [], "order": [[f"{part}{i}" for part in "ab" for i in range(6)], ["press2", "press"]]}
     opened["order"].append(["hold", "further"])
     with pytest.raises(
@@ -186,7 +186,7 @@ def test_the_step_that_frees_a_part_is_the_one_that_is_named():
         variant(open=opened)
 
 
-def test_a_part_that_is_free_between_two_steps_is_refused_though_both_ends_hold_it():
+def test_a_part_that_is_free_between_two_stages_is_refused():
     """The release before any weld lets go of b's last locator along y, and the next stage would hold it again."""
     again = {**six("b")[5], "name": "again", "stage": "hold-again"}
     stages = [
@@ -204,8 +204,8 @@ def test_a_part_that_is_free_between_two_steps_is_refused_though_both_ends_hold_
     assert plan_stages(mic.Scene(**SCENE | {"stages": stages, "locators": locators}), WELD_SIZE)
 
 
-def test_welds_without_moment_hold_positions_and_no_turn_about_their_point():
-    """b, released, hangs on the three rows of one weld: it may turn about the weld's point, in three ways."""
+def test_welds_without_moment_hold_no_rotation():
+    """The three rows of one weld hold the released b: it may turn about the weld's point, in three ways."""
     (weld,) = [weld for weld in SCENE["welds"] if weld["name"] == "W2"]
     stages = [SCENE["stages"][i] for i in (0, 1, 2, 3, 4)]
     scene = mic.Scene(**SCENE | {"welds": [weld], "stages": stages})
@@ -217,7 +217,7 @@ def test_welds_without_moment_hold_positions_and_no_turn_about_their_point():
     assert plan_stages(mic.Scene(**SCENE | {"welds": [{**weld, "moment": True}], "stages": stages}), (6,))
 
 
-def test_without_friction_only_the_last_step_counts_and_those_about_a_weld(plans):
+def test_frictionless_stages_solve_only_the_last_step_and_those_with_welds(plans):
     """close: one of four. join: W1 and W2 in sequence, where W2 alone closes a gap and W1 freezes what is there."""
     solved = {
         law: {name: plan.solves(LAWS[law]) for name, plan in plans.items()} for law in ("coulomb", "frictionless")
@@ -228,7 +228,7 @@ def test_without_friction_only_the_last_step_counts_and_those_about_a_weld(plans
     assert gone.solves(LAWS["frictionless"]) == 1 and gone.memory_steps == (0, 1)
 
 
-def test_the_process_in_words():
+def test_the_process_is_described_in_words():
     plans = variant(join={"sequence": True})
     scene = mic.Scene(**SCENE)
     assert sentences(scene, plans["close"]) == [
@@ -250,8 +250,8 @@ def test_the_process_in_words():
         "locator further closes, clamp hold closes to -0.25 mm, clamp press closes (40 N); "
         "meanwhile parts that overlap come to rest on each other"
     ]
-    said = {name: opening(plan, contacts=True) for name, plan in plans.items()}
-    assert said == {
+    message = {name: opening(plan, contacts=True) for name, plan in plans.items()}
+    assert message == {
         "set": "parts are placed without contact",
         "close": "contact active, load path followed",
         "close2": "contact active, 3 increments for each step",
@@ -261,14 +261,14 @@ def test_the_process_in_words():
     }
 
 
-def test_contact_is_resolved_where_something_changes_and_not_while_parts_are_set_down(plans):
+def test_contact_is_solved_in_stages_that_change_something(plans):
     resolves = {name: plan.resolves for name, plan in plans.items()}
     assert resolves == {"set": False, "close": True, "close2": True, "join": True, "open": True, "read": False}
     assert [name for name, plan in plans.items() if plan.reads] == ["read"]
 
 
 class Meaning:
-    """What `drive` asks of an assembly, without any mesh: one contact, two welds, one measurement."""
+    """The attributes of an assembly that `drive` uses, without a mesh: one contact, two welds, one measurement."""
 
     scene = mic.Scene(**SCENE)
     labels = {"locator": [item.name for item in scene.locators], "clamp": [item.name for item in scene.clamps]}
@@ -278,7 +278,7 @@ class Meaning:
     between = GapPoints(np.zeros(1, int), np.array([0.02]), np.full(1, -1), np.zeros((1, 3)))
 
 
-def test_deviations_move_strokes_targets_forces_and_gaps_with_the_right_sign():
+def test_deviations_change_strokes_targets_forces_and_gaps_with_the_right_sign():
     shape = {"locator": np.zeros((1, 13)), "clamp": np.zeros((1, 3)), "measurement": np.array([[0.7]])}
     shape["contact"] = np.array([[-0.02, 5.0, 5.0]])  # the tangential deviation must not enter
     shape["weld"] = np.zeros((1, 9))
@@ -346,7 +346,7 @@ DRAGGED = {
 
 
 @pytest.mark.parametrize("case", DRAGGED)
-def test_what_a_drag_leaves_depends_on_whether_the_face_was_pressed_before(case):
+def test_friction_of_a_drag_depends_on_the_order_of_press_and_drag(case):
     drag, order, force, slip = DRAGGED[case]
     closed = springs(drag, order=order).evaluate({}).resolutions["clamp"]
     np.testing.assert_allclose(closed.force[0, 0], [2.5, force, 0.0], atol=1e-9)
@@ -355,7 +355,7 @@ def test_what_a_drag_leaves_depends_on_whether_the_face_was_pressed_before(case)
     np.testing.assert_allclose(closed.trace.slip[0, 0], [under_load, 0.0], atol=1e-10)
 
 
-def test_together_the_face_sticks_where_it_touches():
+def test_a_face_pressed_and_dragged_together_sticks_where_it_touches():
     """It touches at s = k g/P = 3/4 of both loads; from there D/4 is shared by both springs: f_t = -D/8, D/8 < μ N.
 
     One step at once, as the paper has it, holds it from where it was set down: f_t = -D/2.
@@ -369,7 +369,7 @@ def test_together_the_face_sticks_where_it_touches():
 
 
 @pytest.mark.parametrize("settle, work", [(True, 0.015), (False, 0.0075)])
-def test_what_overlaps_presses_before_the_drag_or_while_it_grows(settle, work):
+def test_overlap_presses_before_the_drag_or_during_it(settle, work):
     """Faces that overlap by 0.3 mm press on each other by N = 0.3 k/2 = 7.5 N, and a drag of 4 N overcomes μ N = 1.5 N.
 
     They end slipped by u = (4 - 2 μ N) c = 0.01 mm, against μ N all the way, or against a force that grows with the
@@ -383,7 +383,7 @@ def test_what_overlaps_presses_before_the_drag_or_while_it_grows(settle, work):
 
 @pytest.mark.parametrize("path", ["followed", "increments", "one-step"])
 @pytest.mark.parametrize("settle", [True, False])
-def test_a_clamp_stage_without_clamps_resolves_contact(settle, path):
+def test_a_clamp_stage_without_clamps_solves_contact(settle, path):
     """Faces that overlap by 0.3 mm come to rest on each other, by 0.3 k/2; nothing else happens there."""
     model = springs(gap=-0.3, settle=settle, path=path, **{"increments": 4} if path == "increments" else {})
     none = {kind: csr_matrix((0, rows.shape[1])) for kind, rows in model.rows.items() if kind == "clamp"}
@@ -396,7 +396,7 @@ def test_a_clamp_stage_without_clamps_resolves_contact(settle, path):
     np.testing.assert_allclose(rested.displacement[0, 0], 0.0, atol=1e-10)
 
 
-def test_of_two_clamp_stages_without_clamps_the_first_resolves_contact():
+def test_the_first_of_two_clamp_stages_without_clamps_solves_contact():
     stages = stage_list("locate", "clamp", "clamp again", "measure")
     scene = mic.Scene(
         name="bare", parts=SCENE["parts"], locators=[*six("a", "locate"), *six("b", "locate")], stages=stages
@@ -404,7 +404,7 @@ def test_of_two_clamp_stages_without_clamps_the_first_resolves_contact():
     assert [plan.resolves for plan in plan_stages(scene, ())] == [False, True, False, False]
 
 
-def test_a_release_opens_first_what_closed_last():
+def test_a_release_opens_in_reverse_order():
     """The face has slipped by u = (D - 2 μ N) c. Without the drag it slips back while the press still holds it, and the
     rest of the way as the press fades: by -u. If the press opens first, the drag takes it on to D c, by 2 μ N c.
     """

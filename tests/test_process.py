@@ -1,4 +1,4 @@
-"""The process: what must hold whatever the contact solution is, and friction's memory."""
+"""Properties of the process that hold for any contact solution, and the memory of friction."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -44,7 +44,7 @@ def test_forces_balance_and_reproduce_the_measurements(name, law, request):
     assert np.abs(evaluation.measurements).max() > 1e-3
 
 
-def test_forces_that_are_asked_for_late_are_still_those_of_the_samples(lap_model):
+def test_forces_requested_later_belong_to_the_samples(lap_model):
     deviations = draw(lap_model.scene, 3, 0, 3)
     process, own = lap_model.process("coulomb"), deviations.copy()
     at_once = process.evaluate(deviations)
@@ -59,7 +59,7 @@ def test_forces_that_are_asked_for_late_are_still_those_of_the_samples(lap_model
     assert np.abs(motion).max() > 1e-3 and late.functional_force is late.functional_force
 
 
-def test_a_function_of_one_thread_that_calls_another_stays_so_until_it_ends():
+def test_nested_single_threaded_functions_stay_single_threaded():
     def threads():  # of the libraries that can have several: a solver's own may be built for one, whoever loaded it
         libraries = [library for library in threadpool_info() if library["user_api"] == "blas"]
         return {library["num_threads"] for library in libraries if library["threading_layer"] != "disabled"}
@@ -78,7 +78,7 @@ def test_a_function_of_one_thread_that_calls_another_stays_so_until_it_ends():
         assert (outer(), threads()) == ({1}, before)
 
 
-def test_a_process_of_two_stations_balances_and_each_weld_keeps_what_its_station_left(hat_model, cache):
+def test_forces_balance_and_welds_hold_in_a_process_of_two_stations(hat_model, cache):
     """Clamp and weld one side, let its clamps go, then clamp and weld the other; one clamp stays from the first."""
     scene = hat_model.scene
     first = [mic.scene.Stage(kind=kind, name=name, **keys) for kind, name, keys in (
@@ -121,7 +121,7 @@ def test_a_process_of_two_stations_balances_and_each_weld_keeps_what_its_station
     assert np.abs(evaluation.measurements - hat_model.evaluate(deviations).measurements).max() > 1e-3
 
 
-def test_later_stages_leave_the_clamped_state_as_it_was(lap_model, lap_scene, cache):
+def test_later_stages_do_not_change_the_clamped_state(lap_model, lap_scene, cache):
     deviations = draw(lap_scene, 3, 0, 4)
     before = mic.reduce(with_stages(lap_scene, ("locate", "clamp"), measurements=[]), cache)
     alone = before.process("coulomb").evaluate(deviations).resolutions["clamp"]
@@ -129,7 +129,7 @@ def test_later_stages_leave_the_clamped_state_as_it_was(lap_model, lap_scene, ca
     np.testing.assert_allclose(alone.force, followed.force, atol=1e-6 * np.abs(alone.force).max())
 
 
-def test_weld_keeps_the_position_that_it_found(lap_model, lap_scene, cache):
+def test_a_weld_keeps_its_initial_gap(lap_model, lap_scene, cache):
     deviations = draw(lap_scene, 3, 0, 4)
     unwelded = mic.reduce(with_stages(lap_scene, ("locate", "clamp", "measure")), cache)
     held = mic.reduce(with_stages(lap_scene, ("locate", "clamp", "weld", "measure")), cache)
@@ -147,8 +147,8 @@ def test_weld_keeps_the_position_that_it_found(lap_model, lap_scene, cache):
     np.testing.assert_allclose(end, start, atol=1e-9 * np.abs(start).max())
 
 
-def test_closing_weld_leaves_no_gap_and_the_sheets_flush(hat_model):
-    """Nowhere over the nugget: neither its mean nor its moments; what the sheets slid sideways stays."""
+def test_a_closing_weld_closes_gap_and_tilt(hat_model):
+    """Mean and moments of the gap over the nugget vanish; the sheets keep their tangential displacement."""
     evaluation = hat_model.process("coulomb").evaluate(draw(hat_model.scene, 3, 0, 4))
     gap = hat_model.weld_gap + readings(hat_model, evaluation) @ hat_model.rows["weld"].T
     closing = np.array([weld.close for weld in hat_model.scene.welds])
@@ -160,7 +160,7 @@ def test_closing_weld_leaves_no_gap_and_the_sheets_flush(hat_model):
     assert np.abs(sideways[:, closing]).max() > 1e-4
 
 
-def test_slip_is_measured_from_where_the_contact_was_left(lap_scene, cache):
+def test_slip_is_measured_from_the_end_of_the_previous_stage(lap_scene, cache):
     """Nothing changes in a stage that only repeats its predecessor: with memory, no slip and the same forces."""
     clamp = lap_scene.stages[1]
     again = clamp.model_copy(update={"name": "again"})
@@ -208,7 +208,7 @@ def test_rough_contact_sticks_and_smooth_contact_slides(lap_model):
     assert sticking > 0.5 and slipped.max() < 0.01 * free.max()
 
 
-def test_a_sample_that_misses_its_tolerance_in_one_step_of_one_stage_has_failed(lap_model, monkeypatch):
+def test_a_sample_that_misses_its_tolerance_in_one_step_fails(lap_model, monkeypatch):
     """The first step of the clamp stage, in which overlaps settle; all others meet theirs."""
     follow, calls = ContactSolver.follow, []
 
@@ -235,7 +235,7 @@ def test_a_sample_has_the_same_bits_in_any_batch_order_and_number_of_threads(hat
 
 
 @pytest.mark.slow
-def test_the_number_of_blas_threads_moves_no_bit(cache):
+def test_the_number_of_blas_threads_does_not_change_results(cache):
     """The lap joint as it is shipped, with its candidates: products large enough that threads would share them."""
     scene = mic.load_scene(ROOT / "meshes" / "lap_joint")
     deviations = draw(scene, 5, 0, 3)
@@ -262,7 +262,7 @@ def everything(evaluation):
     return found
 
 
-def test_without_contact_the_answer_is_affine(lap_scene, cache):
+def test_results_without_contact_are_affine(lap_scene, cache):
     model = mic.reduce(lap_scene.model_copy(update={"zones": []}), cache)
     assert len(model.contacts) == 0
     values = np.array([[0.0, 0, 0], [1, 2, 0.3], [2, 4, 0.6]])
@@ -271,7 +271,7 @@ def test_without_contact_the_answer_is_affine(lap_scene, cache):
     assert np.abs(one - zero).max() > 1e-3
 
 
-def test_normals_alone_suffice_without_friction(lap_scene, lap_model, cache):
+def test_normal_rows_suffice_without_friction(lap_scene, lap_model, cache):
     scene = lap_scene.model_copy(
         update={"report": lap_scene.report.model_copy(update={"laws": ["frictionless"], "slip": False})}
     )
@@ -299,12 +299,12 @@ def test_a_scene_without_friction_runs_under_the_default_law(lap_scene, cache):
     np.testing.assert_array_equal(default.measurements, smooth.measurements)
 
 
-def test_no_release_no_second_resolution(lap_scene, cache):
+def test_a_process_without_release_solves_contact_once(lap_scene, cache):
     scene = with_stages(lap_scene, ("locate", "clamp", "weld", "measure"))
     assert list(mic.reduce(scene, cache).evaluate({}).resolutions) == ["clamp"]
 
 
-def test_increments_change_the_answer_and_converge(hat_model):
+def test_increments_change_the_result_and_converge(hat_model):
     def measured(increments):
         stages = [stage.model_copy(update={"increments": increments}) for stage in hat_model.scene.stages]
         model = replace(hat_model, scene=hat_model.scene.model_copy(update={"stages": stages}))
@@ -315,7 +315,7 @@ def test_increments_change_the_answer_and_converge(hat_model):
     assert np.abs(more - many).max() < 0.5 * np.abs(more - one).max()
 
 
-def test_the_path_is_followed_as_closely_as_the_scene_asks(lap_model):
+def test_the_path_tolerance_is_that_of_the_scene(lap_model):
     def paths(law, **changes):
         model = replace(lap_model, scene=lap_model.scene.model_copy(update=changes))
         return [stage.path for stage in model.process(law).stages if stage.plan.resolves]
@@ -327,7 +327,7 @@ def test_the_path_is_followed_as_closely_as_the_scene_asks(lap_model):
     assert paths("associated", path=closely) == [Increments(1)] * 2  # whose small steps do not tend to it
 
 
-def test_a_tighter_path_is_nearer_its_end_where_contacts_move_little(hat_model):
+def test_a_tighter_path_tolerance_reduces_the_error(hat_model):
     deviations = draw(hat_model.scene, 3, 0, 4)
 
     def positions(tolerance):
@@ -338,7 +338,7 @@ def test_a_tighter_path_is_nearer_its_end_where_contacts_move_little(hat_model):
     assert np.linalg.norm(tight - exact) < np.linalg.norm(usual - exact) / 3  # of second order, a sixth is left
 
 
-def test_a_part_left_without_support_is_refused_before_anything_is_computed(lap_scene, cache, monkeypatch):
+def test_a_part_without_support_is_refused_before_computation(lap_scene, cache, monkeypatch):
     stages = [
         stage.model_copy(update={"keep": ["lower-A1", "lower-A2"]}) if stage.kind == "release" else stage
         for stage in lap_scene.stages
@@ -352,7 +352,7 @@ def test_a_part_left_without_support_is_refused_before_anything_is_computed(lap_
         mic.reduce(lap_scene.model_copy(update={"stages": stages}), cache)
 
 
-def test_a_locator_that_repeats_another_is_named_and_changes_nothing(lap_scene, cache):
+def test_a_redundant_locator_is_named_and_has_no_effect(lap_scene, cache):
     # Of one increment each, because a step more is a leg more, and a path that is followed has errors of its own.
     twin = lap_scene.locators[0].model_copy(update={"name": "twin", "stage": "clamp"})
     scene = lap_scene.model_copy(update={"locators": [*lap_scene.locators, twin]})
@@ -380,12 +380,12 @@ def test_a_locator_that_repeats_another_is_named_and_changes_nothing(lap_scene, 
         ([[0, 0, 0], [0, np.inf, 0]], "sample 1, 'F2' is inf"),
     ],
 )
-def test_bad_deviations(lap_model, values, word):
+def test_invalid_deviations_are_named(lap_model, values, word):
     with pytest.raises(ValueError, match=word):
         lap_model.evaluate(values)
 
 
-def test_saved_model_gives_the_same_answer(lap_model, tmp_path):
+def test_a_saved_model_gives_the_same_results(lap_model, tmp_path):
     lap_model.save(tmp_path / "model.npz")
     loaded = ReducedModel.load(tmp_path / "model.npz")
     np.testing.assert_array_equal(
@@ -394,7 +394,7 @@ def test_saved_model_gives_the_same_answer(lap_model, tmp_path):
 
 
 @pytest.mark.parametrize("law", ["frictionless", "associated"])
-def test_the_papers_solvers_give_the_same_answer(lap_model, law):
+def test_the_solvers_of_the_paper_give_the_same_results(lap_model, law):
     pytest.importorskip("cvxpy")
     deviations = draw(lap_model.scene, 3, 0, 3)
     native = lap_model.process(law).evaluate(deviations)

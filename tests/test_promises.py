@@ -1,4 +1,4 @@
-"""What the documentation promises is held by tests that exist."""
+"""Promises of the documentation name existing tests."""
 
 import re
 from pathlib import Path
@@ -6,7 +6,7 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[1]
 
 
-def test_every_promise_names_tests_that_exist():
+def test_every_promise_names_existing_tests():
     promises = (ROOT / "docs" / "promises.md").read_text()
     defined = {
         name for path in (ROOT / "tests").glob("test_*.py") for name in re.findall(r"def (test_\w+)", path.read_text())

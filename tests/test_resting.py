@@ -1,4 +1,4 @@
-"""Parts that rest on others by contact alone: statics by hand, what is not held, and the words for it."""
+"""Parts that rest on others by contact alone: statics by hand, and parts that are not held."""
 
 import re
 from types import SimpleNamespace
@@ -57,7 +57,7 @@ PATHS = [{}, {"increments": 3}, {"path": "one-step"}]
 
 
 @pytest.mark.parametrize("path", PATHS)
-def test_under_an_off_centre_clamp_the_feet_carry_what_the_levers_say(path):
+def test_feet_share_an_off_centre_clamp_by_the_lever_rule(path):
     """100 N at (30, 20): 0.3 of it on the foot at x = 100, a third on the one at y = 60."""
     stages = stage_list("locate", {"kind": "clamp"} | path, "measure")
     found = table([push(100, (30, 20, 0))], stages=stages).evaluate({})
@@ -73,14 +73,14 @@ def test_under_an_off_centre_clamp_the_feet_carry_what_the_levers_say(path):
 
 
 @pytest.mark.parametrize("law", ["coulomb", "frictionless", "associated"])
-def test_pins_hold_the_part_in_plane_and_contact_along_its_normal_under_every_law(law):
+def test_pins_hold_a_part_in_plane_and_contact_along_its_normal(law):
     pins = [item | {"part": "b", "name": f"p{i}"} for i, item in enumerate(six("b", far=FAR)[3:])]
     found = table([push(100, (30, 20, 0))], locators=six("a", far=FAR) + pins).evaluate({}, law)
     assert not found.failed.any()
     np.testing.assert_allclose(found.resolutions["clamp"].force[0, :, 0], [100 - 30 - 100 / 3, 30, 100 / 3], rtol=1e-8)
 
 
-def test_a_resting_part_goes_along_a_step_by_as_many_increments_as_are_asked_for():
+def test_a_resting_part_takes_the_requested_increments():
     """Settling and closing are a step each; one increment and three of each."""
     counts = []
     for increments in (1, 3):
@@ -93,7 +93,7 @@ def sideways(model, force):
     return model.evaluate(np.array([[force]]))
 
 
-def test_friction_holds_a_push_up_to_its_limit_and_beyond_it_the_sample_fails():
+def test_a_sample_fails_beyond_the_friction_limit():
     """Feet that carry N hold μ N together; each yields by half of `PAIR` along its tangents."""
     clamps = [push(100, (30, 20, 0)), push(0, (30, 20, 0), (1, 0, 0), "D")]
     deviation = {"name": "F", "kind": "clamp", "target": "D", "sigma": 1.0}
@@ -138,7 +138,7 @@ def groove(friction=0.0, gap=0.0, path=None):
     )
 
 
-def test_in_a_groove_the_sides_carry_what_the_wedge_says():
+def test_the_sides_of_a_groove_carry_the_wedge_forces():
     """100 N down on the ridge, N on each side with 2 N cos 45° = 100; no friction."""
     model = groove()
     plan_assembly(model)
@@ -152,7 +152,7 @@ def test_in_a_groove_the_sides_carry_what_the_wedge_says():
 
 
 @pytest.mark.parametrize("path", PATHS)
-def test_being_put_down_rubs_nothing(path):
+def test_placing_a_part_causes_no_friction(path):
     """A side that stands out by 0.1 mm shifts the ridge by 0.1 mm cos 45° each way, and no more."""
     out = np.where(np.arange(8) < 4, -0.1, 0.0)
     middle, aside = (groove(0.2, gap).evaluate({}) for gap in (0.0, out))
@@ -161,7 +161,7 @@ def test_being_put_down_rubs_nothing(path):
     np.testing.assert_allclose(aside.measurements - middle.measurements, [[0.1 * ROOT, 0.1 * ROOT]], atol=1e-6)
 
 
-def test_where_it_is_put_down_friction_begins_however_the_path_is_followed():
+def test_friction_starts_at_the_placed_position():
     """Sides that stick at once, one of them 0.1 mm out: what was put down is no slip, in one step either."""
     out = np.where(np.arange(8) < 4, -0.1, 0.0)
     one, three = (groove(3.0, out, path).evaluate({}) for path in ({"path": "one-step"}, {"increments": 3}))
@@ -170,7 +170,7 @@ def test_where_it_is_put_down_friction_begins_however_the_path_is_followed():
     assert one.measurements[0, 0] > 0.1 * ROOT - 0.005  # it sinks by micrometres from there
 
 
-def test_in_a_stack_each_carries_what_lies_above():
+def test_each_part_of_a_stack_carries_those_above():
     zones = [{"name": f"Z{pair}", "parts": list(pair), "friction": 0.2, "pairs": 1} for pair in ("ab", "bc")]
     model = standing(
         [("Zab", foot, UP) for foot in FEET] + [("Zbc", foot, UP) for foot in FEET],
@@ -190,7 +190,7 @@ def test_in_a_stack_each_carries_what_lies_above():
     np.testing.assert_allclose(found.measurements[0], [sunk - PAIR * 90 * share @ share, sunk], rtol=1e-7)
 
 
-def test_what_overlaps_as_it_is_drawn_is_put_down_on_top_and_then_pressed():
+def test_an_overlapping_part_is_placed_on_top_and_then_pressed():
     """a's feet stand 0.3, 0.1 and 0.2 mm high: b lies on them, tilted, and sinks from there."""
     high = np.array([0.3, 0.1, 0.2])
     found = table([push(100, (30, 20, 0))], gap=-high).evaluate({})
@@ -200,7 +200,7 @@ def test_what_overlaps_as_it_is_drawn_is_put_down_on_top_and_then_pressed():
     np.testing.assert_allclose(found.measurements[0], high - PAIR * carried, atol=1e-8)
 
 
-def test_a_shape_that_deviates_is_measured_from_where_the_part_rests():
+def test_a_shape_deviation_is_measured_from_the_resting_position():
     """b's first foot is longer by d and the rest follows: it stands d higher there, whatever the force."""
     deviation = {"name": "D", "kind": "force", "part": "b", "point": [0, 0, 0], "direction": [0, 0, 1], "sigma": 1.0}
     longer = lambda part, at: np.array([0, 0, -1.0 * (part == "b" and not at.any())])
@@ -211,7 +211,7 @@ def test_a_shape_that_deviates_is_measured_from_where_the_part_rests():
     np.testing.assert_allclose(moved.measurements, nominal.measurements, atol=1e-8)
 
 
-def test_welded_it_is_held_by_the_weld_and_comes_along_when_the_clamp_opens():
+def test_welds_hold_a_resting_part_when_the_clamp_opens():
     """Three welds at the feet keep what they find; with the clamp gone, springs press on against them."""
     welds = [{"name": f"W{i}", "parts": ["a", "b"], "point": list(foot)} for i, foot in enumerate(FEET)]
     kinds = ("locate", "clamp", "weld", "release", "measure")
@@ -225,7 +225,7 @@ def test_welded_it_is_held_by_the_weld_and_comes_along_when_the_clamp_opens():
     np.testing.assert_allclose(found.resolutions["release"].force[0, :, 0], carried, rtol=1e-7)
 
 
-def test_locators_may_open_where_friction_holds_what_they_held():
+def test_locators_can_open_if_friction_holds_the_part():
     """b is set down on six locators and pressed by 100 N; with the six gone it stays, and 12 N along x move it on."""
     clamps = [push(100, (30, 20, 0)), push(12, (30, 20, 0), (1, 0, 0), "D", stage="second")]
     stages = stage_list(
@@ -247,8 +247,8 @@ def test_locators_may_open_where_friction_holds_what_they_held():
     np.testing.assert_allclose(found.measurements[0], [4 * PAIR / 2, -PAIR * carried], rtol=1e-6)
 
 
-def test_a_clamp_of_limited_force_presses_a_part_on_that_rests():
-    """Of its force F the feet carry the shares s, so that its point sinks by F Σ s² `PAIR`; it is to sink by 0.1 mm."""
+def test_a_clamp_of_limited_force_can_press_a_resting_part():
+    """The feet carry shares s of its force F, so that its point sinks by F Σ s² `PAIR`; the target is 0.1 mm."""
     share = np.array([1 - 0.3 - 1 / 3, 0.3, 1 / 3])
     needed = 0.1 / (PAIR * share @ share)
     stop = {"name": "C", "part": "b", "point": [30, 20, 0], "direction": [0, 0, -1], "stroke": 0.1}
@@ -264,7 +264,7 @@ def test_a_clamp_of_limited_force_presses_a_part_on_that_rests():
             np.testing.assert_allclose(clamp.needed[0], [needed], rtol=1e-7)
 
 
-def test_flexible_sheets_are_laid_on_one_another_and_welded(lap_scene, cache):
+def test_a_flexible_sheet_can_rest_on_another_and_be_welded(lap_scene, cache):
     """The lap joint, its upper strip without locators: 60 N press it on, welds hold it once they are made."""
     model = mic.reduce(
         lap_scene.model_copy(
@@ -304,7 +304,7 @@ def on_pads(**change):
     return standing([("Z", foot, UP) for foot in FEET], **keys | change)
 
 
-def test_a_scene_needs_no_locator_where_pads_and_friction_hold_its_part():
+def test_pads_and_friction_can_replace_all_locators():
     """Only b yields at a foot, by half of `PAIR`; 12 N along x are shared alike below the limit of every foot."""
     model = on_pads()
     plans = plan_assembly(model)
@@ -318,7 +318,7 @@ def test_a_scene_needs_no_locator_where_pads_and_friction_hold_its_part():
     assert sentences(model.scene, plans[0]) == ["b is placed without locators; b is held by contact alone"]
 
 
-def test_without_a_locator_and_without_friction_it_is_said_what_slides():
+def test_free_directions_without_locators_and_friction_are_named():
     zones = [{"name": "Z", "parts": ["P", "b"], "friction": 0.0, "pairs": 3}]
     refused(on_pads(zones=zones), r"part 'b' rests by contact alone, and nothing holds it along x, along y, about z")
     parts = [{"name": "b", "mesh": "b.stl", "thickness": 1.0}]
@@ -326,7 +326,7 @@ def test_without_a_locator_and_without_friction_it_is_said_what_slides():
         on_pads(parts=parts)
 
 
-def test_a_body_welded_to_what_rests_presses_through_its_weld():
+def test_a_part_welded_to_a_resting_part_presses_through_the_weld():
     """a, on it b, and c welded to b above, on which the clamp pushes: a carries what the levers say."""
     parts = [{"name": name, "mesh": "a.stl", "thickness": 1.0, "rests": name == "b"} for name in "abc"]
     welds = [{"name": f"W{i}", "parts": ["c", "b"], "point": list(foot)} for i, foot in enumerate(FEET)]
@@ -349,7 +349,7 @@ def test_a_body_welded_to_what_rests_presses_through_its_weld():
     np.testing.assert_allclose(found.resolutions["release"].force[0, :, 0], carried, rtol=1e-6)
 
 
-def test_a_part_that_arrives_later_is_not_asked_for_before():
+def test_a_part_of_a_later_station_is_absent_before():
     """b comes to the second station, where it rests; what presses a before does not press b."""
     pins = [one | {"part": "b", "name": f"p{i}", "stage": "second"} for i, one in enumerate(six("b", far=FAR)[3:])]
     stages = stage_list("locate", "clamp first", "locate second")
@@ -367,7 +367,7 @@ def test_a_part_that_arrives_later_is_not_asked_for_before():
     np.testing.assert_allclose(found.resolutions["clamp"].force[0, :, 0], carried, rtol=1e-7)
 
 
-def test_what_nothing_presses_yet_is_lifted_by_what_it_lies_on():
+def test_a_resting_part_is_lifted_by_its_support():
     """a stands on springs of 100 N/mm; 60 N lift it in their middle by 0.2 mm before 100 N press b on."""
     soft = [one | ({"stiffness": 100.0} if i < 3 else {}) for i, one in enumerate(six("a", far=FAR))]
     middle = (100 / 3, 100 / 3, 0)
@@ -380,7 +380,7 @@ def test_what_nothing_presses_yet_is_lifted_by_what_it_lies_on():
     np.testing.assert_allclose(found.measurements[0], (60 - 100) / 300 - PAIR * 100 / 3, atol=1e-6)
 
 
-def test_a_force_that_varies_about_zero_may_press_a_part_on():
+def test_a_varying_force_can_hold_a_resting_part():
     deviation = {"name": "F", "kind": "clamp", "target": "C", "mean": 100.0, "sigma": 1.0}
     model = table([push(0, (30, 20, 0))], deviations=[deviation])
     plan_assembly(model)
@@ -392,18 +392,18 @@ def test_a_force_that_varies_about_zero_may_press_a_part_on():
 
 @pytest.mark.parametrize("normal, parts", [(UP, ["a", "b"]), ((0, 0, -1), ["b", "a"])])
 @pytest.mark.parametrize("way", [(0.6, 0.8, 0), (-0.6, -0.8, 0)])
-def test_it_is_said_which_way_a_part_is_pushed_off(way, normal, parts):
-    """Whichever of the two bodies of its zone it is."""
+def test_the_direction_in_which_a_part_is_pushed_off_is_reported(way, normal, parts):
+    """The resting part is the first or the second body of its zone."""
     clamps = [push(100, (30, 20, 0)), push(0, (30, 20, 0), way, "D")]
     zones = [{"name": "Z", "parts": parts, "friction": 0.2, "pairs": 1}]
     deviations = [{"name": "F", "kind": "clamp", "target": "D", "sigma": 1.0}]
     model = table(clamps, normal=normal, zones=zones, deviations=deviations)
     (status,) = model.evaluate(np.array([[30.0]])).resolutions["clamp"].status
-    said = re.fullmatch(r"not held: part b is pushed off along \[(.*)\]", status)
-    assert np.array(said[1].split(","), dtype=float) @ way > 0.9
+    message = re.fullmatch(r"not held: part b is pushed off along \[(.*)\]", status)
+    assert np.array(message[1].split(","), dtype=float) @ way > 0.9
 
 
-def test_a_couple_that_friction_does_not_hold_turns_the_part():
+def test_a_couple_beyond_friction_turns_the_part():
     """Three feet at the corners of an equilateral triangle, of 33 N each, pressed in the middle; a couple about it."""
     middle = np.array([50, 50 / 3**0.5, 0])
     turning = [push(0, middle + (0, side * 60, 0), (side, 0, 0), name) for side, name in ((1, "D"), (-1, "E"))]
@@ -422,7 +422,7 @@ ALONG_Z, STOPS_X = np.eye(3), np.eye(3)[[1]]
 
 
 def loose(force, state, bound, stopped=0.0, free=3):
-    """What is said of b, free along z, or along x and y too, under one contact and one stop."""
+    """The message about b, free along z, or along x and y too, under one contact and one stop."""
     soft = np.append(np.full(free, True), False)
     directions = np.vstack([np.eye(3)[[2, 0, 1]][:free], np.eye(3)[:1]])
     rest = Rest(np.arange(1, free + 2), soft, directions, (*"bbb"[:free], "c"))
@@ -432,11 +432,11 @@ def loose(force, state, bound, stopped=0.0, free=3):
     return rest.loose(response, *arrays).get(0)
 
 
-def test_a_contact_holds_along_what_it_resists_and_nothing_else():
+def test_a_contact_holds_only_the_directions_that_it_resists():
     """Sticking in all directions; slipping across its slip; without friction along its normal; open not at all."""
     assert loose((10.0, 0.5, 0.5), STICK, 2.0) is None
-    said = loose((10.0, 1.2, 1.6), SLIP, 2.0)  # friction along (0.6, 0.8): so it may go on slipping
-    assert said in (
+    message = loose((10.0, 1.2, 1.6), SLIP, 2.0)  # friction along (0.6, 0.8): so it may go on slipping
+    assert message in (
         "not held: part b lies loose along [0.6, 0.8, 0]",
         "not held: part b lies loose along [-0.6, -0.8, 0]",
     )
@@ -446,12 +446,12 @@ def test_a_contact_holds_along_what_it_resists_and_nothing_else():
     assert loose((0.0, 0.0, 0.0), OPEN, 2.0, free=1) == "not held: part b lies loose along z"
 
 
-def test_a_stop_holds_while_it_carries_anything():
+def test_a_stop_holds_while_it_carries_force():
     assert loose((10.0, 2.0, 0.0), SLIP, 2.0) == "not held: part b lies loose along x"
     assert loose((10.0, 2.0, 0.0), SLIP, 2.0, stopped=3.0) is None
 
 
-def test_a_sample_that_has_lost_its_friction_is_refused_as_a_scene_without_it():
+def test_a_sample_without_friction_is_refused():
     rubs = {"kind": "friction", "name": "mu", "target": "Z", "sigma": 0.05}
     model = table([push(100, (30, 20, 0))], friction=0.2, deviations=[rubs])
     assert not model.evaluate({"mu": -0.1}).failed[0]
@@ -459,7 +459,7 @@ def test_a_sample_that_has_lost_its_friction_is_refused_as_a_scene_without_it():
         model.evaluate({"mu": -0.2})
 
 
-def test_without_friction_the_directions_that_slide_are_named_before_anything_is_computed():
+def test_sliding_directions_without_friction_are_named_before_computation():
     refused(table([push(100, (30, 20, 0))], friction=0.0), r"\(clamp\): part 'b' .* holds it along x, along y, about z")
     laws = {"laws": ["coulomb", "frictionless"]}
     words = r"without friction \(law frictionless\).* take \"frictionless\" out of report.laws"
@@ -476,17 +476,17 @@ def test_without_friction_the_directions_that_slide_are_named_before_anything_is
         pytest.param([push(100, (30, 20, 0)), push(29, (30, 20, 0), (1, 0, 0), "D")], id="pushed beyond friction"),
     ],
 )
-def test_a_push_that_no_contact_can_balance_is_refused(clamps):
+def test_a_push_that_contact_cannot_balance_is_refused(clamps):
     refused(table(clamps), r"stages \(clamp\): contact alone holds 'b', and no forces of it balance the clamps")
 
 
-def test_a_part_that_nothing_presses_lies_loose():
+def test_an_unpressed_part_is_loose():
     refused(
         table([push(100, (30, 20, 0), part="a")]), r"\(clamp\): part 'b' .* nothing presses it there: it lies loose"
     )
 
 
-def test_a_clamp_that_does_not_come_down_leaves_the_part_loose_and_the_sample_fails():
+def test_a_sample_whose_clamps_do_not_reach_the_part_fails():
     """Three strokes hold b at its feet; above a gap nothing has it in plane, pressed friction has."""
     strokes = [
         {"name": f"C{i}", "part": "b", "point": list(foot), "direction": [0, 0, -1], "stroke": 0.0}
@@ -501,7 +501,7 @@ def test_a_clamp_that_does_not_come_down_leaves_the_part_loose_and_the_sample_fa
     assert found.resolutions["clamp"].status[1].startswith("not held: part b lies loose")
 
 
-def test_only_a_part_that_says_so_may_rest():
+def test_only_parts_with_rests_can_rest():
     parts = [{"name": name, "mesh": "a.stl", "thickness": 1.0} for name in "ab"]
     with pytest.raises(ValueError, match=r"parts\[1\] \(b\): its 0 locators .* rests = true"):
         table([push(100, (30, 20, 0))], parts=parts)
@@ -520,17 +520,17 @@ def test_only_a_part_that_says_so_may_rest():
         plan_stages(held.scene, held.weld_size)
 
 
-def test_parts_that_rest_on_each_other_alone_are_told_what_is_missing():
+def test_parts_resting_on_each_other_alone_are_refused():
     parts = [{"name": name, "mesh": "a.stl", "thickness": 1.0, "rests": True} for name in "ab"]
     refused(
         table([push(100, (30, 20, 0))], parts=parts, locators=[]), r"\(locate\): 6 rigid-body .* no zones lead from it"
     )
 
 
-def test_the_process_in_words_says_what_rests():
+def test_the_process_description_names_resting_parts():
     model = table([push(100, (30, 20, 0))])
-    said = [sentences(model.scene, plan) for plan in plan_stages(model.scene, model.weld_size)]
-    assert said == [
+    message = [sentences(model.scene, plan) for plan in plan_stages(model.scene, model.weld_size)]
+    assert message == [
         ["a is placed on al0, al1, al2, al3, al4 and al5; b is placed without locators; b is held by contact alone"],
         ["parts that overlap come to rest on each other", "clamp C closes (100 N)"],
         ["3 key characteristics are measured"],
@@ -540,7 +540,7 @@ def test_the_process_in_words_says_what_rests():
 # -------------------------------------------------------------------------------------------- where a part is put down
 
 
-def test_put_down_moves_a_part_least_so_that_nothing_overlaps():
+def test_placement_is_the_smallest_motion_without_overlap():
     """By hand: one foot, the level of two, and a groove's two sides."""
     np.testing.assert_allclose(separating_motion(np.array([-0.3, 0.1]), np.eye(2)), [0.3, 0.0], atol=2e-9)
     sides = np.array([[1.0, 1.0], [-1.0, 1.0]])

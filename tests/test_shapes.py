@@ -1,4 +1,4 @@
-"""Shapes that are known at points: through the values or past them, clouds fitted to a part, modes, random fields."""
+"""Shapes known at points: splines, clouds fitted to a part, modes and random fields."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ def smoothed(values, λ):
     return make_smoothing_spline(X, values, lam=λ * RIGIDITY)
 
 
-def test_with_noise_it_is_the_smoothing_spline_of_least_expected_error():
+def test_noisy_points_give_the_smoothing_spline_of_least_expected_error():
     rng = np.random.default_rng(3)
     σ = 0.02
     values = 0.3 * np.sin(X / 15) + σ * rng.standard_normal(len(X))
@@ -90,7 +90,7 @@ def test_with_noise_it_is_the_smoothing_spline_of_least_expected_error():
     assert risk(λ) <= min(risk(1.2 * λ), risk(λ / 1.2), risk(10 * λ), risk(λ / 10))
 
 
-def test_noise_of_each_point_weighs_it():
+def test_each_point_is_weighted_by_its_noise():
     C, G = held(X)
     values = 0.3 * np.sin(X / 15)
     values[4] += 0.5
@@ -103,14 +103,14 @@ def test_noise_of_each_point_weighs_it():
     assert np.abs(found + np.polyval(shift, X) - true).max() < 0.1
 
 
-def test_a_part_that_is_set_down_has_the_values_themselves():
+def test_a_part_in_its_fixture_has_the_given_values():
     C, G = held(X)
     f = controlling_forces(C, G, [known(0.2 * np.ones(len(X)), loose=False)], "S")[:, 0]
     np.testing.assert_allclose(C @ f, 0.2, rtol=1e-9)
     assert np.abs(controlling_forces(C, G, [known(0.2 * np.ones(len(X)))], "S")).max() < 1e-9 * np.abs(f).max()
 
 
-def test_points_that_coincide_are_refused_by_number():
+def test_coincident_points_are_refused_by_number():
     x = np.append(X, X[3])
     C, G = held(x)
     with pytest.raises(SceneError, match=r"S: points\[(3|9)\] coincides with another point, where"):
@@ -140,7 +140,7 @@ def scanned(surface, rng, count=4000, noise=0.0, skin=0.0):
     return at + (off + skin + noise * rng.standard_normal(count))[:, None] * n, at, off
 
 
-def test_a_cloud_that_lies_where_it_was_made_tells_the_deviations(angle):
+def test_a_cloud_in_place_gives_the_deviations(angle):
     cloud, at, off = scanned(angle, np.random.default_rng(0))
     found = deviations("a.csv", Cloud(cloud, None), angle, 0.0, False, 5.0)
     inside = np.abs(at[:, 1] - 60) > 3  # a foot near the bend may lie on the other side of it
@@ -150,7 +150,7 @@ def test_a_cloud_that_lies_where_it_was_made_tells_the_deviations(angle):
     assert found.fit.shift == found.fit.turn == 0.0
 
 
-def test_a_cloud_in_another_position_is_brought_back_but_for_what_fits_better(angle):
+def test_a_displaced_cloud_is_aligned_by_best_fit(angle):
     rng = np.random.default_rng(1)
     cloud, at, _ = scanned(angle, rng)
     turn = np.deg2rad(1.5)
@@ -161,7 +161,7 @@ def test_a_cloud_in_another_position_is_brought_back_but_for_what_fits_better(an
     assert moved.fit.turn > 0.5 and moved.fit.shift > 0.5
 
 
-def test_points_on_a_skin_are_off_by_half_the_thickness_less(angle):
+def test_points_on_a_skin_are_corrected_by_half_the_thickness(angle):
     cloud, at, off = scanned(angle, np.random.default_rng(2), skin=0.75)
     found = deviations("a.csv", Cloud(cloud, None), angle, 0.75, False, 5.0)
     assert np.median(np.abs(found.value - off)) < 1e-9
@@ -169,7 +169,7 @@ def test_points_on_a_skin_are_off_by_half_the_thickness_less(angle):
 
 @pytest.mark.parametrize("skin", [0.0, 0.75, -0.75])
 @pytest.mark.parametrize("sign", [1, -1])
-def test_points_beside_a_fold_are_sure_where_they_are_of_the_face_that_they_are_told_of(angle, skin, sign):
+def test_points_beside_a_fold_are_trusted_only_on_a_certain_face(angle, skin, sign):
     """One face lies above, the other below."""
     _, at, _ = scanned(angle, np.random.default_rng(3))
     n = angle.normals[angle.project(at).triangle]
@@ -189,14 +189,14 @@ def test_a_cloud_of_another_part_is_refused(angle):
 
 
 @pytest.mark.parametrize("read, unit", [("mm", "m"), ("mm", "um"), ("mm", "in"), ("m", "mm"), ("um", "m")])
-def test_a_cloud_in_another_unit_is_told_which_it_may_be(angle, read, unit):
+def test_a_cloud_in_another_unit_is_refused_with_the_likely_unit(angle, read, unit):
     """The points are in `unit` and were read as if in `read`."""
     cloud = scanned(angle, np.random.default_rng(4))[0] * UNITS[read][0] / UNITS[unit][0]
     with pytest.raises(FormatError, match=rf'they span \S+ mm and the part \S+ mm; give unit = "{unit}"'):
         deviations("a.csv", Cloud(cloud, None), angle, 0.0, True, 5.0, read)
 
 
-def test_points_are_spread_so_that_none_is_far_from_one(angle):
+def test_spread_points_cover_the_surface(angle):
     chosen = angle.points[spread(angle, 20.0)]
     apart = np.linalg.norm(angle.points[:, None] - chosen[None], axis=2)
     assert apart.min(axis=1).max() <= 20.0
@@ -207,7 +207,7 @@ def test_points_are_spread_so_that_none_is_far_from_one(angle):
 # ---- random fields
 
 
-def test_the_correlation_is_materns():
+def test_the_correlation_is_that_of_matern():
     side, L = 400.0, 60.0
     plate = Surface(*extrude([(0, 0), (side, 0)], 0.0, side, 12.0)[:2])
     middle = np.array([side / 2, side / 2, 0])
@@ -221,7 +221,7 @@ def test_the_correlation_is_materns():
 
 
 @pytest.mark.parametrize("stretch", [2.5, 0.5])
-def test_along_a_direction_the_correlation_is_materns_of_the_stretched_distance(stretch):
+def test_a_directional_field_has_the_matern_correlation_of_the_stretched_distance(stretch):
     """The direction need not lie in the sheet: what of it does counts."""
     side, L = 480.0, 60.0 / min(1.0, stretch)
     plate = Surface(*extrude([(0, 0), (side, 0)], 0.0, side, 6.0)[:2])
@@ -238,7 +238,7 @@ def test_along_a_direction_the_correlation_is_materns_of_the_stretched_distance(
     assert abs(ρ[3] - ρ[6]) > 0.1
 
 
-def test_the_modes_keep_the_variance_everywhere_and_the_correlation(angle):
+def test_modes_preserve_variance_and_correlation(angle):
     R = correlation(angle, spread(angle, 15.0), 120.0)
     Φ = modes_of(R, 0.95)
     np.testing.assert_allclose((Φ**2).sum(axis=1), 1.0)
@@ -280,7 +280,7 @@ def pieces(angle, tmp_path):
     return tmp_path, at, values
 
 
-def test_pieces_become_their_mean_and_modes_that_span_them(angle, pieces):
+def test_measured_pieces_become_a_mean_and_modes(angle, pieces):
     folder, at, values = pieces
     written = expand_modes(scene_of(folder, kind="measured", files="p*.csv"), {"a": angle}, {"a": None})
     mean, *modes = written.scene.deviations
@@ -291,7 +291,7 @@ def test_pieces_become_their_mean_and_modes_that_span_them(angle, pieces):
     assert "12 pieces at" in written.messages[0] and len(written.inputs) == 12
 
 
-def test_samples_are_the_pieces_where_that_is_asked(angle, pieces):
+def test_samples_can_be_the_measured_pieces(angle, pieces):
     folder, _, values = pieces
     asked = scene_of(folder, kind="measured", files="p*.csv", pieces=True)
     scene = expand_modes(asked, {"a": angle}, {"a": None}).scene
@@ -303,7 +303,7 @@ def test_samples_are_the_pieces_where_that_is_asked(angle, pieces):
     np.testing.assert_array_equal(draw(scene, 7, 40, 20), samples[40:])
 
 
-def test_few_points_of_one_piece_are_taken_as_they_are(angle, pieces):
+def test_few_points_of_one_piece_are_used_directly(angle, pieces):
     folder, at, values = pieces
     written = expand_modes(scene_of(folder, kind="measured", files="p03.csv", mean=2.0), {"a": angle}, {"a": None})
     (only,) = written.scene.deviations
@@ -311,7 +311,7 @@ def test_few_points_of_one_piece_are_taken_as_they_are(angle, pieces):
     np.testing.assert_allclose(only.known, values[:, 3], atol=1e-10)
 
 
-def test_a_scan_is_taken_at_points_spread_over_the_part_each_side_of_a_bend_for_itself(angle, tmp_path):
+def test_a_scan_is_averaged_at_spread_points_on_each_side_of_a_bend(angle, tmp_path):
     rng = np.random.default_rng(4)
     cloud, _, _ = scanned(angle, rng, 20000, noise=0.05)
     write(tmp_path, cloud)
@@ -325,7 +325,7 @@ def test_a_scan_is_taken_at_points_spread_over_the_part_each_side_of_a_bend_for_
     assert np.sqrt(np.mean((only.known - bumps(at)) ** 2)) < 0.05 * 0.4  # a twentieth of the bumps
 
 
-def test_points_lie_as_near_to_each_other_as_measured_ones_allow(angle, tmp_path):
+def test_the_density_of_measured_points_limits_the_spacing(angle, tmp_path):
     """Seven hundred points on the part, on which five thousand would be needed for the usual distance."""
     cloud, _, _ = scanned(angle, np.random.default_rng(6), 700)
     write(tmp_path, cloud)
@@ -336,7 +336,7 @@ def test_points_lie_as_near_to_each_other_as_measured_ones_allow(angle, tmp_path
         expand_modes(scene_of(tmp_path, **keys, spacing=6.0), {"a": angle}, {"a": None})
 
 
-def test_a_folder_of_another_part_is_one_mistake(angle, tmp_path):
+def test_many_wrong_files_give_one_short_error(angle, tmp_path):
     for i in range(9):
         write(tmp_path, np.random.default_rng(i).uniform(200, 300, (50, 3)), name=f"p{i}.csv")
     with pytest.raises(SceneError) as refused:
@@ -346,7 +346,7 @@ def test_a_folder_of_another_part_is_one_mistake(angle, tmp_path):
 
 
 @pytest.mark.parametrize("offset", [0.0, 0.5])
-def test_what_noise_alone_would_do_is_no_mode(angle, offset, tmp_path):
+def test_noise_gives_no_mode(angle, offset, tmp_path):
     """Three modes and their mean, at 135 points of fifteen pieces: found as many, as uncertain as they say."""
     rng = np.random.default_rng(9)
     at = angle.points[spread(angle, 8.0)]
@@ -369,7 +369,7 @@ def test_what_noise_alone_would_do_is_no_mode(angle, offset, tmp_path):
     assert len(raw) == 1 + 14  # as they were measured
 
 
-def test_a_field_has_its_variance_and_correlation_in_its_samples(angle):
+def test_samples_of_a_field_have_its_variance_and_correlation(angle):
     scene = expand_modes(scene_of(None, kind="field", sigma=0.2, length=45.0), {"a": angle}, {"a": None}).scene
     shapes = draw(scene, 1, 0, 4000) @ np.array([item.known for item in scene.deviations])
     np.testing.assert_allclose(shapes.std(axis=0), 0.2, rtol=0.06)
@@ -377,7 +377,7 @@ def test_a_field_has_its_variance_and_correlation_in_its_samples(angle):
     assert np.abs(np.corrcoef(shapes.T) - R).max() < 2 * 0.05 + 4 / np.sqrt(4000)  # modes left out, and sampling
 
 
-def test_a_field_of_control_points_has_their_sigma_and_correlation(angle):
+def test_a_field_through_control_points_has_their_sigma_and_correlation(angle):
     at = angle.points[spread(angle, 40.0)]
     values = np.linspace(0.5, 2.0, len(at)).tolist()
     keys = {"kind": "field", "sigma": 0.1, "length": 80.0, "points": at.tolist(), "values": values, "share": 0.999}
@@ -412,10 +412,10 @@ BAD_FILES = {
 
 @pytest.mark.parametrize("case", BAD_FILES)
 def test_a_malformed_file_of_points_is_refused_with_the_remedy(case, angle, tmp_path):
-    text, said = BAD_FILES[case]
+    text, message = BAD_FILES[case]
     (tmp_path / "piece.csv").write_text(text)
     scene = scene_of(tmp_path, kind="measured", files="piece.csv", align=False)
-    with pytest.raises(SceneError, match=said) as refused:
+    with pytest.raises(SceneError, match=message) as refused:
         expand_modes(scene, {"a": angle}, {"a": None})
     assert str(refused.value).startswith("deviations[0] (S)") and "\n" not in str(refused.value)
 
@@ -464,13 +464,13 @@ BAD_ITEMS = {
 
 
 @pytest.mark.parametrize("case", BAD_ITEMS)
-def test_what_cannot_be_written_out_is_refused_with_the_remedy(case, angle, pieces):
-    keys, said = BAD_ITEMS[case]
+def test_invalid_shapes_are_refused_with_the_remedy(case, angle, pieces):
+    keys, message = BAD_ITEMS[case]
     folder, at, values = pieces
     (folder / "p00.pdf").write_text("x")
     for name in ("q0.csv", "q1.csv"):
         write(folder, at, values[:, 0], name)
-    with pytest.raises(SceneError, match=said):
+    with pytest.raises(SceneError, match=message):
         expand_modes(scene_of(folder, **keys), {"a": angle}, {"a": None})
 
 
@@ -505,9 +505,9 @@ BAD_KEYS = [
 ]
 
 
-@pytest.mark.parametrize("item, said", BAD_KEYS)
-def test_wrong_keys_are_refused_by_name(item, said):
+@pytest.mark.parametrize("item, message", BAD_KEYS)
+def test_wrong_keys_are_refused_by_name(item, message):
     table = mic.load_scene("meshes/lap_joint").model_dump()
     table["deviations"] = [{"name": "S", "part": "upper"} | item]
-    with pytest.raises(ValueError, match=said):
+    with pytest.raises(ValueError, match=message):
         mic.Scene(**table)

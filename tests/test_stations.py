@@ -1,4 +1,4 @@
-"""An assembly that changes its fixture: inspection on locators of its own, stations one after the other; by hand."""
+"""An assembly that changes its fixture, for inspection or in a second station, by hand."""
 
 import numpy as np
 import pytest
@@ -32,7 +32,7 @@ def release_to(part):
     return {"kind": "release", "keep": [f"{part}l{i}" for i in range(6)]}
 
 
-def test_read_where_it_was_released_the_free_part_has_moved_by_the_gap():
+def test_a_released_part_moves_by_the_gap():
     """The faces meet half way; released, both springs relax, and the part that nothing holds comes over by g."""
     np.testing.assert_allclose(joined().evaluate({}).measurements[0], [0.0, -GAP], atol=1e-12)
     np.testing.assert_allclose(joined(keep="b").evaluate({}).measurements[0], [GAP, 0.0], atol=1e-12)
@@ -40,7 +40,7 @@ def test_read_where_it_was_released_the_free_part_has_moved_by_the_gap():
 
 @pytest.mark.parametrize("law", ["coulomb", "frictionless"])
 @pytest.mark.parametrize("keep", ["a", "b"])
-def test_on_another_fixture_the_same_assembly_reads_as_a_rigid_motion_says(keep, law):
+def test_another_inspection_fixture_adds_a_rigid_motion(keep, law):
     """On b's six, b is at nominal and a stands g above. On two supports of a and one of b, the assembly tilts.
 
     At y = 0 the supports hold a at nominal; b, g below a, must come up to nominal at y = 10: by g y/10, g/2 at the
@@ -56,7 +56,7 @@ def test_on_another_fixture_the_same_assembly_reads_as_a_rigid_motion_says(keep,
         np.testing.assert_allclose(found.resolutions["measure"].reaction[0][:6], 0.0, atol=1e-9)
 
 
-def test_a_locator_of_the_inspection_may_deviate():
+def test_an_inspection_locator_can_deviate():
     on_b = [item | {"stage": "measure"} for item in named(six("b"), "m")]
     moved = {"name": "D", "kind": "locator", "target": "m2", "sigma": 0.1}
     model = joined(on_b, deviations=[moved])
@@ -64,21 +64,21 @@ def test_a_locator_of_the_inspection_may_deviate():
     np.testing.assert_allclose(tilt, [0.05, 0.05], atol=1e-12)  # 0.1 mm at y = 10, half of it at y = 5
 
 
-def test_more_than_six_locators_force_the_assembly_as_it_is_read():
+def test_more_than_six_inspection_locators_strain_the_assembly():
     """a's three supports and b's three: the faces' springs take the gap again, half each."""
     on_both = [*six("a"), *(item for item in six("b") if item["direction"] == [0, 0, 1])]
     on_both = [item | {"stage": "measure"} for item in named(on_both, "m")]
     np.testing.assert_allclose(joined(on_both).evaluate({}).measurements[0], [GAP / 2, -GAP / 2], atol=1e-12)
 
 
-def test_an_inspection_that_leaves_the_assembly_free_is_refused():
+def test_an_inspection_with_free_motions_is_refused():
     few = [item | {"stage": "measure"} for item in named(six("b"), "m")][:5]
     model = joined(few)
     with pytest.raises(mic.SceneError, match=r"stages \(measure\): 1 rigid-body motions are free once"):
         plan_stages(model.scene, model.weld_size)
 
 
-def test_inspection_in_words_and_steps():
+def test_the_inspection_is_described_and_has_its_own_locators():
     on_b = [item | {"stage": "measure"} for item in named(six("b"), "m")]
     model = joined(on_b)
     plan = plan_stages(model.scene, model.weld_size)[-1]
@@ -121,10 +121,10 @@ def push(force, part="c"):
 
 @pytest.mark.parametrize("law", ["coulomb", "frictionless"])
 @pytest.mark.parametrize("step", [0.5, 0.2])
-def test_what_the_first_station_leaves_enters_the_second(step, law):
+def test_the_result_of_the_first_station_enters_the_second(step, law):
     """Joined, a stands g above its place: the step to c is less by g, or c overlaps with it and settles.
 
-    a hangs on the weld, whose force b's spring carries alone, and c's spring its own: f = k (g − step)/2. A push P on
+    The weld carries a; its force b's spring carries alone, and c's spring its own: f = k (g − step)/2. A push P on
     c's face brings k w = P before it touches, then both springs yield: f = (P − k (step − g))/2.
     """
     left = step - GAP
@@ -139,7 +139,7 @@ def test_what_the_first_station_leaves_enters_the_second(step, law):
         assert not found.failed.any()
 
 
-def test_a_part_that_is_not_there_yet_touches_nothing():
+def test_a_part_of_a_later_station_touches_nothing_before():
     """Without a station of its own c would lie within a in the first one, and hold it."""
     found = stations(-0.4, clamps=[push(0.0)]).evaluate({}, "coulomb")
     assert found.resolutions["weld"].force[0, 1, 0] == 0.0
@@ -148,8 +148,8 @@ def test_a_part_that_is_not_there_yet_touches_nothing():
     assert found.resolutions["clamp"].force[0, 1, 0] == pytest.approx(STIFFNESS * 0.7 / 2, rel=1e-9)
 
 
-def test_welds_stay_and_released_reactions_are_gone_in_the_second_station():
-    """Whatever the first station held by force, only the joint goes on; the same from a release or straight away."""
+def test_welds_remain_and_reactions_vanish_in_the_second_station():
+    """Only joints pass to the second station, with or without a release before it."""
     three = stage_list("locate", "weld", "locate second", "clamp")
     direct = stations(stages=[*three, {"kind": "measure"}], clamps=[push(15.0)]).evaluate({})
     released = stations(clamps=[push(15.0)]).evaluate({})
@@ -158,7 +158,7 @@ def test_welds_stay_and_released_reactions_are_gone_in_the_second_station():
     np.testing.assert_allclose(reaction, 0.0, atol=1e-9)
 
 
-def test_a_part_that_comes_later_into_the_same_station_leaves_the_others_where_they_are():
+def test_adding_a_part_to_a_station_does_not_move_the_others():
     """Only c has locators in the second stage: a and b stay clamped, and c finds a's face where they hold it."""
     hold = at_face("b", (0, 0, -1), name="H", force=30.0, stage="hold")
     stages = stage_list("locate", "clamp hold", "locate second", "clamp", "measure")
@@ -176,7 +176,7 @@ def test_a_part_that_comes_later_into_the_same_station_leaves_the_others_where_t
     assert "second" not in found.resolutions
 
 
-def test_what_overlaps_in_a_later_station_settles_from_where_the_contacts_there_hold_it():
+def test_overlap_in_a_later_station_settles_against_existing_contacts():
     """c comes 0.35 mm within a's face as drawn, 0.2 mm as b presses it down, and settles while it is dragged.
 
     With f on a from b and N from c: f + 2 N = 0.35 k (c meets a), 2 f + N = P − g k (b stays on a). It touches from the
@@ -211,7 +211,7 @@ def test_what_overlaps_in_a_later_station_settles_from_where_the_contacts_there_
     np.testing.assert_allclose(closed.trace.slip[0], [[0.0, 0.0], [slip, 0.0]], rtol=1e-3, atol=1e-9)
 
 
-def test_a_fixture_stands_in_its_station_alone():
+def test_a_fixture_acts_only_in_its_station():
     """A pad 0.1 mm below b's face, z = 0 in the first station: pressed by P there, gone in the second."""
     pads = [{"name": name, "point": [5, 5, -1], "normal": [0, 0, 1], "radius": 1.0} for name in ("one", "two")]
     pads[1]["stage"] = "second"
@@ -224,8 +224,8 @@ def test_a_fixture_stands_in_its_station_alone():
     np.testing.assert_allclose(again, [0, 0, 0, 15.0 - 0.2 * STIFFNESS], atol=1e-9)
 
 
-def test_slip_is_remembered_from_station_to_station():
-    """What slipped under a clamp in the first station is the contact's place in the next: nothing pulls it back."""
+def test_slip_persists_between_stations():
+    """A contact that slipped under a clamp in the first station keeps its position in the next."""
     drag = at_face("b", (1, 0, 0), name="D", force=3.0, stage="slide")
     press = at_face("b", (0, 0, -1), name="P", force=60.0, stage="slide")
     stages = stage_list(
@@ -245,7 +245,7 @@ def test_slip_is_remembered_from_station_to_station():
     np.testing.assert_allclose(moved.displacement[0, 0, 1:], 0.0, atol=1e-9)
 
 
-def test_stations_in_words():
+def test_stations_are_described_in_words():
     model = stations(clamps=[push(1.0)])
     plans = {plan.name: plan for plan in plan_stages(model.scene, model.weld_size)}
     assert sentences(model.scene, plans["locate"]) == [
@@ -272,14 +272,14 @@ def test_stations_in_words():
         ),
     ],
 )
-def test_a_part_is_there_before_anything_is_done_to_it(change, words):
+def test_using_a_part_before_it_is_placed_is_refused(change, words):
     stages = stage_list("locate", "clamp early", "weld", "locate second", "measure")
     with pytest.raises(ValueError, match=words):
         stations(stages=stages, **change)
 
 
 @pytest.mark.parametrize("number, key", [(0, {"increments": 3}), (-1, {"path": "followed"})])
-def test_a_path_is_given_where_something_moves(number, key):
+def test_a_path_in_a_stage_without_motion_is_refused(number, key):
     stages = stage_list("locate", "weld", "release", "measure")
     stages[number] |= key
     with pytest.raises(ValueError, match=rf"stages\[{number % 4}\].{next(iter(key))}.*: nothing moves in this stage"):
@@ -305,7 +305,7 @@ def resting(stiffness, press, gap=0.1, release=False):
 
 @pytest.mark.parametrize("law", ["coulomb", "frictionless"])
 @pytest.mark.parametrize("stiffness", [1000.0, 10.0, 1e-3])
-def test_a_soft_locator_yields_under_its_load_and_leaves_it_to_the_contact(stiffness, law):
+def test_a_soft_locator_shares_its_load_with_contact(stiffness, law):
     """b's face comes down by P c, c = 1/k + 1/2s, until it touches; then N = (P c − g)/(c + 1/k), all of P as s → 0."""
     c = 1 / STIFFNESS + 1 / (2 * stiffness)
     for press in (0.02 * GAP / c, 20.0):
@@ -320,14 +320,14 @@ def test_a_soft_locator_yields_under_its_load_and_leaves_it_to_the_contact(stiff
         assert N == pytest.approx(press, rel=1e-4)  # it rests on a, and on nothing else
 
 
-def test_what_overlaps_a_part_on_soft_locators_lifts_it():
+def test_overlap_lifts_a_part_on_soft_locators():
     """Set down 0.1 mm within a, on supports of 10⁻³ N/mm, b comes to rest on a's face without a force to speak of."""
     found = resting(1e-3, 0.0, gap=-0.1).evaluate({})
     assert found.resolutions["clamp"].force[0, 0, 0] == pytest.approx(0.1 * 2e-3, rel=1e-3)
     np.testing.assert_allclose(found.measurements[0], [0.0, 0.1], atol=1e-4)
 
 
-def test_soft_locators_open_once_a_weld_holds_the_part():
+def test_soft_locators_can_open_once_welded():
     """Joined where it rested, b keeps its place on a; what pressed it springs back."""
     found = resting(1.0, 20.0, release=True).evaluate({})
     c = 1 / STIFFNESS + 0.5
@@ -337,7 +337,7 @@ def test_soft_locators_open_once_a_weld_holds_the_part():
     assert not found.failed.any()
 
 
-def test_a_part_that_its_locators_do_not_hold_is_told_its_free_motions_and_the_remedy():
+def test_a_part_with_free_motions_is_refused_with_the_remedy():
     few = [item for item in six("b") if item["direction"] != [0, 0, 1]]
     with pytest.raises(
         ValueError, match=r"parts\[1\] \(b\): .* hold 3 of its 6 .*free: along z, about x, about y.*rests = true"
@@ -345,7 +345,7 @@ def test_a_part_that_its_locators_do_not_hold_is_told_its_free_motions_and_the_r
         joined(stages=stage_list("locate", "measure"), locators=[*six("a"), *few], welds=[])
 
 
-def test_parts_that_nothing_joins_cannot_change_the_fixture_together():
+def test_unjoined_parts_cannot_change_fixture_together():
     model = stations(welds=[], stages=stage_list("locate", "locate second", "measure"))
     with pytest.raises(mic.SceneError, match=r"stages \(second\): 6 rigid-body motions are free once .* part 'a'"):
         plan_stages(model.scene, model.weld_size)

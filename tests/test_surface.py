@@ -26,7 +26,7 @@ def test_projection_finds_the_closest_of_all_triangles():
     np.testing.assert_allclose(surface.at(found.triangle, found.barycentric), found.point, atol=1e-12)
 
 
-def test_projection_filter_passes_over_triangles_that_face_elsewhere():
+def test_the_projection_skips_triangles_that_face_elsewhere():
     wall = Surface(
         [[0, 0, 0], [0, 10, 0], [0, 0, 10], [0, 10, 10], [5, 0, 5], [5, 10, 5], [15, 0, 5], [15, 10, 5]],
         [[0, 1, 2], [1, 3, 2], [4, 6, 5], [5, 6, 7]],
@@ -38,7 +38,7 @@ def test_projection_filter_passes_over_triangles_that_face_elsewhere():
     assert wall.project(x, [[0, 1.0, 0]], max_angle=0.1).triangle[0] == -1
 
 
-def test_a_triangle_shared_by_closest_points_is_chosen_by_shape_not_by_number():
+def test_ties_between_closest_triangles_are_decided_by_shape():
     roof = [[0, 0, 0], [0, 10, 0], [10, 0, 3], [10, 10, 3], [20, 0, 2], [20, 10, 2]]  # ridge at x = 10
     triangles = np.array([[0, 2, 1], [2, 3, 1], [2, 4, 3], [4, 5, 3]])
     x, normal = [[10.0, 4.0, 5.0]], [[0.1, 0.0, 1.0]]
@@ -62,7 +62,7 @@ def test_a_patch_on_a_fold_covers_both_sides():
         assert patch.weight[on_floor].sum() == pytest.approx(0.5, abs=0.02)
 
 
-def test_rounding_on_the_rim_of_a_patch_decides_nothing():
+def test_rounding_on_the_rim_of_a_patch_has_no_effect():
     surface, found = plane(10), []
     for seed in range(10):
         turn = np.linalg.qr(np.random.default_rng(seed).normal(size=(3, 3)))[0]
@@ -75,7 +75,7 @@ def test_rounding_on_the_rim_of_a_patch_decides_nothing():
 
 
 @pytest.mark.parametrize("n", [3, 20])
-def test_patch_averages_over_a_disc_wherever_the_triangles_lie(n):
+def test_a_patch_averages_over_a_disc_on_any_mesh(n):
     radius, random = 2.0, np.random.default_rng(0)
     for _ in range(10):
         flat = plane(n)
@@ -91,7 +91,7 @@ def test_patch_averages_over_a_disc_wherever_the_triangles_lie(n):
     assert len(surface.patch(centre, 0.0).weight) == 1
 
 
-def test_a_disc_reads_small_triangles_at_several_points_each():
+def test_small_triangles_of_a_disc_are_sampled_at_several_points():
     surface, centre = plane(60), [5.03, 4.96, 0.0]  # an edge of 0.24 mm, an eighth of the radius being 0.25
     patch = surface.patch(centre, 2.0)
     x = surface.at(patch.triangle, patch.barycentric) - centre
@@ -99,14 +99,14 @@ def test_a_disc_reads_small_triangles_at_several_points_each():
     assert patch.weight @ (x**2).sum(1) == pytest.approx(2.0, rel=5e-4)  # mean r²; of a point each 2.1e-3 less
 
 
-def test_patch_stays_on_its_own_sheet():
+def test_a_patch_stays_on_its_own_sheet():
     near, far = plane(10), plane(10, z=0.5)
     both = Surface(np.vstack([near.points, far.points]), np.vstack([near.triangles, far.triangles + len(near.points)]))
     patch = both.patch([5.0, 5.0, 0.1], 2.0)
     assert np.abs(both.at(patch.triangle, patch.barycentric)[:, 2]).max() == 0
 
 
-def test_patch_ends_where_the_surface_turns_and_a_normal_picks_the_side_of_the_fold():
+def test_a_patch_with_a_normal_stays_on_one_side_of_a_fold():
     wall = plane(10)
     wall = Surface(wall.points[:, [2, 1, 0]], wall.triangles)  # upright at the plane's edge x = 0, from z = 0 upwards
     floor = plane(10)
@@ -133,7 +133,7 @@ def test_unusable_surfaces_are_refused(points, triangles, word):
         Surface(points, triangles)
 
 
-def test_a_reach_takes_nothing_away_that_lies_within_it():
+def test_limiting_the_reach_keeps_projections_within_it():
     """Points beside a wall ask for what faces up: dozens of triangles of the wall are nearer than any that does."""
     points, triangles, _ = extrude([(0, 0), (40, 0), (40, 60)], 0.0, 60.0, 2.0)
     surface = Surface(points, triangles)

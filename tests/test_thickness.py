@@ -1,4 +1,4 @@
-"""Sheets whose thickness varies: the interpolation, what a face does, closed forms, the full solve, what is refused."""
+"""Sheets of varying thickness: interpolation, faces, closed forms, the full solve and refused input."""
 
 from __future__ import annotations
 
@@ -50,8 +50,8 @@ def sheet(t, λ, ℓ0, ℓ1):
 
 
 @pytest.mark.parametrize("half", [0.02, 0.1, 0.3, 0.5])
-def test_the_interpolation_errs_by_what_it_was_asked_for(half):
-    """Of sheets of which bending, stretching and all between them rules; what was asked for counts in energy."""
+def test_the_interpolation_meets_its_tolerance(half):
+    """For sheets dominated by bending, by stretching and by both; the tolerance is one of energy."""
     rng = np.random.default_rng(3)
     λ = np.concatenate([[0.0], 10.0 ** rng.uniform(-3, 3, 40), [1e9]])
     ℓ0, ℓ1 = rng.standard_normal((2, 12, len(λ)))
@@ -70,7 +70,7 @@ def test_the_interpolation_errs_by_what_it_was_asked_for(half):
         np.testing.assert_allclose(rigid, np.outer(1.0 + t * np.arange(12), np.ones(6)), rtol=1e-9)
 
 
-def test_beyond_what_was_computed_no_compliance_is_made_up():
+def test_a_thickness_out_of_range_is_refused():
     known = Thicknesses(np.array([1.0]), 0.9, 1.1, np.ones((1, 1, 1)), np.ones((1, 1, 6)))
     known.at(1.1)
     for t in (0.85, 1.12):
@@ -78,7 +78,7 @@ def test_beyond_what_was_computed_no_compliance_is_made_up():
             known.at(t)
 
 
-def test_what_reads_a_face_goes_with_it():
+def test_functionals_on_a_face_move_with_it():
     side = np.array([0.0, 1.0, -1.0, 1.4, -1.4])
     rows = Functionals((), np.zeros(5, int), np.zeros((5, 3)), np.zeros(5, bool), side, ("",) * 5)
     part = Part("p", None, 2.0, 1.0, 0.3, "e", rows, thickness_range=(1.0, 3.0)).at(2.5)
@@ -95,7 +95,7 @@ def assembled(cache):
     "part, skin, change",
     [("upper", 0, -0.5), ("lower", 0, -0.5), ("upper", 1, -1), ("upper", -1, 0), ("lower", 1, 0), ("lower", -1, -1)],
 )
-def test_gaps_change_by_what_the_faces_move(assembled, part, skin, change):
+def test_gaps_change_with_the_faces(assembled, part, skin, change):
     """The lap joint's normals are upwards; the lower face of the upper sheet lies on the upper face of the lower."""
     p = [one.name for one in assembled.parts].index(part)
     assert (assembled.parts[p].surface.normals[:, 2] > 0.99).all()
@@ -109,8 +109,8 @@ def test_gaps_change_by_what_the_faces_move(assembled, part, skin, change):
         assert not (rows[kind] @ faces).any()
 
 
-def test_what_yields_through_the_sheets_follows(cache):
-    """Of candidates, ``(t_a + t_b)/2 / (E A)``; nothing else of the contacts does."""
+def test_the_compliance_through_the_sheets_follows_their_thickness(cache):
+    """It is ``(t_a + t_b)/2 / (E A)`` for candidates; nothing else of the contacts changes."""
     table = lap([T])
     table["zones"][0].pop("pairs")
     table["parts"][0]["thickness"] = 0.8
@@ -160,7 +160,7 @@ def test_the_full_solve_of_the_thicker_sheet_agrees(varied):
 
 
 @pytest.mark.fem
-def test_a_scene_drawn_with_the_thinner_sheet_says_the_same(cache):
+def test_a_scene_drawn_with_the_thinner_sheet_gives_the_same_result(cache):
     """Measured in its clamps, for welds stand elsewhere where a gap is drawn."""
     change = {"welds": [], "stages": [{"kind": "locate"}, {"kind": "clamp", "increments": 1}, {"kind": "measure"}]}
     thin = mic.reduce(read(lap([], 0.9, **change)), cache).evaluate({})
@@ -173,7 +173,7 @@ def test_a_scene_drawn_with_the_thinner_sheet_says_the_same(cache):
 
 
 @pytest.mark.fem
-def test_a_batch_a_saved_model_and_a_lost_sample(varied, tmp_path):
+def test_batches_and_saved_models_agree_and_one_impossible_sample_fails(varied, tmp_path):
     _, model = varied
     samples = np.array([[-5.0, 0.0], [-4.0, 0.03], [-4.0, 0.5], [-6.0, -0.05]])
     found = model.process().attempt(samples)
@@ -187,8 +187,8 @@ def test_a_batch_a_saved_model_and_a_lost_sample(varied, tmp_path):
 
 
 @pytest.mark.fem
-def test_derivatives_are_those_of_differences(varied):
-    """Beside a thickness the others are as they were; reach says nothing of it."""
+def test_derivatives_equal_finite_differences(varied):
+    """Other derivatives are unchanged by a thickness, which has no reach."""
     _, model = varied
     at, step = np.array([-5.0, 0.02]), 1e-3
     found = model.sensitivities(at)
@@ -204,8 +204,8 @@ def test_derivatives_are_those_of_differences(varied):
 
 
 @pytest.mark.fem
-def test_what_the_interpolation_leaves_is_told(varied, cache, monkeypatch):
-    """And is more between fewer thicknesses, where the sheet bends and stretches."""
+def test_the_error_of_the_interpolation_is_reported(varied, cache, monkeypatch):
+    """It grows with fewer thicknesses where the sheet bends and stretches."""
     assembly, model = varied
     (one,) = interpolated(assembly, model, cache)
     assert (one.name, one.part) == ("T", "upper") and one.thickness == pytest.approx((0.94, 1.06))
@@ -231,7 +231,7 @@ def test_coefficients_are_cached_at_every_thickness_or_not_at_all(varied, cache)
 
 
 @pytest.mark.fem
-def test_studies_take_it(varied):
+def test_studies_accept_a_varying_thickness(varied):
     assembly, model = varied
     found = effects(model, samples=1).table.set_index(["measurement", "input"])
     assert found.loc[("M1", "T"), "step"] == 0.02 and abs(found.loc[("M1", "T"), "effect"]) > 1e-4
@@ -258,14 +258,14 @@ BAD = {
 
 
 @pytest.mark.parametrize("case", BAD)
-def test_what_cannot_be_meant_is_refused_with_the_remedy(case, cache):
-    change, said = BAD[case]
+def test_invalid_thickness_deviations_are_refused_with_the_remedy(case, cache):
+    change, message = BAD[case]
     item = {key: value for key, value in (T | change).items() if value is not None}
-    with pytest.raises(mic.SceneError, match=said):
+    with pytest.raises(mic.SceneError, match=message):
         assemble(read(lap([item], pairs=2)), cache)
 
 
-def test_two_of_one_sheet_and_maps_are_refused(cache):
+def test_two_thickness_deviations_of_one_sheet_and_fields_are_refused(cache):
     with pytest.raises(mic.SceneError, match=r"\(U\): the thickness of 'upper' is varied by 'T' already; merge"):
         read(lap([T, T | {"name": "U"}]))
     table = lap([T], pairs=2)
@@ -275,7 +275,7 @@ def test_two_of_one_sheet_and_maps_are_refused(cache):
 
 
 @pytest.mark.parametrize("key", ["stiffness", "compliance"])
-def test_a_sheet_whose_matrix_is_given_keeps_its_thickness(key, assembled, cache, tmp_path):
+def test_a_varying_thickness_is_refused_for_a_given_matrix(key, assembled, cache, tmp_path):
     surface = assembled.parts[1].surface
     write_deck(tmp_path / "upper.inp", {"upper": (surface.points, surface.triangles)})
     table = lap([T], pairs=2)
@@ -285,7 +285,7 @@ def test_a_sheet_whose_matrix_is_given_keeps_its_thickness(key, assembled, cache
         assemble(read_table(table, tmp_path / "scene.toml"), cache)
 
 
-def test_what_is_cut_off_or_stands_in_a_table_decides_what_is_computed(cache):
+def test_the_range_of_thickness_follows_from_truncation_and_tables(cache):
     cut = assemble(read(lap([T | {"sigma": 0.2, "truncated": [-0.1, 0.1]}], pairs=2)), cache)
     assert cut.parts[1].thickness_range == pytest.approx((0.9, 1.1))
     listed = lap([T], pairs=2)

@@ -1,4 +1,4 @@
-"""The two-level estimate on populations with a known answer, and the verification of a user's own scene."""
+"""The two-level estimate on populations with a known answer, and the verification of a user's scene."""
 
 import json
 
@@ -36,7 +36,7 @@ def at_random(rng, y, count):
 
 
 @pytest.mark.parametrize("chooser", [ends_and_random, at_random])
-def test_intervals_hold_as_often_as_they_say(chooser):
+def test_intervals_cover_as_often_as_claimed(chooser):
     """2000 repetitions: the shares lie within 2.5 % of 95 %; ignoring the dear results would hold the mean never."""
     rng, repetitions = np.random.default_rng(3), 2000
     held, plain, errors = np.zeros(2), 0, []
@@ -58,7 +58,7 @@ def test_intervals_hold_as_often_as_they_say(chooser):
 
 
 @pytest.mark.parametrize("cheap, dear", [(300, 5), (30, 10)])
-def test_intervals_of_the_errors_hold_as_often_as_they_say(cheap, dear):
+def test_intervals_of_errors_cover_as_often_as_claimed(cheap, dear):
     """2000 repetitions; those of means and of σ would be wider, since the cheap samples are shared."""
     rng, repetitions = np.random.default_rng(4), 2000
     held, widths = np.zeros(2), np.zeros(2)
@@ -73,7 +73,7 @@ def test_intervals_of_the_errors_hold_as_often_as_they_say(cheap, dear):
     assert widths[0] < widths[1]
 
 
-def test_perfect_cheap_results_leave_the_monte_carlo_as_it_is():
+def test_perfect_cheap_results_do_not_change_the_monte_carlo_estimate():
     y, _ = population(np.random.default_rng(0), 200)
     found = two_level(y, [3, 50, 120, 7], y[[3, 50, 120, 7]])
     assert found.mean.value == pytest.approx(y.mean(), rel=1e-13) and found.sigma.value == pytest.approx(
@@ -95,14 +95,14 @@ def test_a_wrong_scale_is_corrected():
     )
 
 
-def test_constant_cheap_results_leave_the_dear_ones():
+def test_constant_cheap_results_give_the_estimate_of_expensive_ones():
     x = np.array([1.0, 2.0, 4.0, 5.0])
     found, plain = two_level(np.full(50, 3.0), range(4), x), estimates.mean(x)
     assert (found.mean.value, found.mean.low, found.mean.high) == pytest.approx((plain.value, plain.low, plain.high))
     assert found.sigma.value == pytest.approx(x.std(ddof=1))
 
 
-def test_too_few_dear_results_have_no_interval():
+def test_too_few_expensive_results_have_no_interval():
     found = two_level([1.0, 2.0, 3.0], [0, 2], [2.0, 4.0])
     assert found.mean.value == 3.0 and np.isnan([found.mean.low, found.sigma.high]).all()
 
@@ -111,12 +111,12 @@ def test_too_few_dear_results_have_no_interval():
     "cheap, chosen, dear, words",
     [([1.0, np.nan], [0], [1.0], "finite"), ([1.0, 2.0], [], [], "0 dear"), ([1.0, 2.0], [0, 1], [1.0], "2 chosen")],
 )
-def test_bad_input_is_refused(cheap, chosen, dear, words):
+def test_invalid_input_is_refused(cheap, chosen, dear, words):
     with pytest.raises(ValueError, match=words):
         two_level(cheap, chosen, dear)
 
 
-def test_choice_is_typical_then_extreme_and_random_by_turns():
+def test_samples_are_chosen_typical_then_extreme_and_random_in_turn():
     x = np.random.default_rng(5).standard_normal((60, 3))
     x[17] = 40.0, 0, 0  # the farthest
     numbers = 100 + np.arange(60)
@@ -129,7 +129,7 @@ def test_choice_is_typical_then_extreme_and_random_by_turns():
 
 @pytest.fixture(scope="module")
 def lap():
-    """As the paper goes, each stage in one step: there (13) is farthest from Coulomb's law."""
+    """Each stage in one step, as in the paper, where (13) differs most from Coulomb's law."""
     return going(followed_lap(), "one-step")
 
 
@@ -144,7 +144,7 @@ def followed_lap():
 
 
 @pytest.mark.slow
-def test_a_scene_is_verified(lap, cache, tmp_path, monkeypatch):
+def test_a_scene_is_verified_and_cached(lap, cache, tmp_path, monkeypatch):
     """On nominal meshes the reduced Coulomb is exact; (13) is not. A second call solves nothing again."""
     summary = verify_scene(lap, tmp_path, cache, 3, False, Team(), lambda line: None, ())
     samples = {(row["law"], row["sample"]): row for row in summary["per_sample"]}
@@ -168,15 +168,15 @@ def test_a_scene_is_verified(lap, cache, tmp_path, monkeypatch):
 
 
 @pytest.mark.slow
-def test_a_scene_whose_path_is_followed_is_verified_on_the_same_increments(cache, tmp_path):
-    """Else the difference would be what either path leaves, and not that of the reduction."""
+def test_a_followed_path_is_verified_with_the_same_increments(cache, tmp_path):
+    """Otherwise the difference would include the errors of both paths."""
     summary = verify_scene(followed_lap(), tmp_path, cache, 1, False, Team(), lambda line: None, ())
     (row,) = [row for row in summary["per_sample"] if row["law"] == "coulomb"]
     assert row["force, relative"] < 1e-8 and row["changed states"] == 0
 
 
 @pytest.mark.slow
-def test_a_full_solve_that_fails_is_named_and_left_out(lap, cache, tmp_path, monkeypatch):
+def test_a_failed_full_solve_is_named_and_left_out(lap, cache, tmp_path, monkeypatch):
     from fem_reference.full.model import ContactFailure
 
     solve, calls = FullModel.evaluate, []
@@ -196,7 +196,7 @@ def test_a_full_solve_that_fails_is_named_and_left_out(lap, cache, tmp_path, mon
     assert "planted failure" in (tmp_path / "report.html").read_text()
 
 
-def test_the_truth_has_coulombs_law_even_where_the_scene_does_not_ask_for_it(lap, cache, tmp_path):
+def test_the_reference_always_uses_coulombs_law(lap, cache, tmp_path):
     only = lap.model_copy(update={"report": replace_laws(lap, ["frictionless"])})
     summary = verify_scene(only, tmp_path, cache, 1, False, Team(), lambda line: None, ())
     assert summary["truth"]["law"] == "coulomb" and {row["law"] for row in summary["per_sample"]} == {

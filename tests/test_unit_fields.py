@@ -1,4 +1,4 @@
-"""Fields of unit forces, kept from run to run: what is solved for, and without finite elements once it is there."""
+"""Displacement fields of unit forces: solved, cached, and read without finite elements."""
 
 import numpy as np
 import pytest
@@ -37,7 +37,7 @@ def without_elements(monkeypatch):
     return lambda: monkeypatch.setattr(provider, "find", none)
 
 
-def test_what_is_kept_gives_the_fields_that_are_solved_for(part, loads, tmp_path, without_elements):
+def test_cached_fields_equal_solved_fields(part, loads, tmp_path, without_elements):
     direct, modes = provider.find(part).field(part, loads)
     made = displacement_field(part, loads, tmp_path)
     without_elements()
@@ -49,7 +49,7 @@ def test_what_is_kept_gives_the_fields_that_are_solved_for(part, loads, tmp_path
     np.testing.assert_array_equal(displacement_field(part, loads, tmp_path)[0], made[0])  # to the bit
 
 
-def test_further_functionals_join_those_that_are_kept(part, loads, tmp_path, monkeypatch, without_elements):
+def test_further_functionals_are_added_to_the_cache(part, loads, tmp_path, monkeypatch, without_elements):
     direct = provider.find(part).field(part, loads)[0][:, :3]
     few = loads.copy()
     few[np.flatnonzero(loads.any(axis=1))[:5]] = 0.0
@@ -62,7 +62,7 @@ def test_further_functionals_join_those_that_are_kept(part, loads, tmp_path, mon
     displacement_field(part, few, tmp_path), displacement_field(part, loads, tmp_path)
 
 
-def test_no_more_is_kept_than_has_room(part, loads, tmp_path, monkeypatch):
+def test_the_cache_is_limited_in_size(part, loads, tmp_path, monkeypatch):
     size = 8 * part.surface.points.size
     monkeypatch.setattr(fields, "LARGEST", 7 * size)  # bytes of seven fields
     direct = provider.find(part).field(part, loads)[0][:, :3]

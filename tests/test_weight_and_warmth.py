@@ -1,4 +1,4 @@
-"""Gravity, temperature, pins and holes out of place: against closed forms and the full solve, and where they act."""
+"""Gravity, temperature, displaced pins and holes against closed forms and the full solve."""
 
 from __future__ import annotations
 
@@ -91,7 +91,7 @@ def test_a_strip_sags_under_its_weight_as_a_beam_does(tmp_path):
 
 
 @pytest.mark.fem
-def test_nothing_of_its_weight_is_left_where_it_hangs_otherwise(tmp_path):
+def test_gravity_acts_only_in_its_stage(tmp_path):
     for stage, left in ((None, 0.0), ("measure", 1.0)):
         item = GRAVITY if stage is None else GRAVITY | {"stage": stage}
         sag = mic.reduce(strip(tmp_path, [item], hung=True), tmp_path / "cache").evaluate({}).measurements[0, 0]
@@ -115,7 +115,7 @@ IN_PLANE = {"name": "M3", "part": "upper", "point": [130, 12.5, 1], "direction":
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", ["gravity", "temperature"])
 def test_the_full_solve_agrees_on_the_lap_joint(kind, cache):
-    """Of gravity also where its weight is spread by the elements themselves."""
+    """Nodal forces of gravity are those of the elements."""
     from fem_reference.full.model import FullModel  # only here: what else is tested takes no finite elements
 
     item = {"gravity": {"direction": [0.6, 0, -0.8], "mean": 3.0}, "temperature": {"mean": 40.0, "part": "upper"}}[kind]
@@ -142,7 +142,7 @@ def test_the_full_solve_agrees_on_the_lap_joint(kind, cache):
         np.testing.assert_allclose(rows.sum(axis=0), np.concatenate(expected), atol=1e-12)
 
 
-def test_weights_come_with_their_parts_and_go_with_their_station():
+def test_weights_are_loads_from_placement_to_the_next_station():
     again = [{**one, "name": f"N-{one['name']}", "stage": "measure"} for one in lap([])["locators"][:6]]
     upside_down = {"name": "h", "kind": "gravity", "direction": [0, 0, 1], "stage": "measure"}
     table = lap([GRAVITY, upside_down])
@@ -157,7 +157,7 @@ def test_weights_come_with_their_parts_and_go_with_their_station():
 PIN = {"kind": "locator", "sigma": 0.0, "target": ["upper-C1", "upper-B1"]}
 
 
-def test_a_pin_out_of_place_moves_each_locator_by_what_lies_along_it_and_a_hole_the_other_way(lap_scene, cache):
+def test_a_displaced_pin_moves_its_locators_and_a_displaced_hole_does_the_opposite(lap_scene, cache):
     along = [0.6, 0.8, 0]
     items = [
         {"name": "x", "kind": "locator", "target": "upper-C1", "sigma": 0.0},
@@ -206,28 +206,28 @@ BAD = {
 
 
 @pytest.mark.parametrize("case", BAD)
-def test_what_cannot_be_meant_is_refused_with_the_remedy(case, cache):
-    item, said = BAD[case]
-    with pytest.raises(mic.SceneError, match=said):
+def test_invalid_deviations_are_refused_with_the_remedy(case, cache):
+    item, message = BAD[case]
+    with pytest.raises(mic.SceneError, match=message):
         assemble(read(lap([item])), cache)
 
 
 @pytest.mark.parametrize("kind, key", [("gravity", "density"), ("temperature", "expansion")])
-def test_what_a_material_lacks_is_asked_for(kind, key, cache):
+def test_a_missing_material_property_is_refused(kind, key, cache):
     table = lap([{"name": "D", "kind": kind, "sigma": 1.0}])
     del table["parts"][1][key]
     with pytest.raises(mic.SceneError, match=rf"deviations\[0\] \(D\): part 'upper' needs {key}"):
         assemble(read(table), cache)
 
 
-def test_maps_of_displacement_do_not_pass_over_what_grows(cache):
+def test_fields_with_thermal_expansion_are_refused(cache):
     table = lap([{"name": "T", "kind": "temperature", "sigma": 1.0}])
     table["report"]["fields"] = True
     with pytest.raises(mic.SceneError, match="T.: fields do not include expansion; leave fields out of .report."):
         assemble(read(table), cache)
 
 
-def test_no_source_does_anything_that_the_scene_does_not_say(lap_scene):
+def test_sources_without_temperature_do_not_expand(lap_scene):
     for source in sources(lap_scene):
         assert source.expansion() == {}
 
@@ -235,8 +235,8 @@ def test_no_source_does_anything_that_the_scene_does_not_say(lap_scene):
 MU = {"name": "mu", "kind": "friction", "target": "lap", "sigma": 0.05}
 
 
-def test_friction_that_varies_is_that_of_scenes_with_other_friction(lap_scene, cache):
-    """Of runs of equal values, of single ones, and of what is negative, which is counted."""
+def test_varying_friction_equals_scenes_with_that_friction(lap_scene, cache):
+    """Samples of equal, of different and of negative friction, which fails."""
     table = lap_scene.model_dump()
     forces = table["deviations"]
     varied = mic.reduce(mic.Scene(**table | {"deviations": [*forces, MU], "folder": lap_scene.folder}), cache)
@@ -260,7 +260,7 @@ def test_friction_that_varies_is_that_of_scenes_with_other_friction(lap_scene, c
 
 
 @pytest.mark.parametrize(
-    "change, said",
+    "change, message",
     [
         ({"target": "roof"}, "no zone called 'roof'"),
         ({"target": []}, "target"),
@@ -273,14 +273,14 @@ def test_friction_that_varies_is_that_of_scenes_with_other_friction(lap_scene, c
         ),
     ],
 )
-def test_friction_of_no_zone_is_refused_with_the_remedy(change, said, cache):
+def test_invalid_friction_deviations_are_refused_with_the_remedy(change, message, cache):
     table = lap([MU | {key: value for key, value in change.items() if not key.startswith("friction")}])
     table["zones"][0] |= {key: value for key, value in change.items() if key.startswith("friction")}
-    with pytest.raises(mic.SceneError, match=said):
+    with pytest.raises(mic.SceneError, match=message):
         assemble(read(table), cache)
 
 
-def test_what_rests_by_contact_alone_presses_with_its_weight_as_well(cache):
+def test_a_part_held_by_contact_alone_presses_with_its_weight(cache):
     """The upper strip without locators: lap and pad carry the clamp and its weight; without the pad it tips over."""
     table = lap([GRAVITY | {"direction": [0, 0, -1], "mean": 20.0}])
     table["parts"] = [part | {"rests": part["name"] == "upper"} for part in table["parts"]]

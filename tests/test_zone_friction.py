@@ -1,4 +1,4 @@
-"""Friction of a zone: by stage, by pressure, and contacts that yield; on the lap joint's own process."""
+"""Friction of a zone by stage and by pressure, and yielding contacts, on the lap joint."""
 
 import numpy as np
 import pytest
@@ -59,7 +59,7 @@ def ratio(resolution):
     return np.where(loaded, np.hypot(f[..., 1], f[..., 2]) / np.where(loaded, f[..., 0], 1.0), 0.0).max(axis=1)
 
 
-def test_friction_by_stage_is_that_of_each_stage(evaluated):
+def test_each_stage_has_its_own_friction(evaluated):
     _, same_everywhere = evaluated(friction={"clamp": 0.2, "release": 0.2, "default": 0.2})
     _, constant = evaluated(friction=0.2)
     same(same_everywhere, constant)
@@ -76,7 +76,7 @@ def test_friction_by_stage_is_that_of_each_stage(evaluated):
 
 
 @pytest.mark.parametrize("keys", [{"friction_table": TABLE}, {"friction_power": POWER}], ids=["table", "power"])
-def test_slipping_pairs_hold_what_the_pressure_on_their_area_gives(evaluated, keys):
+def test_slipping_pairs_have_the_friction_of_their_pressure(evaluated, keys):
     model, found = evaluated("pressure-dependent", **keys)
     assert not found.failed.any()
     slipping, held = 0, []
@@ -103,8 +103,8 @@ def test_a_table_of_one_point_is_coulombs_law(evaluated):
     same(constant, coulomb, 1e-9)
 
 
-def test_contacts_that_yield_move_by_what_their_forces_ask(evaluated):
-    """What a loaded pair moves and its slider does not is ``-c Δf_t``, ``c = 1/(k_t A)``; stiff pairs are Coulomb's."""
+def test_yielding_contacts_move_in_proportion_to_their_forces(evaluated):
+    """A loaded pair moves relative to its slider by ``-c Δf_t``, ``c = 1/(k_t A)``; stiff pairs obey Coulomb's law."""
     model, found = evaluated("micro-slip", tangential_stiffness=YIELDING, friction=0.27)
     _, coulomb = evaluated("coulomb", friction=0.27)
     c = 1.0 / (YIELDING * model.contacts.area)
@@ -121,7 +121,7 @@ def test_contacts_that_yield_move_by_what_their_forces_ask(evaluated):
     same(stiff, coulomb, 1e-5)
 
 
-def test_zones_with_and_without_a_function_stand_side_by_side(lap_scene, cache):
+def test_zones_with_different_friction_functions_can_be_combined(lap_scene, cache):
     """Under one law: a zone with a long table, one with a short, one with friction by stage alone."""
     scene = with_zone(lap_scene, pairs=6)
     zone = scene.zones[0]
@@ -140,7 +140,7 @@ def test_zones_with_and_without_a_function_stand_side_by_side(lap_scene, cache):
     assert set(contacts.zone) == {0, 1, 2}
 
 
-def test_pressure_is_the_force_over_the_disc_that_a_pair_reads(lap_scene, cache):
+def test_pressure_is_the_force_over_the_patch_area(lap_scene, cache):
     tributary = assemble(with_zone(lap_scene), cache).contacts
     np.testing.assert_array_equal(tributary.bearing, tributary.area)
     disc = assemble(with_zone(lap_scene, patch=3.0, tangential_stiffness=YIELDING), cache).contacts
@@ -148,7 +148,7 @@ def test_pressure_is_the_force_over_the_disc_that_a_pair_reads(lap_scene, cache)
     np.testing.assert_allclose(disc.compliance, 1.0 / (YIELDING * np.pi * 9.0))
 
 
-def test_a_reduced_model_keeps_its_friction(evaluated, tmp_path):
+def test_a_saved_model_keeps_its_friction(evaluated, tmp_path):
     model, found = evaluated("pressure-dependent", friction_table=TABLE, friction={"clamp": 0.1, "default": 0.3})
     model.save(tmp_path / "model.npz")
     loaded = ReducedModel.load(tmp_path / "model.npz")
