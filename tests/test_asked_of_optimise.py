@@ -90,7 +90,7 @@ def test_measured_parts_are_counted_and_a_file_that_is_none_is_refused(tmp_path)
 def test_what_is_found_of_a_run_stands_in_its_report(tmp_path, monkeypatch):
     """Its tables go where the report is drawn from, with the run's folder held; elsewhere there is no page."""
     model, drawn = built({"forces": WHOLE["forces"], "of": ["M"]}), []
-    monkeypatch.setattr("mic.commands.optimise.studied", lambda console, source: (model, source))
+    monkeypatch.setattr("mic.commands.optimise.load_model", lambda console, source: (model, source))
     monkeypatch.setattr("mic.report.page.write_report", lambda folder: drawn.append(folder) or folder / "report.html")
     short = ["--samples", "20", "--fresh", "20", "--budget", "60", "--law", "frictionless"]
     for place in ([], ["--out", str(tmp_path / "elsewhere")]):
@@ -108,5 +108,5 @@ def test_a_candidate_off_its_part_is_told_by_the_check(tmp_path):
     with (folder / "scene.toml").open("a") as file:
         file.write('\n[optimise]\nplaces = [{ item = "welds.W1", points = [[92, 64, 0.5]] }]\n')
     done = CliRunner().invoke(app, ["check", str(folder), "--page", str(tmp_path / "check.html")])
-    assert re.search(r"^optimise.places\[0\].points\[0\] \(welds.W1\): \[92, 64, 0.5\] lies 39 mm", str(done.exception))
-    assert "lies 39 mm off part" in (tmp_path / "check.html").read_text()
+    assert re.search(r"^optimise.places\[0\].points\[0\] \(welds.W1\): \[92, 64, 0.5\] is 39 mm", str(done.exception))
+    assert "is 39 mm away from part" in (tmp_path / "check.html").read_text()

@@ -171,7 +171,7 @@ WRONG = {
     ),
     "tong where nothing faces": (
         {"clamps": [{"parts": ["plate", "ring"], "point": [3, 3, 0.5], "force": 5}]},
-        ["clamps[0] (X).point", "off part 'ring'", "nearest point on it is"],
+        ["clamps[0] (X).point", "away from part 'ring'", "nearest point on it is"],
     ),
     "tong that pulls apart": (
         {"clamps": [{"parts": ["plate", "ring"], "point": PAD, "direction": [0, 0, -1], "force": 5}]},
@@ -334,7 +334,7 @@ def test_a_node_and_the_middle_of_a_set_are_where_the_deck_has_them(folder):
 NOT_THERE = {
     "node": ({"node": 77}, ["measurements[0] (M).node", "has no node 77 on its surface", "1001, at (38, 30, 1)"]),
     "set": ({"set": "LCO"}, ["measurements[0] (M).set", "no set of nodes 'LCO'", "nearest name is 'LOC'"]),
-    "spread": ({"set": "RIMS"}, ["2 nodes of 'RIMS'", "7.93 mm off part 'ring'", "(38, 30, 1)"]),
+    "spread": ({"set": "RIMS"}, ["2 nodes of 'RIMS'", "7.93 mm away from part 'ring'", "(38, 30, 1)"]),
 }
 
 
@@ -410,7 +410,7 @@ def test_a_pad_may_lie_over_a_hole_or_a_set_of_nodes(folder):
         ({"node": 99999}, r"fixtures\[0\] \(pad\).node: part 'plate' has no node 99999 .* nearest number is"),
         ({"set": "LOCC"}, r"fixtures\[0\] \(pad\).set: part 'plate' has no set"),
         ({"hole": [1, 2, 0]}, r"fixtures\[0\] \(pad\).hole: part 'plate' has no hole"),
-        ({"point": [30, 30, 9]}, r"\(pad\).point: \(30, 30, 9\) lies 9 mm off part 'plate' .* nearest .*\(30, 30, 0\)"),
+        ({"point": [30, 30, 9]}, r"\(pad\).point: \(30, 30, 9\) is 9 mm away from part 'plate' .* nearest .*\(30, 30, 0\)"),
     ],
 )
 def test_a_pad_that_cannot_be_set_is_refused_by_its_name(folder, keys, words):

@@ -24,7 +24,22 @@ LAP = Path(__file__).resolve().parents[1] / "meshes" / "lap_joint"
 # What is wrong, the edit that makes it so, and what the message must name.
 BROKEN = {
     "negative thickness": (r"thickness = 1\b", "thickness = -1", ["parts[0].thickness", "greater than 0", "-1"]),
-    "unknown key": (r"young = 210000", "yung = 210000", ["parts[0].yung", "unknown key"]),
+    "unknown key": (r"young = 210000", "yung = 210000", ["parts[0].yung", "unknown key; did you mean 'young'?"]),
+    "unknown key of a deviation": (
+        r'(name = "F1"\n(?:.*\n)*?)sigma',
+        r"\1sigm",
+        ["deviations[0].sigm (F1)", "unknown key; did you mean 'sigma'?"],
+    ),
+    "unknown key without a similar one": (
+        r"young = 210000",
+        "young = 210000\ncolour = 3",
+        ["parts[0].colour (lower)", "unknown key; remove it or correct its spelling"],
+    ),
+    "unknown key of a settings table": (
+        r"\[monte_carlo\]",
+        "[monte_carlo]\nsample = 9",
+        ["monte_carlo.sample", "unknown key; did you mean 'samples'?"],
+    ),
     "negative friction": (r"friction = 0.27", "friction = -0.1", ["zones[0].friction", "greater than or equal to 0"]),
     "friction of a stage that there is not": (
         r"friction = 0.27",
@@ -213,12 +228,12 @@ BROKEN_ON_MESH = {
     "weld off the part": (
         r"point = \[88, 6, 0.5\]",
         "point = [30, 6, 0.5]",
-        ["welds[0].point", "off part 'upper'", "correct the coordinates"],
+        ["welds[0].point", "away from part 'upper'", "correct the coordinates"],
     ),
     "clamp off the part": (
         r"point = \[72, 12.5, 1\]",
         "point = [72, 12.5, 40]",
-        ["clamps[0].point", "39 mm off part 'upper'"],
+        ["clamps[0].point", "39 mm away from part 'upper'"],
     ),
     "empty zone": (
         r"friction = 0.27",

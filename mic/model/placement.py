@@ -170,7 +170,7 @@ class _Placing:
         foot = self.surfaces[part].project(point)
         if foot.distance[0] > REACH:
             raise SceneError(
-                f"{key}.point: {_text(point)} lies {foot.distance[0]:.3g} mm off part {part!r} (at most "
+                f"{key}.point: {_text(point)} is {foot.distance[0]:.3g} mm away from part {part!r} (at most "
                 f"{REACH:g} mm is allowed); the nearest point on it is {_text(foot.point[0])}"
             )
         return foot.point[0]
@@ -220,7 +220,7 @@ class _Placing:
         if distance > REACH:
             nearest = points[np.argmin(np.linalg.norm(points - middle, axis=1))]
             raise SceneError(
-                f"{key}: the mean of the {len(points)} nodes of {name!r} lies {distance:.3g} mm off part {part!r} "
+                f"{key}: the mean of the {len(points)} nodes of {name!r} is {distance:.3g} mm away from part {part!r} "
                 f"(at most {REACH:g} mm is allowed); give a set of nodes closer together, the rim of a hole as hole, "
                 f"or a point: the node nearest to the mean is at {_text(nearest)}"
             )

@@ -134,7 +134,7 @@ def _check_reach(key: str, part: str, point: list[float], foot: np.ndarray, dist
     if distance > REACH:
         nearest = ", ".join(f"{x:.6g}" for x in foot)
         raise SceneError(
-            f"{key}: {point} lies {distance:.3g} mm off part {part!r} (at most {REACH} mm is allowed), its nearest "
+            f"{key}: {point} is {distance:.3g} mm away from part {part!r} (at most {REACH} mm is allowed), its nearest "
             f"point is [{nearest}]; correct the coordinates or the part"
         )
 

@@ -42,7 +42,7 @@ from mic.compliance.elimination import eliminate
 from mic.compliance.support import completing_rows, independent_rows, motion_size, statically_determinate
 from mic.errors import FreeMotion, SceneError
 from mic.model.sources import KnownShape, sources
-from mic.scene.stages import set_down_in
+from mic.scene.stages import placing_stages
 
 __all__ = ["controlling_forces", "datum_rows", "known_shapes", "shape_readings"]
 
@@ -69,7 +69,7 @@ def datum_rows(assembly, p: int, G: np.ndarray) -> csr_matrix:
     """
     scene, name, size = assembly.scene, assembly.parts[p].name, motion_size((G,))
     functionals = slice(assembly.offsets[p], assembly.offsets[p + 1])
-    first = set_down_in(scene)[name]
+    first = placing_stages(scene)[name]
     numbers = [i for i, item in enumerate(scene.locators) if item.part == name and item.stage == first]
     locators = assembly.rows["locator"][numbers][:, functionals]
     try:

@@ -16,7 +16,7 @@ from scipy.spatial import cKDTree
 from mic.geometry.surface import Surface
 from mic.model.overlap import mean_gaps
 from mic.plausibility.finding import Finding, Point, label
-from mic.scene.stages import moves_assembly, set_down_in
+from mic.scene.stages import moves_assembly, placing_stages
 
 EXTENT = (25.0, 5000.0)  # mm, diagonal of a part
 SLENDER = 20.0  # extents of a part in thicknesses, at least
@@ -91,7 +91,7 @@ def off_the_sheet(assembly) -> Iterator[Finding]:
         at = tuple(float(x) for x in foot.point[0])
         if gap > OFF:
             near = ", ".join(f"{x:.4g}" for x in at)
-            yield label(table, item), f"is {gap:.2g} mm off part {part.name}, nearest point [{near}]", item.point
+            yield label(table, item), f"is {gap:.2g} mm away from part {part.name}, nearest point [{near}]", item.point
 
 
 def pad_large(assembly) -> Iterator[Finding]:
@@ -316,7 +316,7 @@ def _beside(points: np.ndarray, at: np.ndarray, direction: np.ndarray) -> float:
 
 def locators_in_line(assembly) -> Iterator[Finding]:
     """Parts whose locators are nearly in line, or close together, so that a small error of one moves the part far."""
-    scene, stations = assembly.scene, set_down_in(assembly.scene)
+    scene, stations = assembly.scene, placing_stages(assembly.scene)
     for part in assembly.parts:
         own = [item for item in scene.locators if item.part == part.name and item.stage == stations[part.name]]
         if not own:

@@ -13,7 +13,7 @@ import numpy as np
 
 from mic.contact.laws import LAWS
 from mic.plausibility.finding import Finding, label
-from mic.scene.stages import moves_assembly, set_down_in
+from mic.scene.stages import moves_assembly, placing_stages
 
 PARALLEL = 0.99  # cosine of the angle between two directions that count as equal
 PINNED = 1.0  # mm between two points that count as one
@@ -136,7 +136,7 @@ def force_on_a_locator(scene) -> Iterator[Finding]:
         for locator in scene.locators if item.kind == "force" else ():
             along = abs(_cosine(item, locator)) > PARALLEL
             if along and item.part == locator.part and _apart(item, locator) < PINNED:
-                if locator.stage == set_down_in(scene).get(item.part):
+                if locator.stage == placing_stages(scene).get(item.part):
                     yield label("deviations", item), f"pushes onto locator {locator.name}", item.point
 
 

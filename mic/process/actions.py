@@ -14,7 +14,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from mic.model.rows import NORMAL
-from mic.scene.stages import moves_assembly, set_down_in
+from mic.scene.stages import moves_assembly, placing_stages
 
 __all__ = [
     "STAGE_MOVES",
@@ -290,7 +290,7 @@ def _weights(scene, station: str, stages: Sequence[str]) -> tuple[int, ...]:
 
     They follow the clamps' rows, grouped by deviation of kind gravity.
     """
-    there, first = set_down_in(scene), scene.stages[0].name
+    there, first = placing_stages(scene), scene.stages[0].name
     gravity = [item for item in scene.deviations if item.kind == "gravity"]
     return tuple(
         len(scene.clamps) + g * len(scene.parts) + p

@@ -20,7 +20,7 @@ from mic.process.actions import (
     Withdraw,
 )
 from mic.process.plan import StagePlan, Step
-from mic.scene.stages import set_down_in
+from mic.scene.stages import placing_stages
 
 __all__ = ["opening", "sentences"]
 
@@ -74,7 +74,7 @@ def _step_sentence(scene, step: Step) -> str:
 
 def _clauses(scene, action: Action) -> Iterable[str]:
     if isinstance(action, Placement):
-        placed_in, locators = set_down_in(scene), [scene.locators[i] for i in action.locators]
+        placed_in, locators = placing_stages(scene), [scene.locators[i] for i in action.locators]
         others = [one.name for one in locators if placed_in[one.part] != one.stage]
         if others:
             yield f"all locators and clamps open, and the assembly is placed on {_enumeration(others)}"

@@ -27,7 +27,7 @@ from mic.process.actions import (
     together,
 )
 from mic.process.free_motions import check_resting, with_resting_parts
-from mic.scene.stages import set_down_in
+from mic.scene.stages import placing_stages
 
 __all__ = ["Limit", "StagePlan", "Step", "plan_assembly", "plan_stages", "row_compliance"]
 
@@ -246,7 +246,7 @@ def plan_stages(scene, weld_size, limited: bool = True) -> list[StagePlan]:
     """
     rows = _Rows(scene, Joints(tuple(weld_size)), limited)
     plans: list[StagePlan] = []
-    placed_in, first_stage = set_down_in(scene), scene.stages[0].name
+    placed_in, first_stage = placing_stages(scene), scene.stages[0].name
     waiting = (i for i, item in enumerate(scene.locators) if item.stage == placed_in[item.part] != first_stage)
     fixture = Fixture(waiting=tuple(waiting))
     away = tuple(range(len(scene.zones)))

@@ -188,7 +188,7 @@ class ShapeDeviation(DeviationKeys):
 
     kind: Literal["shape"] = Field(description='`"shape"`')
     part: Name = Field(description="the part whose shape varies")
-    points: Annotated[list[Vector], Field(min_length=1)] = Field(description="mm, at most 5 mm off the part")
+    points: Annotated[list[Vector], Field(min_length=1)] = Field(description="mm, at most 5 mm from the part")
     values: Annotated[list[FiniteFloat], Field(min_length=1)] | None = Field(
         None, description="deviation at each point, mm; default: 1 everywhere"
     )
@@ -298,7 +298,7 @@ class FieldDeviation(DeviationKeys):
     )
     points: Annotated[list[Vector], Field(min_length=1)] | None = Field(
         None,
-        description="control points, mm, at most 5 mm off the part, where `sigma` is that of the part on its locators",
+        description="control points, mm, at most 5 mm from the part, where `sigma` is that of the part on its locators",
     )
     values: Annotated[list[Positive], Field(min_length=1)] | None = Field(
         None, description="with `points`: factor of `sigma` at each point; default: 1"

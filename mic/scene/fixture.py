@@ -37,7 +37,7 @@ class Fixture(Table):
     name: Name = Field(description="name of the fixture in `[[zones]]`")
     mesh: str | None = Field(None, description="mesh file, relative to the scene file")
     point: Vector | None = Field(
-        None, description="or the centre of a flat round pad, mm; with `part` at most 5 mm off the part"
+        None, description="or the centre of a flat round pad, mm; with `part` at most 5 mm from the part"
     )
     part: Name | None = Field(None, description="the part that the pad touches")
     node: Count | None = Field(None, description="with `part`: or the number of a node")

@@ -104,7 +104,7 @@ class OnSheet(Table):
     """An item on a part, at a point, at a node or at the centre of a node set."""
 
     name: Name = Field(description="name of the item")
-    point: Place = Field(UNPLACED, description="a point, mm, at most 5 mm off the part")
+    point: Place = Field(UNPLACED, description="a point, mm, at most 5 mm from the part")
     node: Count | None = Field(None, description="or the number of a node in the part's mesh file")
     set: Annotated[str, Field(min_length=1)] | None = Field(
         None, description="or the name of a node set in the part's mesh file: its centre"

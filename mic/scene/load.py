@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import difflib
 import tomllib
 from pathlib import Path
 from types import SimpleNamespace
@@ -11,6 +12,7 @@ from pydantic import TypeAdapter, ValidationError
 
 from mic.errors import SceneError
 from mic.scene.checks import find_errors
+from mic.scene.keys import Table
 from mic.scene.schema import TABLES, Scene
 from mic.scene.tables import expand_tables
 
@@ -115,7 +117,7 @@ def _explain(table: dict[str, Any], item) -> list[str]:
     message = item["msg"].removeprefix("Value error, ")
     given = item.get("input")
     remedy = {
-        "extra_forbidden": "unknown key; remove it or correct its spelling",
+        "extra_forbidden": f"unknown key; {_spelling_hint(item['loc'])}",
         "missing": "required key is missing; add it",
         "greater_than": f"{message}; got {given!r}, correct the value",
         "greater_than_equal": f"{message}; got {given!r}, correct the value",
@@ -128,6 +130,30 @@ def _explain(table: dict[str, Any], item) -> list[str]:
     }
     text = remedy.get(item["type"], f"{message}; got {given!r}, correct it")
     return [f"{key}: {line}" if key else line for line in text.splitlines()]
+
+
+def _spelling_hint(location) -> str:
+    """The remedy for an unknown key: the most similar key of the table that it is in."""
+    *steps, key = location or [""]
+    tables: set[type[Table]] = {Scene}
+    for step in steps:
+        inner = [_table_types(kind.model_fields[step].annotation) for kind in tables if step in kind.model_fields]
+        tagged = {kind for kind in tables if "kind" in kind.model_fields and step in _kinds(kind)}
+        tables = set().union(*inner) or tagged or tables
+    keys = sorted({name for kind in tables for name in kind.model_fields} - {"folder"})
+    near = difflib.get_close_matches(str(key), keys, 1)
+    return f"did you mean {near[0]!r}?" if near else "remove it or correct its spelling"
+
+
+def _table_types(annotation: Any) -> set[type[Table]]:
+    """The tables of the scene among the alternatives and members of a type."""
+    if isinstance(annotation, type) and issubclass(annotation, Table):
+        return {annotation}
+    return set().union(*map(_table_types, get_args(annotation)))
+
+
+def _kinds(kind: type[Table]) -> tuple[str, ...]:
+    return get_args(kind.model_fields["kind"].annotation)
 
 
 def _name(table: dict[str, Any], keys: list[str | int]) -> str:

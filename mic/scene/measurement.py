@@ -33,7 +33,7 @@ class OtherPoint(Table):
     """The second point of a characteristic between two points."""
 
     part: Name = Field(description="the part that it is on")
-    point: Place = Field(UNPLACED, description="a point, mm, at most 5 mm off the part")
+    point: Place = Field(UNPLACED, description="a point, mm, at most 5 mm from the part")
     node: Count | None = Field(None, description="or the number of a node in the part's mesh file")
     set: Annotated[str, Field(min_length=1)] | None = Field(
         None, description="or the name of a node set in the part's mesh file: its centre"
@@ -69,7 +69,7 @@ class Measurement(OnPart):
         None, description="`flush`, `gap`, `distance`: the second point, `{ part = NAME, point = [x, y, z] }`"
     )
     points: Annotated[list[Vector], Field(min_length=2)] | None = Field(
-        None, description="`parallelism`, `profile`: the points, mm, at most 5 mm off the part"
+        None, description="`parallelism`, `profile`: the points, mm, at most 5 mm from the part"
     )
     spacing: Positive | None = Field(None, description="or points all over the part, at most this far apart, mm")
     box: tuple[Vector, Vector] | None = Field(

@@ -74,7 +74,7 @@ class OrderChoice(Table):
 
 
 class PlaceChoice(Table):
-    """Alternative points of an item, at most 5 mm off its part."""
+    """Alternative points of an item, at most 5 mm from its part."""
 
     item: str = Field(description="`locators.NAME`, `clamps.NAME` or `welds.NAME`")
     points: Annotated[list[Vector], Field(min_length=1)] = Field(

@@ -33,54 +33,54 @@ def take_samples(scene: Scene) -> tuple[Scene, dict[str, str | None]]:
     SceneError
         For wrong columns or cells, one line each; for a number of samples that the design or the table does not allow.
     """
-    asked = scene.monte_carlo
-    size = DESIGNS[asked.design]
-    if asked.samples % size:
+    settings = scene.monte_carlo
+    size = DESIGNS[settings.design]
+    if settings.samples % size:
         raise SceneError(
-            f"monte_carlo.samples: {asked.samples} is not a multiple of {size}, the samples that design = "
-            f'"{asked.design}" makes together; give {size * max(1, round(asked.samples / size))}'
+            f"monte_carlo.samples: {settings.samples} is not a multiple of {size}, the samples that design = "
+            f'"{settings.design}" makes together; give {size * max(1, round(settings.samples / size))}'
         )
-    if asked.table is None and asked.values is None:
+    if settings.table is None and settings.values is None:
         return scene, {}
     inputs: dict[str, str | None] = {}
-    if asked.table is not None:
-        path = scene.folder / asked.table
+    if settings.table is not None:
+        path = scene.folder / settings.table
         at, where = f"monte_carlo.table: {path}", str(path)
         try:
             values = _parquet(path, scene) if path.suffix == ".parquet" else _text(path, scene)
         except SceneError as error:
             raise SceneError("\n".join(f"monte_carlo.table: {line}" for line in str(error).splitlines())) from None
-        inputs[asked.table] = fingerprint(path.read_bytes())
+        inputs[settings.table] = fingerprint(path.read_bytes())
     else:
         at = where = "monte_carlo.values"
-        if {len(row) for row in asked.values or []} != {len(scene.deviations)}:
+        if {len(row) for row in settings.values or []} != {len(scene.deviations)}:
             raise SceneError(f"{at}: each sample needs {len(scene.deviations)} values, one per deviation; correct them")
-        values = np.array(asked.values)
+        values = np.array(settings.values)
     _check_units(at, scene, values)
-    count = asked.samples if "samples" in asked.model_fields_set else len(values)
+    count = settings.samples if "samples" in settings.model_fields_set else len(values)
     if count > len(values):
         raise SceneError(
             f"monte_carlo.samples: {count} are requested, and {where} has {len(values)} rows; request fewer, or remove "
             "samples"
         )
-    taken = asked.model_copy(update={"samples": count, "values": values.tolist()})
-    return scene.model_copy(update={"monte_carlo": taken}), inputs
+    sampled = settings.model_copy(update={"samples": count, "values": values.tolist()})
+    return scene.model_copy(update={"monte_carlo": sampled}), inputs
 
 
 def _columns(path: Path, given, scene: Scene) -> list[str]:
     """The names of the deviations; raises SceneError if the columns are others."""
-    names, found = [item.name for item in scene.deviations], []
+    names, errors = [item.name for item in scene.deviations], []
     for column in given:
         if column not in names:
             batches = sorted({item.batch for item in _scored(scene) if item.batch is not None})
-            found += error_lines(check_known, f"{path}: row 1", str(column), [*names, *batches], "deviation")
+            errors += error_lines(check_known, f"{path}: row 1", str(column), [*names, *batches], "deviation")
     missing = [repr(name) for name in names if name not in given]
     if len(missing) == 1:
-        found.append(f"{path}: row 1: there is no column {missing[0]}; add it, with a value in each row")
+        errors.append(f"{path}: row 1: there is no column {missing[0]}; add it, with a value in each row")
     elif missing:
-        found.append(f"{path}: row 1: there are no columns {', '.join(missing)}; add them, with a value in each row")
-    if found:
-        raise SceneError("\n".join(found))
+        errors.append(f"{path}: row 1: there are no columns {', '.join(missing)}; add them, with a value in each row")
+    if errors:
+        raise SceneError("\n".join(errors))
     return names
 
 
@@ -88,11 +88,11 @@ def _expand_pieces(path: Path, frame: pd.DataFrame, scene: Scene) -> pd.DataFram
     """Replace columns with names of measured pieces by the scores of these pieces in the batch's deviations."""
     for first in {item.batch: item for item in _scored(scene) if item.batch in frame.columns}.values():
         batch = first.batch
-        own = [item for item in scene.deviations if isinstance(item, ShapeDeviation) and item.batch == batch]
-        twice = [item.name for item in own if item.name in frame.columns]
-        if twice:
+        of_batch = [item for item in scene.deviations if isinstance(item, ShapeDeviation) and item.batch == batch]
+        repeated = [item.name for item in of_batch if item.name in frame.columns]
+        if repeated:
             raise SceneError(
-                f"{path}: row 1: there are columns {batch!r} and {twice[0]!r}; give the piece, or its scores, not both"
+                f"{path}: row 1: there are columns {batch!r} and {repeated[0]!r}; give the piece, or its scores"
             )
         names = first.pieces or [str(i + 1) for i in range(len(first.scores or []))]
         cells = [str(cell).strip() for cell in frame[batch]]
@@ -103,7 +103,7 @@ def _expand_pieces(path: Path, frame: pd.DataFrame, scene: Scene) -> pd.DataFram
                     f"{', '.join(names)}"
                 )
         frame = frame.drop(columns=batch)
-        for item in own:
+        for item in of_batch:
             value = [repr(item.mean + item.sigma * score) for score in item.scores or [0.0] * len(names)]
             frame[item.name] = [value[names.index(cell)] if cell else "" for cell in cells]
     return frame
@@ -160,12 +160,12 @@ def _check_units(at: str, scene: Scene, values: np.ndarray) -> None:
     """Raise SceneError for columns whose values are so many sigma off the mean that their unit must be wrong."""
     items = scene.deviations
     mean, sigma = np.array([[item.mean, item.sigma] for item in items]).reshape(-1, 2).T
-    off = np.sqrt(((values - mean) ** 2).mean(axis=0))
-    found = [
-        f"{at}: column {item.name}: its values are {off[j]:.3g} off the mean, and sigma is {item.sigma:g}; give "
+    distance = np.sqrt(((values - mean) ** 2).mean(axis=0))
+    errors = [
+        f"{at}: column {item.name}: its values are {distance[j]:.3g} off the mean, and sigma is {item.sigma:g}; give "
         f"{entry('deviations', j, item)} and the column in the same unit"
         for j, item in enumerate(items)
-        if item.sigma > 0 and off[j] > FAR * item.sigma
+        if item.sigma > 0 and distance[j] > FAR * item.sigma
     ]
-    if found:
-        raise SceneError("\n".join(found))
+    if errors:
+        raise SceneError("\n".join(errors))

@@ -6,30 +6,30 @@ import difflib
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
-__all__ = ["check_stages", "check_known", "error_lines", "moves_assembly", "raise_errors", "set_down_in"]
+__all__ = ["check_stages", "check_known", "error_lines", "moves_assembly", "raise_errors", "placing_stages"]
 
 #: Kinds of stages that close the items of each table.
 CLOSING = {"locators": ("locate", "clamp", "measure"), "clamps": ("clamp",), "welds": ("weld",)}
 
 
-def set_down_in(scene) -> dict[str, str]:
+def placing_stages(scene) -> dict[str, str]:
     """The stage that places each part: the first locate stage of its locators, or the first stage if it has none."""
     stations = [str(stage.name) for stage in scene.stages if stage.kind == "locate"]
-    found = {}
+    placed_in = {}
     for part in scene.parts:
         named = {locator.stage for locator in scene.locators if locator.part == part.name}
-        found[part.name] = next((name for name in stations if name in named), str(scene.stages[0].name))
-    return found
+        placed_in[part.name] = next((name for name in stations if name in named), str(scene.stages[0].name))
+    return placed_in
 
 
 def moves_assembly(scene, stage) -> bool:
     """Whether a stage moves placed parts to locators of its own, and opens all earlier locators and clamps."""
     if stage is scene.stages[0]:
         return False
-    there = set_down_in(scene)
-    own = [locator for locator in scene.locators if locator.stage == stage.name]
+    placed_in = placing_stages(scene)
     return stage.kind in ("locate", "measure") and any(
-        there.get(locator.part, stage.name) != stage.name for locator in own
+        locator.stage == stage.name and placed_in.get(locator.part, stage.name) != stage.name
+        for locator in scene.locators
     )
 
 
@@ -57,45 +57,45 @@ def check_stages(scene) -> None:
     ValueError
         One line per error, with the key and the remedy.
     """
-    found = error_lines(_check_kinds, scene)
+    errors = error_lines(_check_kinds, scene)
     for key, kinds in CLOSING.items():
         fitting = [stage.name for stage in scene.stages if stage.kind in kinds]
         for i, item in enumerate(getattr(scene, key)):
             if item.stage not in fitting:
-                found.append(
+                errors.append(
                     f"{key}[{i}].stage ({item.name}): no stage of kind {' or '.join(kinds)} is called {item.stage!r}; "
                     f"add one to [[stages]], or name one of: {', '.join(fitting) or 'none yet'}"
                 )
-    if not found:  # the next checks need existing stages
-        found = error_lines(_check_present, scene)
-        held: list[str] = []  # names of the closed locators and clamps
+    if not errors:  # the next checks need existing stages
+        errors = error_lines(_check_present, scene)
+        closed: list[str] = []  # names of the closed locators and clamps
         for i, stage in enumerate(scene.stages):
-            held, lines = _check_stage(scene, i, stage, held)
-            found += lines
-    raise_errors(found)
+            closed, lines = _check_stage(scene, i, stage, closed)
+            errors += lines
+    raise_errors(errors)
 
 
-def _check_stage(scene, i: int, stage, held: list[str]) -> tuple[list[str], list[str]]:
+def _check_stage(scene, i: int, stage, closed: list[str]) -> tuple[list[str], list[str]]:
     """Names of the closed locators and clamps after a stage, and the errors of the stage."""
-    found: list[str] = []
+    errors: list[str] = []
     if stage.kind == "release":
-        found += error_lines(_check_keep, scene, f"stages[{i}].keep ({stage.name})", stage, held)
+        errors += error_lines(_check_keep, scene, f"stages[{i}].keep ({stage.name})", stage, closed)
         kept = {locator.name for locator in scene.locators} if stage.keep is None else set(stage.keep)
-        own = [name for name in held if name not in kept]
-        held = [name for name in held if name in kept]
+        moved = [name for name in closed if name not in kept]
+        closed = [name for name in closed if name in kept]
     else:
-        own = [item.name for key in CLOSING for item in getattr(scene, key) if item.stage == stage.name]
+        moved = [item.name for key in CLOSING for item in getattr(scene, key) if item.stage == stage.name]
         if moves_assembly(scene, stage):
-            held = []
-        held = held + (own if stage.kind != "weld" else [])
+            closed = []
+        closed = closed + (moved if stage.kind != "weld" else [])
     if stage.order is not None:
-        found += error_lines(_check_order, scene, f"stages[{i}].order ({stage.name})", stage, own)
+        errors += error_lines(_check_order, scene, f"stages[{i}].order ({stage.name})", stage, moved)
     if stage.kind in ("locate", "measure") and (stage.path or stage.increments) and not moves_assembly(scene, stage):
         key = "path" if stage.path else "increments"
-        found.append(f"stages[{i}].{key} ({stage.name}): nothing moves in this stage: remove it")
+        errors.append(f"stages[{i}].{key} ({stage.name}): nothing moves in this stage: remove it")
     if stage.path == "one-step":
-        found += error_lines(_check_guns, scene, f"stages[{i}].path ({stage.name})", stage)
-    return held, found
+        errors += error_lines(_check_guns, scene, f"stages[{i}].path ({stage.name})", stage)
+    return closed, errors
 
 
 def _check_guns(scene, key, stage) -> None:
@@ -118,22 +118,22 @@ def _check_kinds(scene) -> None:
 
 
 def _check_present(scene) -> None:
-    """Later locate stages set something down, and nothing is done to a part before it is there."""
+    """Later locate stages place a part, and no stage acts on a part before it is placed."""
     place = {stage.name: i for i, stage in enumerate(scene.stages)}
-    there = set_down_in(scene)
+    placed_in = placing_stages(scene)
     for i, stage in enumerate(scene.stages[1:], 1):
         if stage.kind == "locate" and all(locator.stage != stage.name for locator in scene.locators):
             raise ValueError(
-                f"stages[{i}] ({stage.name}): no locator names it, so nothing is set down in it; give locators "
+                f"stages[{i}] ({stage.name}): no locator names it, so it places nothing; give locators "
                 f"stage = {stage.name!r}, or remove it"
             )
     for key in ("locators", "clamps", "welds"):
         for i, item in enumerate(getattr(scene, key)):
             for name in item.parts if key == "welds" else (item.part,):
-                if name in there and place[item.stage] < place[there[name]]:
+                if name in placed_in and place[item.stage] < place[placed_in[name]]:
                     raise ValueError(
-                        f"{key}[{i}].stage: part {name!r} is set down in stage {there[name]!r}, after {item.stage!r}; "
-                        "name a later stage, or set the part down before"
+                        f"{key}[{i}].stage: part {name!r} is placed in {placed_in[name]!r}, after {item.stage!r}; "
+                        "name a later stage, or place the part before"
                     )
     for i, fixture in enumerate(scene.fixtures):
         stations = [stage.name for stage in scene.stages if stage.kind == "locate"]
@@ -144,17 +144,17 @@ def _check_present(scene) -> None:
             )
 
 
-def _check_keep(scene, key, stage, held: Sequence[str]) -> None:
+def _check_keep(scene, key, stage, closed: Sequence[str]) -> None:
     """Items that a release keeps are closed before it."""
     for name in stage.keep or ():
         _single(scene, key, name)
         check_known(key, name, {item.name for item in (*scene.locators, *scene.clamps)}, "locator or clamp")
-        if name not in held:
+        if name not in closed:
             raise ValueError(f"{key}: {name!r} {_whereabouts(scene, stage, name)}, so it cannot stay closed; remove it")
 
 
-def _check_order(scene, key, stage, own: Sequence[str]) -> None:
-    """The groups of the order have each name of `own` once, and no other."""
+def _check_order(scene, key, stage, moved: Sequence[str]) -> None:
+    """The groups of the order have each name of `moved` once, and no other."""
     if any(isinstance(group, str) for group in stage.order):  # an error of the schema already
         return
     verb = "opens" if stage.kind == "release" else "closes"
@@ -167,14 +167,14 @@ def _check_order(scene, key, stage, own: Sequence[str]) -> None:
                 raise ValueError(f"{key}: {name!r} is given more than once; keep it in one group")
             seen.add(name)
             _single(scene, key, name)
-            if name not in own:
+            if name not in moved:
                 everything = {item.name for table in CLOSING for item in getattr(scene, table)}
                 check_known(key, name, everything, "locator, clamp or weld")
                 raise ValueError(
                     f"{key}: {name!r} {_whereabouts(scene, stage, name)}; "
-                    f"remove it, this stage {verb} {_listed(own) or 'nothing'}"
+                    f"remove it, this stage {verb} {_listed(moved) or 'nothing'}"
                 )
-    left_out = [name for name in own if name not in seen]
+    left_out = [name for name in moved if name not in seen]
     if left_out:
         raise ValueError(
             f"{key}: the stage {verb} {_listed(left_out)} too; add each to a group, or as a group of its own"
@@ -183,13 +183,13 @@ def _check_order(scene, key, stage, own: Sequence[str]) -> None:
 
 def _whereabouts(scene, stage, name: str) -> str:
     """Reason why a stage neither closes nor opens the item of this name."""
-    place = [each.name for each in scene.stages]
+    names = [stage.name for stage in scene.stages]
     table, item = next((key, item) for key in CLOSING for item in getattr(scene, key) if item.name == name)
     if stage.kind != "release":
         return f"belongs to stage {item.stage!r}"
     if table == "welds":
         return "is a weld, and welds stay"
-    if place.index(item.stage) > place.index(stage.name):
+    if names.index(item.stage) > names.index(stage.name):
         return f"closes only in stage {item.stage!r}, after this one"
     if stage.keep is None and table == "locators" or name in (stage.keep or ()):
         return "stays closed (keep)"
@@ -203,8 +203,8 @@ def _single(scene, key, name: str) -> None:
 
 
 def _listed(names: Sequence[str], most: int = 8) -> str:
-    shown = ", ".join(repr(name) for name in names[:most])
-    return shown + f" and {len(names) - most} more" * (len(names) > most)
+    text = ", ".join(repr(name) for name in names[:most])
+    return text + f" and {len(names) - most} more" * (len(names) > most)
 
 
 def check_known(key: str, name: str, names: Iterable[str], what: str) -> None:

@@ -99,13 +99,13 @@ def _from_file(key, item, kind, folder, names, problems) -> list[dict[str, Any]]
         problems.append(f"{key}: {error}")
         return []
     stem = common.get("name") or path.stem
-    found = []
+    items = []
     for count, (number, row) in enumerate(rows, 1):
-        whole = {"name": f"{stem}-{count}"} | {k: v for k, v in common.items() if k != "name"} | row
+        merged = {"name": f"{stem}-{count}"} | {k: v for k, v in common.items() if k != "name"} | row
         if {"node", "set", "hole"} & row.keys():
-            whole = {name: value for name, value in whole.items() if name != "point" or name in row}
-        found.append(whole)
-        errors = [(_column(error["loc"], whole), error["msg"], error["input"]) for error in _errors(kind, whole)]
+            merged = {name: value for name, value in merged.items() if name != "point" or name in row}
+        items.append(merged)
+        errors = [(_column(error["loc"], merged), error["msg"], error["input"]) for error in _errors(kind, merged)]
         for column, message, given in errors:
             text = message.removeprefix("Value error, ")
             where = f", column {column}" if column else ""
@@ -113,12 +113,12 @@ def _from_file(key, item, kind, folder, names, problems) -> list[dict[str, Any]]
             text = "is required; fill it in" if text == "Field required" else text
             problems.append(f"{path}: row {number}{where}: {text}{got}")
         for column in ("part", "parts"):
-            given_names = whole.get(column) or []
+            given_names = merged.get(column) or []
             for name in [given_names] if isinstance(given_names, str) else given_names:
                 if name not in names and column in row:
                     known = ", ".join(sorted(names))
                     problems.append(f"{path}: row {number}, column {column}: there is no part {name!r}; known: {known}")
-    return found
+    return items
 
 
 def _errors(kind: type[BaseModel], row: dict[str, Any]) -> list[Any]:
@@ -175,9 +175,9 @@ def read_cells(path: Path, beside: str = "the scene file") -> tuple[pd.DataFrame
             f"{path}: not a table: {' '.join(str(error).split())}; give each row the same number of cells"
         ) from None
     columns = frame.iloc[0].str.strip()
-    twice = columns[columns.duplicated()]
-    if len(twice):
-        raise SceneError(f"{path}: row 1: column {twice.iloc[0]!r} is given twice; remove one of them")
+    repeated = columns[columns.duplicated()]
+    if len(repeated):
+        raise SceneError(f"{path}: row 1: column {repeated.iloc[0]!r} is given twice; remove one of them")
     frame = frame.iloc[1:].reset_index(drop=True)
     frame.columns = pd.Index(columns)
     return frame, separator
@@ -209,10 +209,10 @@ def read_rows(path: Path, kind: type[BaseModel]) -> list[tuple[int, dict[str, An
     """
     frame, separator = read_cells(path)
     known = [name for name in kind.model_fields if name != "point"]
-    strange = [name for name in frame.columns if name not in (*known, *AXES)]
-    if strange:
+    unknown = [name for name in frame.columns if name not in (*known, *AXES)]
+    if unknown:
         raise SceneError(
-            f"{path}: row 1: there is no column {strange[0]!r}; columns are {', '.join((*AXES, *known))}, "
+            f"{path}: row 1: there is no column {unknown[0]!r}; columns are {', '.join((*AXES, *known))}, "
             "separated by commas, semicolons or tabs"
         )
     given = [axis for axis in AXES if axis in frame.columns]
@@ -268,5 +268,4 @@ def _number(cell: str) -> Any:
 
 
 def _is_text(annotation: Any) -> bool:
-    inner = get_args(annotation)
-    return annotation is str or any(_is_text(one) for one in inner)
+    return annotation is str or any(map(_is_text, get_args(annotation)))

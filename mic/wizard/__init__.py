@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pandas as pd
+from pydantic import BaseModel
 
 from mic.errors import RunError, SceneError
 from mic.scene.measurement import Measurement
@@ -58,22 +59,20 @@ def write_scene(
     if (folder / "scene.toml").exists():
         raise RunError(f"{folder}: it contains a scene already; give another folder with --out")
     bodies = read_bodies(files, thickness or {})
-    listed = _listed_welds(welds, bodies) if welds is not None else None
-    measured = _listed_points(points, bodies) if points is not None else None
-    proposal = propose(bodies, None if listed is None else _by_parts(listed))
+    lists = {}
+    if welds is not None:
+        lists["welds.csv"] = _listed_welds(welds, bodies)
+    if points is not None:
+        lists["points.csv"] = _listed_points(points, bodies)
+    proposal = propose(bodies, None if welds is None else _by_parts(lists["welds.csv"]))
     text = scene_text(
-        proposal,
-        name,
-        folder,
-        None if listed is None else "welds.csv",
-        None if measured is None else "points.csv",
+        proposal, name, folder, "welds.csv" if welds is not None else None, "points.csv" if points is not None else None
     )
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        for rows, file in ((listed, "welds.csv"), (measured, "points.csv")):
-            if rows is not None:
-                with replacing(folder / file) as temporary:
-                    pd.DataFrame(rows).to_csv(temporary, index=False)
+        for file, rows in lists.items():
+            with replacing(folder / file) as temporary:
+                pd.DataFrame(rows).to_csv(temporary, index=False)
         with replacing(folder / "scene.toml") as temporary:
             temporary.write_text(text, encoding="utf-8")
     except OSError as problem:
@@ -83,72 +82,71 @@ def write_scene(
 
 def _listed_welds(file: Path, bodies: list[Body]) -> list[dict[str, Any]]:
     """Rows of the list of welds, each with the two parts that it joins; a weld of three sheets becomes two rows."""
-    found: list[dict[str, Any]] = []
+    welds: list[dict[str, Any]] = []
     problems: list[str] = []
     names = [body.name for body in bodies]
-    for count, (number, row) in enumerate(read_rows(file, Weld), 1):
-        where = f"{file}: row {number}"
-        point = _coordinates(where, row, problems)
-        if point is None:
-            continue
-        pairs = [tuple(row["parts"])] if len(row.get("parts", ())) == 2 else None
-        if pairs is None:
+    for count, location, row, point in _placed_rows(file, Weld, problems):
+        if len(row.get("parts", ())) == 2:
+            pairs = [tuple(row["parts"])]
+            if not set(pairs[0]) <= set(names):
+                problems.append(f"{location}, column parts: {' '.join(pairs[0])}: the parts are {', '.join(names)}")
+        else:
             pairs, nearest = joined(np.array(point), bodies)
             if not pairs:
                 near = " and ".join(f"{name} ({distance:.3g} mm off)" for name, distance in nearest[:2])
-                problems.append(f"{where}: a weld joins two parts within {NEAR:g} mm; the nearest are {near}")
-        elif not set(pairs[0]) <= set(names):
-            problems.append(f"{where}, column parts: {' '.join(pairs[0])}: the parts are {', '.join(names)}")
+                problems.append(f"{location}: a weld joins two parts within {NEAR:g} mm; the nearest are {near}")
         label = str(row.get("name", f"W{count}"))
-        rest = {key: value for key, value in row.items() if key not in ("name", "parts", "point")}
-        for letter, (a, b) in zip("abcdefgh", pairs):
-            own = label + letter * (len(pairs) > 1)
-            found.append({"name": own, "parts": f"{a} {b}", **dict(zip("xyz", point)), **rest})
+        others = {key: value for key, value in row.items() if key not in ("name", "parts", "point")}
+        for letter, pair in zip("abcdefgh", pairs):
+            name = label + letter * (len(pairs) > 1)
+            welds.append({"name": name, "parts": " ".join(pair), **dict(zip("xyz", point)), **others})
     if problems:
         raise SceneError("\n".join(problems))
-    return found
+    return welds
 
 
 def _by_parts(rows: list[dict[str, Any]]) -> dict[tuple[str, str], np.ndarray]:
     pairs: dict[tuple[str, str], list[list[float]]] = {}
     for row in rows:
-        a, b = row["parts"].split()
-        pairs.setdefault((a, b), []).append([row[axis] for axis in "xyz"])
+        first, second = row["parts"].split()
+        pairs.setdefault((first, second), []).append([row[axis] for axis in "xyz"])
     return {pair: np.array(points) for pair, points in pairs.items()}
 
 
 def _listed_points(file: Path, bodies: list[Body]) -> list[dict[str, Any]]:
     """Rows of the list of points to measure, each with its part."""
-    found: list[dict[str, Any]] = []
+    measurements: list[dict[str, Any]] = []
     problems: list[str] = []
-    for count, (number, row) in enumerate(read_rows(file, Measurement), 1):
-        where = f"{file}: row {number}"
-        point = _coordinates(where, row, problems)
-        if point is None:
-            continue
+    for count, location, row, point in _placed_rows(file, Measurement, problems):
         distance = {body.name: float(body.surface.project(point).distance[0]) for body in bodies}
         part = row.get("part", min(distance, key=distance.__getitem__))
         if part not in distance:
-            problems.append(f"{where}, column part: there is no part {part!r}; the parts are {', '.join(distance)}")
+            problems.append(f"{location}, column part: there is no part {part!r}; the parts are {', '.join(distance)}")
         elif distance[part] > NEAR:
-            problems.append(f"{where}: ({', '.join(f'{x:g}' for x in point)}) lies {distance[part]:.3g} mm off {part}")
+            place = ", ".join(f"{x:g}" for x in point)
+            problems.append(f"{location}: ({place}) is {distance[part]:.3g} mm away from {part}")
         direction = row.get("direction", "normal")
-        own = {
+        measurement = {
             "name": row.get("name", f"M{count}"),
             "part": part,
             **dict(zip("xyz", point)),
             "direction": direction if isinstance(direction, str) else " ".join(f"{x:g}" for x in direction),
         }
-        found.append(own | {key: value for key, value in row.items() if key not in (*own, "point")})
+        others = {key: value for key, value in row.items() if key not in (*measurement, "point")}
+        measurements.append(measurement | others)
     if problems:
         raise SceneError("\n".join(problems))
-    return found
+    return measurements
 
 
-def _coordinates(where: str, row: dict[str, Any], problems: list[str]) -> list[float] | None:
-    point = row.get("point")
-    if point is None or any(isinstance(x, str) or not np.isfinite(x) for x in point):
-        given = "nothing" if point is None else ", ".join(str(x) or "nothing" for x in point)
-        problems.append(f"{where}: x, y and z must be numbers, mm; got {given}")
-        return None
-    return [float(x) for x in point]
+def _placed_rows(
+    file: Path, kind: type[BaseModel], problems: list[str]
+) -> Iterator[tuple[int, str, dict[str, Any], list[float]]]:
+    """The count, location, cells and point of each row of a list; rows without a point are added to `problems`."""
+    for count, (number, row) in enumerate(read_rows(file, kind), 1):
+        location, point = f"{file}: row {number}", row.get("point")
+        if point is None or any(isinstance(x, str) or not np.isfinite(x) for x in point):
+            given = "nothing" if point is None else ", ".join(str(x) or "nothing" for x in point)
+            problems.append(f"{location}: x, y and z must be numbers, mm; got {given}")
+        else:
+            yield count, location, row, [float(x) for x in point]

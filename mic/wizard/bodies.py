@@ -11,18 +11,20 @@ from pathlib import Path
 import numpy as np
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
-from scipy.spatial import cKDTree
 
 from mic.errors import SceneError
 from mic.geometry.deck import Deck, Sheet
 from mic.geometry.readers import RawMesh, read_mesh, read_raw
 from mic.geometry.surface import Surface
+from mic.geometry.triangles import linked_rows
 
-__all__ = ["Body", "part_name", "read_bodies"]
+__all__ = ["NO_POINTS", "Body", "part_name", "read_bodies"]
 
 METRES = 10.0  # a smaller part, in the file's unit, is assumed to be in metres
 YOUNG, POISSON = 210e3, 0.3  # steel, if a mesh file has no material
 PLAUSIBLE = (1e3, 1e6)  # MPa; values outside are in other units
+
+NO_POINTS = np.zeros((0, 3))
 
 
 @dataclass(frozen=True)
@@ -70,16 +72,10 @@ class Body:
         return float(np.median(self.surface.edge_lengths))
 
     @cached_property
-    def edge(self) -> tuple[np.ndarray, np.ndarray]:
-        """(q, 3) points along the free edges, at most half an element apart, mm, and their lengths of edge."""
+    def edge(self) -> np.ndarray:
+        """(q, 3) points along the free edges, at most half an element apart, mm."""
         triangle, opposite = np.nonzero(self.surface.border)
-        at = self.surface.sample_edges(triangle, opposite, self.element / 2)
-        return self.surface.at(*at[:2]), at[2]
-
-    def off_edge(self, points: np.ndarray) -> np.ndarray:
-        """(n,) distances of points to the free edge, mm; infinite on a closed surface."""
-        edge = self.edge[0]
-        return cKDTree(edge).query(points)[0] if len(edge) else np.full(len(points), np.inf)
+        return self.surface.at(*self.surface.sample_edges(triangle, opposite, self.element / 2)[:2])
 
 
 def read_bodies(files: Sequence[Path], thickness: Mapping[str | None, float]) -> list[Body]:
@@ -98,24 +94,23 @@ def read_bodies(files: Sequence[Path], thickness: Mapping[str | None, float]) ->
     FormatError, SceneError
         If a file cannot be read, a thickness is missing, or a part consists of separate pieces.
     """
-    found: list[tuple[str, Path, tuple[str, ...]]] = []
+    sources: list[tuple[str, Path, tuple[str, ...]]] = []
     for file in files:
-        raw = read_raw(file)
-        groups = _groups(raw)
+        groups = _groups(read_raw(file))
         if len(groups) > 1:
-            found += [(part_name(sets[0]), file, sets) for sets in groups]
+            sources += [(part_name(sets[0]), file, sets) for sets in groups]
         else:
-            found.append((part_name(file.stem), file, ()))
-    names = _unique([name for name, _, _ in found])
-    strange = [name for name in thickness if name is not None and name not in names]
-    if strange:
-        raise SceneError(f"--thickness {strange[0]}=…: there is no part of that name; the parts are {', '.join(names)}")
-    bodies = [_body(name, file, sets, thickness) for name, (_, file, sets) in zip(names, found)]
-    bare = [body.name for body in bodies if np.isnan(body.thickness)]
-    if bare:
+            sources.append((part_name(file.stem), file, ()))
+    names = _unique([name for name, _, _ in sources])
+    unknown = [name for name in thickness if name is not None and name not in names]
+    if unknown:
+        raise SceneError(f"--thickness {unknown[0]}=…: there is no part of that name; the parts are {', '.join(names)}")
+    bodies = [_body(name, file, sets, thickness) for name, (_, file, sets) in zip(names, sources)]
+    missing = [body.name for body in bodies if np.isnan(body.thickness)]
+    if missing:
         raise SceneError(
-            f"the mesh files lack the thickness of {', '.join(bare)}: give it in mm, --thickness 1.5 for all, or "
-            f"--thickness {bare[0]}=1.5 for one"
+            f"the mesh files lack the thickness of {', '.join(missing)}: give it in mm, --thickness 1.5 for all, or "
+            f"--thickness {missing[0]}=1.5 for one"
         )
     return bodies
 
@@ -127,10 +122,10 @@ def _groups(raw: RawMesh) -> list[tuple[str, ...]]:
         return []
     corners = [*raw.triangles, *raw.quadrilaterals]
     nodes = [np.unique(np.concatenate([corners[i] for i in raw.element_sets[name]])) for name in sets]
-    owner = np.repeat(np.arange(len(sets)), [len(one) for one in nodes])
-    incidence = coo_matrix((np.ones(len(owner)), (owner, np.concatenate(nodes))), shape=(len(sets), len(raw.points)))
-    label = connected_components(incidence @ incidence.T, directed=False)[1]
-    return [tuple(name for name, one in zip(sets, label) if one == group) for group in range(label.max() + 1)]
+    row = np.repeat(np.arange(len(sets)), [len(numbers) for numbers in nodes])
+    incidence = coo_matrix((np.ones(len(row)), (row, np.concatenate(nodes))), shape=(len(sets), len(raw.points)))
+    count, label = connected_components(incidence @ incidence.T, directed=False)
+    return [tuple(name for name, own in zip(sets, label) if own == group) for group in range(count)]
 
 
 def _body(name: str, file: Path, sets: tuple[str, ...], thickness: Mapping[str | None, float]) -> Body:
@@ -140,19 +135,11 @@ def _body(name: str, file: Path, sets: tuple[str, ...], thickness: Mapping[str |
         unit = "m"
         surface, deck = read_mesh(file, sets, unit)
     _check_connected(name, file, surface)
-    told = deck.distinct_sheets()
-    sheet = told[0] if len(told) == 1 else Sheet()
-    various = sorted({one.thickness for one in told if one.thickness is not None})
-    given = thickness.get(name, np.nan)
-    source = "from the command line"
-    if np.isnan(given) and various:
-        areas = {t: sum(_area(surface, deck, one) for one in told if one.thickness == t) for t in various}
-        given = max(areas, key=areas.__getitem__)
-        source = "from the mesh file"
-        if len(various) > 1:
-            source += f", the value of the largest area; it has {', '.join(f'{t:g}' for t in various)}"
-    if np.isnan(given):
-        given = thickness.get(None, np.nan)
+    value, source = _thickness(surface, deck, thickness.get(name, np.nan))
+    if np.isnan(value):
+        value = thickness.get(None, np.nan)
+    sheets = deck.distinct_sheets()
+    sheet = sheets[0] if len(sheets) == 1 else Sheet()
     young, poisson, material = YOUNG, POISSON, "steel; the mesh file has no material"
     if sheet.young is not None and sheet.poisson is not None:
         if PLAUSIBLE[0] <= sheet.young <= PLAUSIBLE[1]:
@@ -160,24 +147,31 @@ def _body(name: str, file: Path, sets: tuple[str, ...], thickness: Mapping[str |
             material = f"from the mesh file{f' (material {sheet.material})' if sheet.material else ''}"
         else:
             material = f"steel; the mesh file has {sheet.young:.3g}, which is not in MPa"
-    return Body(name, file, sets, unit, surface, deck, given, source, young, poisson, material, sheet.offset)
+    return Body(name, file, sets, unit, surface, deck, value, source, young, poisson, material, sheet.offset)
 
 
-def _area(surface: Surface, deck: Deck, sheet: Sheet) -> float:
-    own = [number for number, one in enumerate(deck.sheets) if one == sheet]
-    return float(surface.areas[np.isin(deck.sheet_of, own)].sum())
+def _thickness(surface: Surface, deck: Deck, given: float) -> tuple[float, str]:
+    """The thickness of a part, mm, and its source: as given, else that of most of the area in the mesh file, or NaN."""
+    areas: dict[float, float] = {}
+    for sheet in deck.distinct_sheets():
+        if sheet.thickness is not None:
+            same = [number for number, other in enumerate(deck.sheets) if other == sheet]
+            area = float(surface.areas[np.isin(deck.sheet_of, same)].sum())
+            areas[sheet.thickness] = areas.get(sheet.thickness, 0) + area
+    if not np.isnan(given) or not areas:
+        return given, "from the command line"
+    source = "from the mesh file"
+    if len(areas) > 1:
+        source += f", the value of the largest area; it has {', '.join(f'{value:g}' for value in sorted(areas))}"
+    return max(sorted(areas), key=areas.__getitem__), source
 
 
 def _check_connected(name: str, file: Path, surface: Surface) -> None:
-    corner = surface.triangles
-    a, b = corner[:, [0, 1]].ravel(), corner[:, [1, 2]].ravel()
-    count = len(surface.points)
-    label = connected_components(coo_matrix((np.ones(len(a)), (a, b)), shape=(count, count)), directed=False)[1]
-    pieces, sizes = np.unique(label[corner[:, 0]], return_counts=True)
-    if len(pieces) > 1:
-        largest = ", ".join(str(size) for size in sorted(sizes, reverse=True)[:5])
+    count, label = linked_rows(surface.triangles)
+    if count > 1:
+        largest = ", ".join(str(size) for size in sorted(np.bincount(label), reverse=True)[:5])
         raise SceneError(
-            f"{file}: part {name!r} consists of {len(pieces)} separate pieces (of {largest} triangles): "
+            f"{file}: part {name!r} consists of {count} separate pieces (of {largest} triangles): "
             "put each into an element set of its own, or join them in the mesh"
         )
 
@@ -189,9 +183,4 @@ def part_name(text: str) -> str:
 
 def _unique(names: Sequence[str]) -> list[str]:
     """The names, with numbers appended to repeated ones."""
-    counts: dict[str, int] = {}
-    found = []
-    for name in names:
-        counts[name] = counts.get(name, 0) + 1
-        found.append(name if names.count(name) == 1 else f"{name}-{counts[name]}")
-    return found
+    return [name if names.count(name) == 1 else f"{name}-{names[: i + 1].count(name)}" for i, name in enumerate(names)]

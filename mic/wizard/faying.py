@@ -6,13 +6,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from mic.geometry.coincident_sheets import COINCIDENT, offsets
 from mic.geometry.pairing import Side, pair_at
 from mic.geometry.surface import Surface
+from mic.geometry.triangles import components
 from mic.wizard.bodies import Body
 
 __all__ = ["Faying", "restrict", "find_faying", "nearest_distance"]
@@ -63,17 +62,27 @@ class Faying:
     turned: float
 
     @property
+    def bodies(self) -> tuple[Body, Body]:
+        """The two parts."""
+        return self.first, self.second
+
+    @property
+    def names(self) -> tuple[str, str]:
+        """Their names."""
+        return self.first.name, self.second.name
+
+    @property
     def coincident(self) -> bool:
         """Whether both are drawn on the touching skins: more points coincide than are a thickness apart."""
         share = np.abs(self.height) / ((self.first.thickness + self.second.thickness) / 2)
-        meeting, apart = np.mean(share < COINCIDENT), np.mean(np.abs(share - 1) < COINCIDENT)
-        return bool(meeting > 0 and meeting >= apart)
+        coinciding, separate = np.mean(share < COINCIDENT), np.mean(np.abs(share - 1) < COINCIDENT)
+        return bool(coinciding > 0 and coinciding >= separate)
 
     def gap(self, offset: Mapping[str, float]) -> np.ndarray:
         """(n,) gaps between the facing surfaces, mm, with these offsets of the sheets in thicknesses."""
         a, b = self.first, self.second
-        moved = self.turned * offset[b.name] * b.thickness - offset[a.name] * a.thickness
-        return (self.side or 1.0) * (self.height + moved) - (a.thickness + b.thickness) / 2
+        shift = self.turned * offset[b.name] * b.thickness - offset[a.name] * a.thickness
+        return (self.side or 1.0) * (self.height + shift) - (a.thickness + b.thickness) / 2
 
 
 def find_faying(first: Body, second: Body) -> Faying | None:
@@ -97,35 +106,39 @@ def find_faying(first: Body, second: Body) -> Faying | None:
     if area[facing].sum() < LEAST:
         return None
     # Points outside the lap: elsewhere on the first sheet, and on its free edge.
-    own = np.setdiff1d(np.arange(len(a.triangles)), triangles)
-    border = first.edge[0]
-    elsewhere = np.concatenate([x[~facing], a.corners[own].mean(1), border])
-    at = x[facing]
-    depth = cKDTree(elsewhere).query(at)[0] if len(elsewhere) else np.full(len(at), np.inf)
-    turned = np.einsum("ij,ij->i", n[facing], b.normals[foot.triangle[facing]])
-    sense = 1.0 if area[facing] @ turned >= 0 else -1.0
-    total, pieces = float(area[facing].sum()), _pieces(at, 2.5 * spacing)
-    found = Faying(first, second, at, n[facing], along[facing], depth, pieces, total, spacing, 0.0, sense)
-    side = (
-        _side(first, second, at[int(np.argmax(depth))])
-        if found.coincident
-        else float(np.sign(area[facing] @ along[facing]))
+    far = np.setdiff1d(np.arange(len(a.triangles)), triangles)
+    outside = np.concatenate([x[~facing], a.corners[far].mean(1), first.edge])
+    x, n, area, along = x[facing], n[facing], area[facing], along[facing]
+    cosine = np.einsum("ij,ij->i", n, b.normals[foot.triangle[facing]])
+    lap = Faying(
+        first,
+        second,
+        point=x,
+        normal=n,
+        height=along,
+        depth=cKDTree(outside).query(x)[0] if len(outside) else np.full(len(x), np.inf),
+        piece=_pieces(x, 2.5 * spacing),
+        area=float(area.sum()),
+        spacing=spacing,
+        side=float(np.sign(area @ along)),
+        turned=1.0 if area @ cosine >= 0 else -1.0,
     )
-    return replace(found, side=side)
+    return replace(lap, side=_side(first, second, x[int(np.argmax(lap.depth))])) if lap.coincident else lap
 
 
-def restrict(lap: Faying, near: np.ndarray) -> Faying | None:
-    """The lap restricted to some points, (n,) bool; None if the area is too small."""
-    area = lap.area * float(near.mean())
+def restrict(lap: Faying, chosen: np.ndarray) -> Faying | None:
+    """The lap restricted to some of its points, by a mask (n,); None if the area is too small."""
+    area = lap.area * float(chosen.mean())
     if area < LEAST:
         return None
-    point = lap.point[near]
-    depth = lap.depth[near] if near.all() else np.minimum(lap.depth[near], cKDTree(lap.point[~near]).query(point)[0])
+    point, depth = lap.point[chosen], lap.depth[chosen]
+    if not chosen.all():
+        depth = np.minimum(depth, cKDTree(lap.point[~chosen]).query(point)[0])
     return replace(
         lap,
         point=point,
-        normal=lap.normal[near],
-        height=lap.height[near],
+        normal=lap.normal[chosen],
+        height=lap.height[chosen],
         depth=depth,
         piece=_pieces(point, 2.5 * lap.spacing),
         area=area,
@@ -150,8 +163,7 @@ def _near(a: Surface, b: Surface, reach: float) -> np.ndarray:
 def _pieces(points: np.ndarray, link: float) -> np.ndarray:
     """(n,) number of the connected piece of each point, the largest first."""
     pairs = cKDTree(points).query_pairs(link, output_type="ndarray")
-    n = len(points)
-    label = connected_components(coo_matrix((np.ones(len(pairs)), pairs.T), shape=(n, n)), directed=False)[1]
+    label = components(pairs[:, 0], pairs[:, 1], len(points))[1]
     rank = np.argsort(np.argsort(-np.bincount(label), kind="stable"), kind="stable")
     return rank[label]
 
@@ -159,5 +171,5 @@ def _pieces(points: np.ndarray, link: float) -> np.ndarray:
 def _side(first: Body, second: Body, point: np.ndarray) -> float:
     """Side of the first surface on which the second sheet is, from the rest of the two; 0 if unknown."""
     a, b = Side(first.surface, first.thickness), Side(second.surface, second.thickness)
-    (share, _), told = offsets(pair_at(point, min(first.element, second.element), a, b), a, b)
-    return -float(np.sign(share)) if told else 0.0
+    (share, _), known = offsets(pair_at(point, min(first.element, second.element), a, b), a, b)
+    return -float(np.sign(share)) if known else 0.0

@@ -11,11 +11,11 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
-from mic.wizard.bodies import Body
+from mic.wizard.bodies import NO_POINTS, Body
 from mic.wizard.faying import Faying
 from mic.wizard.fixture import spread
 
-__all__ = ["Joints", "force", "joined", "propose_joints"]
+__all__ = ["Joints", "force", "joined", "one_digit", "propose_joints"]
 
 DEEP = 10.0  # mm from the edge of a lap
 LEAST = 4.0  # mm: least depth of a lap for a nugget of 5 mm
@@ -44,15 +44,12 @@ class Joints:
     through: np.ndarray
 
 
-NONE = np.zeros((0, 3))
-
-
 def propose_joints(
     lap: Faying,
     gap: np.ndarray,
     listed: np.ndarray | None = None,
-    welded: np.ndarray = NONE,
-    pressed: np.ndarray = NONE,
+    other_welds: np.ndarray = NO_POINTS,
+    other_tongs: np.ndarray = NO_POINTS,
 ) -> Joints:
     """Welds and tongs of a lap; tongs only if welds are `listed`, (n, 3).
 
@@ -64,32 +61,29 @@ def propose_joints(
     gap : (n,) array
         Between the facing surfaces at its points, mm.
     listed : (w, 3) array, optional
-    welded, pressed : (n, 3) array
+    other_welds, other_tongs : (n, 3) array
         Welds and tongs of laps that share a sheet with this one.
     """
-    pitch, lines = PITCH, _lines(lap, gap)
-    through, pressing = welded[_on_lap(lap, welded)], np.flatnonzero(_on_lap(lap, pressed))
-    while True:
-        welds = (
-            [] if listed is not None else [one for own in lines for one in own[_row(lap.point[own], pitch, through)]]
-        )
-        if len(welds) <= MOST or pitch > 1e4:
-            break
-        pitch *= 1.25
-    points = np.concatenate([through, lap.point[np.array(welds, dtype=np.int64)]]) if listed is None else listed
-    tongs: list[int] = []
-    for own in lines:
-        at = lap.point[own]
-        there = cKDTree(at).query(pressed[pressing])[0] <= DEEP
-        count = max(1, round(len(_row(at, pitch)) / 2)) - int(there.sum())
-        near = np.concatenate([points, pressed[pressing]])
-        for one in spread(at, max(0, count), near if len(near) else None):
-            others = np.concatenate([near, lap.point[np.array(tongs, dtype=np.int64)]])
-            if not len(others) or np.linalg.norm(others - at[one], axis=1).min() >= CLEAR:
-                tongs.append(own[one])
+    candidates, pitch = _candidates(lap, gap), PITCH
+    stack_welds = other_welds[_on_lap(lap, other_welds)]
+    through = np.flatnonzero(_on_lap(lap, other_tongs))
+    stack_tongs = other_tongs[through]
     if listed is None:
-        points = np.concatenate([through, _middle(lap, points[len(through) :])])
-    return Joints(points, lap.point[np.array(tongs, dtype=np.int64)], pressing)
+        while len(chosen := _weld_points(candidates, pitch, stack_welds)) > MOST and pitch <= 1e4:
+            pitch *= 1.25
+    welds = np.concatenate([stack_welds, chosen]) if listed is None else listed
+    occupied = np.concatenate([welds, stack_tongs])
+    tongs = NO_POINTS
+    for points in candidates:
+        present = np.count_nonzero(cKDTree(points).query(stack_tongs)[0] <= DEEP)
+        count = max(1, round(len(_at_pitch(points, pitch)) / 2)) - present
+        for point in points[spread(points, count, occupied)]:
+            others = np.concatenate([occupied, tongs])
+            if np.linalg.norm(others - point, axis=1).min(initial=np.inf) >= CLEAR:
+                tongs = np.vstack([tongs, point])
+    if listed is None:
+        welds[len(stack_welds) :] = _middle(lap, welds[len(stack_welds) :])
+    return Joints(welds, tongs, through)
 
 
 def _on_lap(lap: Faying, points: np.ndarray) -> np.ndarray:
@@ -100,44 +94,45 @@ def _on_lap(lap: Faying, points: np.ndarray) -> np.ndarray:
     step = points - lap.point[near]
     along = np.einsum("ij,ij->i", step, lap.normal[near])
     beside = np.linalg.norm(step - along[:, None] * lap.normal[near], axis=1)
-    thick = lap.first.thickness + lap.second.thickness
-    return (beside <= lap.spacing) & (np.abs(along) <= NEAR + thick) & (lap.depth[near] >= LEAST)
+    reach = NEAR + (lap.first.thickness + lap.second.thickness)
+    return (beside <= lap.spacing) & (np.abs(along) <= reach) & (lap.depth[near] >= LEAST)
 
 
-def _lines(lap: Faying, gap: np.ndarray) -> list[np.ndarray]:
-    """Points for welds in each piece with room."""
-    lines = []
+def _candidates(lap: Faying, gap: np.ndarray) -> list[np.ndarray]:
+    """(n, 3) possible points of welds, mm, in each piece of a lap with room for a nugget."""
     around = cKDTree(lap.point).query_ball_point(lap.point, max(LEAST, 2.5 * lap.spacing))
-    flat = np.array([float((lap.normal[own] @ lap.normal[i]).min()) for i, own in enumerate(around)])
-    for piece in range(lap.piece.max() + 1):
-        own = np.flatnonzero(lap.piece == piece)
-        depth = lap.depth[own]
+    flat = np.array([float((lap.normal[near] @ normal).min()) for normal, near in zip(lap.normal, around)])
+    candidates = []
+    for number in range(lap.piece.max() + 1):
+        piece = np.flatnonzero(lap.piece == number)
+        depth = lap.depth[piece]
         if depth.max() < LEAST:
             continue
-        near = cKDTree(lap.point[own]).query_ball_point(lap.point[own], 1.5 * DEEP)
-        deepest = np.array([depth[each].max() for each in near])
-        wanted = np.minimum(DEEP, 0.85 * deepest)
-        fits = (depth >= np.maximum(wanted, LEAST)) & (depth <= np.maximum(DEEP, wanted) + 1.5 * lap.spacing)
-        closest = gap[own] <= np.quantile(gap[own], 0.25) + CLOSE
-        good = fits & closest & (flat[own] >= np.cos(np.radians(FLAT)))
-        chosen = own[good] if good.any() else own[fits]
-        lines.append(chosen if len(chosen) else own[[int(np.argmax(depth))]])
-    return lines
+        around = cKDTree(lap.point[piece]).query_ball_point(lap.point[piece], 1.5 * DEEP)
+        wanted = np.minimum(DEEP, 0.85 * np.array([depth[near].max() for near in around]))
+        deep = (depth >= np.maximum(wanted, LEAST)) & (depth <= np.maximum(DEEP, wanted) + 1.5 * lap.spacing)
+        close = gap[piece] <= np.quantile(gap[piece], 0.25) + CLOSE
+        good = deep & close & (flat[piece] >= np.cos(np.radians(FLAT)))
+        chosen = piece[good] if good.any() else piece[deep]
+        candidates.append(lap.point[chosen if len(chosen) else piece[[int(np.argmax(depth))]]])
+    return candidates
 
 
-def _row(points: np.ndarray, pitch: float, given: np.ndarray = NONE) -> np.ndarray:
-    """Indices of points a pitch apart, the ends first; at least two if half a pitch apart; a pitch off `given`."""
-    if len(given):
-        chosen = spread(points, min(len(points), 4 * MOST), given)
-        others = [np.concatenate([given, points[chosen[:i]]]) for i in range(len(chosen))]
-        off = [float(np.linalg.norm(own - points[one], axis=1).min()) for own, one in zip(others, chosen)]
-        return chosen[: next((i for i, one in enumerate(off) if one < 0.75 * pitch), len(off))]
-    chosen = spread(points, min(len(points), 4 * MOST))
+def _weld_points(candidates: list[np.ndarray], pitch: float, given: np.ndarray) -> np.ndarray:
+    return np.concatenate([NO_POINTS, *(points[_at_pitch(points, pitch, given)] for points in candidates)])
+
+
+def _at_pitch(points: np.ndarray, pitch: float, given: np.ndarray = NO_POINTS) -> np.ndarray:
+    """Indices of points a pitch apart and a pitch off `given`, the ends first; at least two if half a pitch apart."""
+    chosen = spread(points, 4 * MOST, given)
     at = points[chosen]
-    if len(at) > 1 and np.linalg.norm(at[1] - at[0]) < pitch:
+    if not len(given) and len(at) > 1 and np.linalg.norm(at[1] - at[0]) < pitch:
         return chosen[: 2 if np.linalg.norm(at[1] - at[0]) >= pitch / 2 else 1]
-    away = [np.inf] + [float(np.linalg.norm(at[:i] - at[i], axis=1).min()) for i in range(1, len(at))]
-    return chosen[: next((i for i, one in enumerate(away) if one < 0.75 * pitch), len(away))]
+    for i, point in enumerate(at):
+        others = np.concatenate([given, at[:i]])
+        if np.linalg.norm(others - point, axis=1).min(initial=np.inf) < 0.75 * pitch:
+            return chosen[:i]
+    return chosen
 
 
 def _middle(lap: Faying, points: np.ndarray) -> np.ndarray:
@@ -168,6 +163,10 @@ def joined(point: np.ndarray, bodies: list[Body]) -> tuple[list[tuple[str, str]]
 
 def force(first: Body, second: Body) -> float:
     """Force of a tong, N: 100 N/mm² times the squared thickness of the thinner sheet, to one digit."""
-    value = 100.0 * min(first.thickness, second.thickness) ** 2
+    return one_digit(100.0 * min(first.thickness, second.thickness) ** 2)
+
+
+def one_digit(value: float) -> float:
+    """A positive number rounded to its first digit."""
     digit = 10.0 ** np.floor(np.log10(value))
-    return float(max(1.0, round(value / digit)) * digit)
+    return float(round(value / digit) * digit)

@@ -4,14 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import combinations
 
 import numpy as np
 from scipy.spatial import cKDTree
 
-from mic.wizard.bodies import Body
+from mic.wizard.bodies import NO_POINTS, Body
 from mic.wizard.faying import Faying, find_faying, nearest_distance, restrict
 from mic.wizard.fixture import Support, conditioning, propose_fixture, spread
-from mic.wizard.joints import NONE, Joints, propose_joints
+from mic.wizard.joints import Joints, one_digit, propose_joints
 
 __all__ = ["Proposal", "Shaping", "Tong", "propose"]
 
@@ -20,9 +21,9 @@ BETWEEN = 0.8  # of the thickness of a sheet between two others: least gap of th
 PAIRS = 800  # approximate number of contact pairs of a first run
 ACROSS = 4.0  # thicknesses between two candidates on finer meshes
 MEASURED = 4  # measured points of each part, on its free edges
-AWAY = 12.0  # mm between a measured point and a lap
+LAP_DISTANCE = 12.0  # mm between a measured point and a lap
 SHAPE = 0.3  # mm of deflection of a flat sheet by a corrective force
-ROOM = 1.1  # of the largest overlap found here, since a zone has more points
+OVERLAP_FACTOR = 1.1  # of the largest overlap found here, since a zone has more points
 
 
 @dataclass(frozen=True)
@@ -132,42 +133,30 @@ def propose(bodies: Sequence[Body], welds: Mapping[tuple[str, str], np.ndarray] 
         for body in bodies
         if body.unit == "m"
     ]
-    laps = [
-        lap
-        for i, first in enumerate(bodies)
-        for second in bodies[i + 1 :]
-        for lap in [find_faying(first, second)]
-        if lap is not None
-    ]
+    laps = [lap for pair in combinations(bodies, 2) if (lap := find_faying(*pair)) is not None]
     laps.sort(key=lambda lap: -lap.area)
     offsets, why = _offsets(bodies, laps, sentences)
     laps, reach = _touching(bodies, laps, offsets)
-    overlap = [_overlap(lap, offsets) for lap in laps]
     joints = _joints(laps, offsets, welds)
-    taken = {
-        body.name: np.concatenate(
-            [np.zeros((0, 3))] + [_touched(lap, body) for lap in laps if body in (lap.first, lap.second)]
-        )
-        for body in bodies
-    }
-    fixtures = {body.name: propose_fixture(body, taken[body.name]) for body in bodies}
+    lap_points = {body.name: _lap_points(body, laps) for body in bodies}
+    fixtures = {body.name: propose_fixture(body, lap_points[body.name]) for body in bodies}
     _note_unconnected(bodies, laps, joints, sentences)
     return Proposal(
-        list(bodies),
-        offsets,
-        why,
-        laps,
-        overlap,
-        _spacing(laps),
-        reach,
-        joints,
-        _tongs(laps, joints),
-        fixtures,
-        {name: conditioning(six[:6]) for name, six in fixtures.items()},
-        _base(bodies, laps, joints, welds),
-        {body.name: _measured(body, taken[body.name]) for body in bodies},
-        {body.name: _shaping(body, fixtures[body.name], taken[body.name]) for body in bodies},
-        sentences,
+        bodies=list(bodies),
+        offsets=offsets,
+        why=why,
+        laps=laps,
+        overlap=[_overlap(lap, offsets) for lap in laps],
+        spacing=_spacing(laps),
+        reach=reach,
+        joints=joints,
+        tongs=_tongs(laps, joints),
+        fixtures=fixtures,
+        conditioned={name: conditioning(supports[:6]) for name, supports in fixtures.items()},
+        base=_base(bodies, laps, joints, welds),
+        measured={body.name: _measured(body, lap_points[body.name]) for body in bodies},
+        shaping={body.name: _shaping(body, fixtures[body.name], lap_points[body.name]) for body in bodies},
+        sentences=sentences,
     )
 
 
@@ -200,15 +189,15 @@ def _offsets(bodies, laps: Sequence[Faying], sentences) -> tuple[dict[str, float
 
 def _touching(bodies, laps: Sequence[Faying], offsets) -> tuple[list[Faying], list[float]]:
     """Laps without points where another sheet is between, and by lap the gap that excludes these, mm."""
-    found, reach = [], []
+    touching, reach = [], []
     for lap in laps:
         gap = lap.gap(offsets)
-        least = min((BETWEEN * body.thickness for body in bodies if _between(body, lap, gap)), default=np.inf)
-        rest = lap if np.isinf(least) else restrict(lap, gap < least)
+        max_gap = min((BETWEEN * body.thickness for body in bodies if _between(body, lap, gap)), default=np.inf)
+        rest = lap if np.isinf(max_gap) else restrict(lap, gap < max_gap)
         if rest is not None:
-            found.append(rest)
-            reach.append(0.0 if np.isinf(least) else round(least, 2))
-    return found, reach
+            touching.append(rest)
+            reach.append(0.0 if np.isinf(max_gap) else round(max_gap, 2))
+    return touching, reach
 
 
 def _between(body: Body, lap: Faying, gap: np.ndarray) -> bool:
@@ -226,27 +215,26 @@ def _joints(laps: Sequence[Faying], offsets, welds) -> list[Joints]:
     """Welds and tongs lap by lap, without repeating those of a stack."""
     joints: list[Joints] = []
     for lap in laps:
-        pair = (lap.first.name, lap.second.name)
+        pair = lap.names
         listed = None
         if welds is not None:
-            listed = np.concatenate([welds.get(pair, NONE), welds.get(pair[::-1], NONE)])
-        upon = [one for other, one in zip(laps, joints) if {other.first.name, other.second.name} & set(pair)]
-        welded = np.concatenate([NONE, *(one.welds for one in upon)])
-        pressed = np.concatenate([NONE, *(one.tongs for one in joints)])
-        joints.append(propose_joints(lap, lap.gap(offsets), listed, welded, pressed))
+            listed = np.concatenate([welds.get(pair, NO_POINTS), welds.get(pair[::-1], NO_POINTS)])
+        same_stack = [done.welds for other, done in zip(laps, joints) if {*other.names} & {*pair}]
+        other_welds = np.concatenate([NO_POINTS, *same_stack])
+        other_tongs = np.concatenate([NO_POINTS, *(done.tongs for done in joints)])
+        joints.append(propose_joints(lap, lap.gap(offsets), listed, other_welds, other_tongs))
     return joints
 
 
 def _tongs(laps: Sequence[Faying], joints: Sequence[Joints]) -> list[Tong]:
     """Tongs on the outer sheets of the stacks at their points."""
-    points = np.concatenate([NONE, *(joint.tongs for joint in joints)])
-    owner = [lap for lap, joint in zip(laps, joints) for _ in joint.tongs]
+    points = [(lap, point) for lap, joint in zip(laps, joints) for point in joint.tongs]
     tongs = []
-    for number, (point, lap) in enumerate(zip(points, owner)):
-        stack = {lap.first.name: lap.first, lap.second.name: lap.second}
+    for number, (lap, point) in enumerate(points):
+        stack = {body.name: body for body in lap.bodies}
         for other, joint in zip(laps, joints):
-            if number in joint.through and {other.first.name, other.second.name} & set(stack):
-                stack |= {other.first.name: other.first, other.second.name: other.second}
+            if number in joint.through and {*other.names} & {*stack}:
+                stack |= {body.name: body for body in other.bodies}
         n = lap.normal[np.argmin(np.linalg.norm(lap.point - point, axis=1))]
         feet = {name: body.surface.project(point).point[0] for name, body in stack.items()}
         order = sorted(stack, key=lambda name: float((feet[name] - point) @ n) * (lap.side or 1.0))
@@ -260,82 +248,80 @@ def _overlap(lap: Faying, offsets: Mapping[str, float]) -> float:
     deepest = -float(lap.gap(offsets).min())
     if deepest <= 0.9 * CLOSED * _thinner(lap):
         return 0.0
-    return float(np.ceil(ROOM * deepest * 100) / 100)
+    return float(np.ceil(OVERLAP_FACTOR * deepest * 100) / 100)
 
 
 def _spacing(laps: Sequence[Faying]) -> float | None:
     """A distance of candidates that gives about `PAIRS` of them, if the default gives more."""
     if not laps:
         return None
-    own = [max(lap.first.element, lap.second.element, ACROSS * _thinner(lap)) for lap in laps]
-    if sum(lap.area / spacing**2 for lap, spacing in zip(laps, own)) <= PAIRS:
+    defaults = [max(lap.first.element, lap.second.element, ACROSS * _thinner(lap)) for lap in laps]
+    if sum(lap.area / spacing**2 for lap, spacing in zip(laps, defaults)) <= PAIRS:
         return None
-    wanted = float(np.ceil(np.sqrt(sum(lap.area for lap in laps) / PAIRS)))
-    return max(wanted, *own)
+    return max(float(np.ceil(np.sqrt(sum(lap.area for lap in laps) / PAIRS))), *defaults)
 
 
 def _thinner(lap: Faying) -> float:
     return min(lap.first.thickness, lap.second.thickness)
 
 
-def _touched(lap: Faying, body: Body) -> np.ndarray:
-    return lap.point if body is lap.first else lap.second.surface.project(lap.point).point
+def _lap_points(body: Body, laps: Sequence[Faying]) -> np.ndarray:
+    """(n, 3) points of a part in its laps, mm."""
+    points = [
+        lap.point if body is lap.first else body.surface.project(lap.point).point for lap in laps if body in lap.bodies
+    ]
+    return np.concatenate([NO_POINTS, *points])
 
 
 def _note_unconnected(bodies, laps, joints, sentences) -> None:
     for body in bodies:
-        own = [(lap, joint) for lap, joint in zip(laps, joints) if body in (lap.first, lap.second)]
+        welds = [len(joint.welds) for lap, joint in zip(laps, joints) if body in lap.bodies]
         others = [other for other in bodies if other is not body]
-        if not own and others:
-            near = [(nearest_distance(body, other), other.name) for other in others]
-            distance, name = min(near)
+        if not welds and others:
+            distance, name = min((nearest_distance(body, other), other.name) for other in others)
             sentences.append(f"{body.name} has no lap with another part; the nearest is {name}, {distance:.3g} mm away")
-        elif own and not any(len(joint.welds) for _, joint in own):
+        elif welds and not any(welds):
             sentences.append(f"{body.name} has no weld: its laps have no room for one")
 
 
 def _base(bodies, laps, joints, welds) -> list[str]:
     """The largest part of every welded group."""
     group = {body.name: body.name for body in bodies}
-    pairs = [(lap.first.name, lap.second.name) for lap, joint in zip(laps, joints) if len(joint.welds)]
+    pairs = [lap.names for lap, joint in zip(laps, joints) if len(joint.welds)]
     for a, b in [*pairs, *(welds or {})]:
         old, new = group[b], group[a]
-        group = {name: new if one == old else one for name, one in group.items()}
+        group = {name: new if label == old else label for name, label in group.items()}
     area = {body.name: float(body.surface.areas.sum()) for body in bodies}
     return [
-        max((name for name, one in group.items() if one == own), key=area.__getitem__)
-        for own in dict.fromkeys(group.values())
+        max((name for name in group if group[name] == label), key=area.__getitem__)
+        for label in dict.fromkeys(group.values())
     ]
 
 
-def _free_edge(body: Body, taken: np.ndarray, away: float) -> np.ndarray:
-    """(n, 3) points on the edges of a part, if possible away from its laps."""
-    points = body.edge[0]
-    if not len(points):
-        points = body.surface.corners.mean(1)
-    if len(taken):
-        for least in (away, away / 3):
-            off = points[cKDTree(taken).query(points)[0] >= least]
-            if len(off) >= MEASURED:
-                return off
+def _free_edge(body: Body, lap_points: np.ndarray, distance: float) -> np.ndarray:
+    """(n, 3) points on the edges of a part, if possible at this distance from its laps, mm."""
+    points = body.edge if len(body.edge) else body.surface.corners.mean(1)
+    if len(lap_points):
+        to_lap = cKDTree(lap_points).query(points)[0]
+        for least in (distance, distance / 3):
+            if np.count_nonzero(to_lap >= least) >= MEASURED:
+                return points[to_lap >= least]
     return points
 
 
-def _measured(body: Body, taken: np.ndarray) -> np.ndarray:
-    points = _free_edge(body, taken, AWAY)
+def _measured(body: Body, lap_points: np.ndarray) -> np.ndarray:
+    points = _free_edge(body, lap_points, LAP_DISTANCE)
     return points[spread(points, MEASURED)]
 
 
-def _shaping(body: Body, six: Sequence[Support], taken: np.ndarray) -> Shaping:
+def _shaping(body: Body, supports: Sequence[Support], lap_points: np.ndarray) -> Shaping:
     """A force at the point of the free edge farthest from the supports.
 
     A flat square cantilever of length L deflects under F by 4 F L²/(E t³).
     """
-    points = _free_edge(body, taken, 0.0)
-    held = np.array([one.point for one in six])
-    distance = cKDTree(held).query(points)[0]
+    points = _free_edge(body, lap_points, 0.0)
+    distance = cKDTree([support.point for support in supports]).query(points)[0]
     best = int(np.argmax(distance))
     length = max(float(distance[best]), 10 * body.thickness)
     sigma = SHAPE * body.young * body.thickness**3 / (4 * length**2)
-    digit = 10.0 ** np.floor(np.log10(sigma))
-    return Shaping(points[best], float(round(sigma / digit) * digit))
+    return Shaping(points[best], one_digit(sigma))

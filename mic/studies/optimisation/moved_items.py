@@ -161,8 +161,9 @@ def on_their_parts(space: Space, assembly: Assembly) -> None:
             for j, (point, far, near) in enumerate(zip(points[1:], foot.distance, foot.point)):
                 if far > REACH and j not in off:
                     lines.append(
-                        f"optimise.places[{i}].points[{j}] ({item}): {_format_point(point)} lies {far:.3g} mm off part "
-                        f"{name!r} (at most {REACH:g} mm is allowed); the nearest point on it is {_format_point(near)}"
+                        f"optimise.places[{i}].points[{j}] ({item}): {_format_point(point)} is {far:.3g} mm away from "
+                        f"part {name!r} (at most {REACH:g} mm is allowed); the nearest point on it is "
+                        f"{_format_point(near)}"
                     )
                     off.add(j)
     if lines:
