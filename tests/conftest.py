@@ -7,6 +7,7 @@ import re
 from pathlib import Path
 
 import pytest
+from support.runs import skip_pictures
 
 import mic
 from verification.scenes import few
@@ -68,3 +69,9 @@ def lap_model(lap_scene, cache):
 @pytest.fixture(scope="session")
 def hat_model(cache):
     return mic.reduce(few(mic.load_scene(ROOT / "meshes" / "hat_on_plate")), cache)
+
+
+@pytest.fixture
+def no_pictures(monkeypatch):
+    """Reports have no pictures in this test: drawing them takes longer than the run that they show."""
+    skip_pictures(monkeypatch.setattr)

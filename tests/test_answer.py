@@ -10,6 +10,7 @@ from support.runs import fail
 from typer.testing import CliRunner
 
 from mic.options import app
+from mic.report.picture_registry import draw
 from mic.report.style import change
 from mic.report.verdict import verdict
 from mic.results.error_sources import error_budget
@@ -148,7 +149,9 @@ def test_a_remedy_that_serves_is_told_and_one_that_does_not_is_not(copied):
 
 
 @pytest.mark.slow
-def test_studies_of_a_results_folder_stay_in_it_and_in_its_page(copied):
+def test_studies_of_a_results_folder_are_stored_in_it_and_shown_in_its_report(copied, monkeypatch):
+    one_picture = lambda outcome, context, *_: {"contributors": draw("contributors", outcome, context)}
+    monkeypatch.setattr("mic.report.page.draw_all", one_picture)
     for command, table in (("contributors", CONTRIBUTORS), ("friction", FRICTION_EFFECTS), ("order", ORDERS)):
         done = CliRunner().invoke(app, [command, str(copied), "--samples", "8"], env={"COLUMNS": "160"})
         assert done.exit_code == 0, done.output

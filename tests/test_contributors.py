@@ -63,18 +63,18 @@ def test_indices_of_a_function_in_closed_form(linear):
 
 @pytest.mark.slow
 def test_intervals_cover_what_they_claim():
-    """Of 40 repetitions as many as 95 % allow, but for one time in a thousand.
+    """Of 24 repetitions as many as 95 % allow, but for one time in a thousand.
 
     On a quarter of the samples the most skewed of them, the first total index, is covered in 0.92 of the repetitions.
     """
     inside = {"first": [], "total": []}
-    for seed in range(40):
+    for seed in range(24):
         found = picked(ishigami, 3, 1024, seed, linear=True)
         for name, wanted in ISHIGAMI.items():
             own = getattr(found, name)
             inside[name].append((own.low[:, 0] <= wanted) & (wanted <= own.high[:, 0]))
     for name, hits in inside.items():
-        assert (np.sum(hits, axis=0) >= binom.ppf(0.001, 40, 0.95)).all(), (name, np.mean(hits, axis=0))
+        assert (np.sum(hits, axis=0) >= binom.ppf(0.001, 24, 0.95)).all(), (name, np.mean(hits, axis=0))
 
 
 def test_what_is_linear_leaves_no_noise():

@@ -13,7 +13,7 @@ from mic.errors import SceneError
 from mic.options import app
 from mic.report.explanation_page import sentences
 from mic.results.schema import EXPLANATION, FURTHER
-from mic.statistics.normal_space import from_normal, normal_slopes
+from mic.statistics.normal_space import from_normal, normal_derivatives
 from mic.studies.explanation import explain, posterior
 
 SIGMA, GAUGE = 0.1, 0.002
@@ -111,8 +111,8 @@ def touching():
 
 
 def test_the_truth_lies_in_the_region_as_often_as_claimed_where_contacts_change_state():
-    """60 made assemblies of which only the upper part was measured: 95 %, less and more three standard errors."""
-    model, draws, cases = touching(), np.random.default_rng(11), 60
+    """30 made assemblies of which only the upper part was measured: 95 %, less and more three standard errors."""
+    model, draws, cases = touching(), np.random.default_rng(11), 30
     z = draws.standard_normal((cases, 2))
     h = model.process("frictionless").evaluate(from_normal(model.scene, z)).measurements[:, :1]
     y, hits, counted = h + 0.01 * draws.standard_normal(h.shape), 0, 0
@@ -167,7 +167,7 @@ def test_slopes_of_distributions_are_those_of_their_quantiles(model):
     items[0] |= {"distribution": "triang", "parameters": {"c": 0.3}}
     scene = type(model.scene)(**model.scene.model_dump(mode="json") | {"deviations": items})
     triangle, z = stats.triang(0.3), np.array([[0.3, -0.7], [-2.0, 1.0]])
-    slopes = normal_slopes(scene, z)
+    slopes = normal_derivatives(scene, z)
     density = triangle.pdf(triangle.ppf(stats.norm.cdf(z[:, 0])))
     np.testing.assert_allclose(slopes[:, 0, 0], SIGMA / triangle.std() * stats.norm.pdf(z[:, 0]) / density, rtol=1e-6)
     np.testing.assert_allclose(slopes[:, 1, 1], 0.05, rtol=1e-8)
@@ -208,7 +208,7 @@ def test_decimal_commas_and_a_gauge_for_all_are_read(tmp_path):
 @pytest.mark.parametrize(
     ("measured", "gauge", "said"),
     [
-        ({}, 0.1, "nothing was measured"),
+        ({}, 0.1, "no measurement is given"),
         ({"O": 1.0}, 0.1, "has no key characteristic 'O'; it has: M, N"),
         ({"M": np.inf}, 0.1, "no finite number"),
         ({"M": 1.0}, 0.0, "no standard deviation"),

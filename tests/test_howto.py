@@ -63,7 +63,9 @@ def others(scene, cache):
 
 
 @pytest.mark.slow
-def test_what_the_page_asks_of_a_finished_run_stands_in_its_folder_and_report(lap_scene, cache, tmp_path, monkeypatch):
+def test_commands_of_the_page_write_their_tables_and_the_report_shows_them(
+    lap_scene, cache, tmp_path, monkeypatch, no_pictures
+):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("MIC_CACHE", str(cache))
     scene = lap_scene.model_copy(

@@ -22,7 +22,7 @@ from mic.options import app
 from mic.plausibility import FILE, MESHES, PARTS, find_warnings, find_warnings_unplaced, loadable_parts, raise_warnings
 from mic.scene import Scene, SceneError
 from mic.scene.load import read_table
-from verification.scenes import FEW
+from verification.scenes import FEW, few
 
 MESHES_FOLDER = Path(__file__).resolve().parents[1] / "meshes"
 ERROR = "error"
@@ -699,7 +699,7 @@ def test_there_are_thirty_of_them():
     "name", ["lap_joint", "hat_on_plate", "bracket", pytest.param("wheelhouse", marks=pytest.mark.fem)]
 )
 def test_nothing_is_warned_of_in_the_shipped_scenes(name, cache):
-    scene = mic.load_scene(MESHES_FOLDER / name)
+    scene = few(mic.load_scene(MESHES_FOLDER / name))
     assert find_warnings(scene, assemble(scene, cache)) == ()
     watched = mic.load_scene(MESHES_FOLDER / "wheelhouse" / "watched.toml")
     assert find_warnings(watched) == ()  # else it is the wheelhouse
@@ -920,7 +920,7 @@ def test_a_strict_run_is_refused_before_long_work(tmp_path, monkeypatch, cache):
 
 
 @pytest.mark.slow
-def test_the_report_repeats_the_warnings(tmp_path, cache):
+def test_the_report_repeats_the_warnings(tmp_path, cache, no_pictures):
     text = (MESHES_FOLDER / "lap_joint" / "scene.toml").read_text().replace("fields = true", "")
     text = text.replace("friction = 0.27", f"friction = 2\npairs = {FEW['lap']}", 1)
     (tmp_path / "scene.toml").write_text(text.replace('laws = ["coulomb", "associated", "frictionless"]', ""))

@@ -28,6 +28,8 @@ def table():
     table = tomllib.loads((HAT / "scene.toml").read_text())
     for part in table["parts"]:
         part["size"] = "coarse"
+    for zone in table["zones"]:
+        zone["pairs"] = 12
     table["report"] = {"laws": ["frictionless"]}
     return table
 
@@ -79,12 +81,17 @@ def test_scans_give_the_shape_that_was_planted_to_a_twentieth(noise, seeds, tabl
 
 
 @pytest.mark.slow
-def test_check_tells_what_was_measured_and_a_run_takes_the_pieces(table, bent, cache, tmp_path, monkeypatch):
+def test_check_and_run_take_measured_pieces(table, bent, cache, tmp_path, monkeypatch, no_pictures):
     hat, field, _ = bent
     for i, amplitude in enumerate(1 + 0.3 * np.random.default_rng(1).standard_normal(9)):
         scan(tmp_path / f"hat-{i}.csv", hat, field, amplitude, 0.01, seed=i)
     shutil.copy(HAT / "geometry.py", tmp_path)
-    text = (HAT / "scene.toml").read_text().replace('size = "medium"', 'size = "coarse"')
+    text = (
+        (HAT / "scene.toml")
+        .read_text()
+        .replace('size = "medium"', 'size = "coarse"')
+        .replace("friction =", "pairs = 12\nfriction =")
+    )
     before, _, after = text.partition("[[deviations]]")
     item = '[[deviations]]\nname = "S"\nkind = "measured"\npart = "hat"\nfiles = "hat-*.csv"\npieces = true\n'
     rest = after[after.index("[[measurements]]") : after.index("[report]")]

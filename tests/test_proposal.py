@@ -24,7 +24,7 @@ from mic.wizard import write_scene
 def hat(z, width=90.0, foot=22.0, rise=20.0, x=0.0):
     """A hat profile along y, its feet at height z."""
     profile = [(0, 0), (foot, 0), (foot + 5, rise), (width - foot - 5, rise), (width - foot, 0), (width, 0)]
-    return extruded([(x + a, z + b) for a, b in profile], 0, 80, 7)
+    return extruded([(x + a, z + b) for a, b in profile], 0, 80, 10)
 
 
 def turned(sheet):
@@ -48,8 +48,8 @@ def triangles(sheet):
     return points, np.concatenate([cells[:, [0, 1, 2]], cells[:, [0, 2, 3]]])
 
 
-PLATE = grid(90, 80, 7)
-STACK = {"BASE": grid(120, 80, 8), "HAT": hat(1.0, x=5), "CAP": grid(60, 80, 8, z=22.0, x=25)}
+PLATE = grid(90, 80, 10)
+STACK = {"BASE": grid(120, 80, 11), "HAT": hat(1.0, x=5), "CAP": grid(60, 80, 11, z=22.0, x=25)}
 
 #: Decks by what is special about them: {file: sheets}, zones, whether all parts are welded together, keys of the deck.
 SHAPES = {
@@ -60,7 +60,7 @@ SHAPES = {
     "askew, in triangles": (
         {
             "plate": {"P": turned(triangles(PLATE))},
-            "angle": {"A": turned(extruded([(10, 1), (50, 1), (50, 40)], 0, 80, 8))},
+            "angle": {"A": turned(extruded([(10, 1), (50, 1), (50, 40)], 0, 80, 11))},
         },
         1,
         True,
@@ -68,15 +68,15 @@ SHAPES = {
     ),
     "three in one deck": ({"three": STACK}, 2, True, {"sections": {"BASE": 0.8, "HAT": 1.2, "CAP": 1.0}}),
     "curved": (
-        {"a": {"A": extruded(arc(150, 60, 120, 7), 0, 80, 7)}, "b": {"B": extruded(arc(151, 50, 85, 8), 0, 80, 8)}},
+        {"a": {"A": extruded(arc(150, 60, 120, 7), 0, 80, 10)}, "b": {"B": extruded(arc(151, 50, 85, 8), 0, 80, 11)}},
         1,
         True,
         {},
     ),
     "walls": (
         {
-            "channel": {"C": extruded([(0, 40), (0, 0), (60, 0), (60, 40)], 0, 100, 8)},
-            "wall": {"W": extruded([(61, 5), (61, 60)], 0, 100, 8)},
+            "channel": {"C": extruded([(0, 40), (0, 0), (60, 0), (60, 40)], 0, 100, 11)},
+            "wall": {"W": extruded([(61, 5), (61, 60)], 0, 100, 11)},
         },
         1,
         True,
@@ -154,8 +154,8 @@ def test_a_proposal_is_a_scene_that_holds_its_parts_well(proposed, case):
 
 @pytest.mark.fem
 @pytest.mark.slow
-@pytest.mark.parametrize("case", SHAPES)
-def test_a_proposal_runs_as_it_is_and_says_something(proposed, case):
+@pytest.mark.parametrize("case", ["three in one deck", "holes", "in metres", "one that touches nothing"])
+def test_a_proposed_scene_runs_and_its_characteristics_vary(proposed, case):
     """No sample fails, and every key characteristic varies, by less than the part is large."""
     folder, proposal = proposed(case)
     model = mic.reduce(load_scene(folder), kept(folder))
@@ -170,16 +170,15 @@ def test_a_proposal_runs_as_it_is_and_says_something(proposed, case):
 def test_sheets_drawn_upon_each_other_are_put_side_by_side(tmp_path):
     """The hat rises above the plate: its sheet lies above the drawn surface, the plate's below, whoever is named first
     and whichever way the normals look."""
-    for name, sheets in (("one", [PLATE, hat(0.0)]), ("two", [upside_down(PLATE), hat(0.0)])):
-        for order in (1, -1):
-            folder = tmp_path / f"{name}{order}"
-            folder.mkdir()
-            files = [write_deck(folder / f"{n}.inp", {"S": s}) for n, s in zip(("plate", "hat"), sheets)][::order]
-            scene, proposal = write_scene(files, folder / "scene", {None: 1.0})
-            assert "side by side" in proposal.sentences[0] and "guess" not in proposal.sentences[0]
-            parts = {part.name: part for part in assemble(load_scene(scene), tmp_path / "cache").parts}
-            assert parts["plate"].surface.points[:, 2] == pytest.approx(-0.5)
-            assert parts["hat"].surface.points[:, 2].min() == pytest.approx(0.5)
+    for name, plate, order in (("one", PLATE, 1), ("two", upside_down(PLATE), -1)):
+        (tmp_path / name).mkdir()
+        sheets = (("plate", plate), ("hat", hat(0.0)))
+        files = [write_deck(tmp_path / name / f"{n}.inp", {"S": sheet}) for n, sheet in sheets][::order]
+        scene, proposal = write_scene(files, tmp_path / name / "scene", {None: 1.0})
+        assert "side by side" in proposal.sentences[0] and "guess" not in proposal.sentences[0]
+        parts = {part.name: part for part in assemble(load_scene(scene), tmp_path / "cache").parts}
+        assert parts["plate"].surface.points[:, 2] == pytest.approx(-0.5)
+        assert parts["hat"].surface.points[:, 2].min() == pytest.approx(0.5)
 
 
 def test_what_the_drawing_does_not_tell_is_called_a_guess(tmp_path):
@@ -400,12 +399,12 @@ def test_a_stack_of_three_sheets_is_joined_through_and_the_rest_touches_where_no
 
 @pytest.mark.slow
 def test_a_large_lap_begins_with_fewer_pairs(tmp_path, proposed):
-    """Left to itself, a candidate an element, the zone would have twice as many; a small lap is left to itself."""
-    sheets = [grid(300, 240, 6), grid(300, 240, 6.5, z=1.0)]
+    """A candidate for each element would be more; a small lap has no stated spacing."""
+    sheets = [grid(300, 240, 8), grid(300, 240, 8.5, z=1.0)]
     files = [write_deck(tmp_path / f"{n}.inp", {"S": sheet}) for n, sheet in zip("ab", sheets)]
     folder, _ = write_scene(files, tmp_path / "scene", {None: 1.0})
     (zone,) = load_scene(folder).zones
-    assert 600 < 300 * 240 / zone.spacing**2 < 900 < 300 * 240 / 6.5**2
+    assert 600 < 300 * 240 / zone.spacing**2 < 900 < 300 * 240 / 8.5**2
     folder, _ = proposed("hat on a plate")
     assert load_scene(folder).zones[0].spacing is None
 

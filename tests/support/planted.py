@@ -11,6 +11,7 @@ from mic import cli
 from mic.errors import RunError
 from mic.process.process import Process
 from mic.results.run_folder import RunFolder
+from support.runs import skip_pictures
 
 evaluate = Process.evaluate
 
@@ -36,23 +37,6 @@ def refuse(*arguments):
     raise RunError("planted sentence")
 
 
-def undrawn():
-    """Pages are written without pictures, and none is begun beforehand."""
-    from mic.commands import run
-    from mic.report import page
-
-    run.BackgroundPictures = Undrawn
-    page.draw_all = lambda *_: {}
-
-
-class Undrawn:
-    def __init__(self, outcome):
-        pass
-
-    def end(self):
-        pass
-
-
 PLANTS = {
     "nothing": lambda: None,
     "bug": lambda: second_block(lambda: fail(RuntimeError("planted bug"))),
@@ -67,7 +51,7 @@ if __name__ == "__main__":
     sys.argv[:] = ["mic", *sys.argv[3:]]
     own = os.environ.get("OMPI_COMM_WORLD_RANK", "0")
     if own == "0":  # the one that draws
-        undrawn()
+        skip_pictures(setattr)
     if own == rank:
         PLANTS[what]()
     cli.main()

@@ -30,6 +30,25 @@ class Heard(Progress):
                 raise KeyboardInterrupt
 
 
+class NoPictures:
+    """Stands for the pictures that a run draws in the background."""
+
+    def __init__(self, outcome):
+        pass
+
+    def end(self):
+        pass
+
+
+def skip_pictures(replace):
+    """Write reports without pictures; `replace` is ``setattr`` or that of a monkeypatch."""
+    from mic.commands import run  # imports matplotlib, which most tests do without
+    from mic.report import page
+
+    replace(page, "draw_all", lambda *_: {})
+    replace(run, "BackgroundPictures", NoPictures)
+
+
 def edit(folder, table, law, change):
     """Rewrite every block of a table with what `change` makes of its frame."""
     for path in sorted((folder / table.name / f"law={law}").glob("*.parquet")):
