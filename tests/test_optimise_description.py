@@ -11,7 +11,7 @@ from mic import examples
 from mic.options import app
 from mic.results.schema import COMPARISON, OPTIMA
 from mic.studies.optimisation import BUDGET, FRESH
-from mic.studies.optimisation.description import asked
+from mic.studies.optimisation.description import describe
 
 PLACES = [[float(i), 0.0, 0.0] for i in range(1, 9)]
 WHOLE = {
@@ -47,41 +47,41 @@ def built(table, folder=None):
 
 
 def words(table, folder=None):
-    return asked(built(table, folder))
+    return describe(built(table, folder))
 
 
 def test_all_that_may_be_changed_and_must_be_kept_is_told():
     *told, effort = words(WHOLE)
     assert told == [
-        "wanted: the cost of M becomes as small as it can, over the variation of the inputs; an assembly outside its "
+        "objective: minimise the cost of M over the variation of the inputs; an assembly outside its "
         "limits costs 40",
-        "may change: force of C, 10 to 100 N (20 as it is)",
-        "may change: shim of bl1, -0.5 to 0.25 mm (0 as it is)",
-        "may change: stroke of T, 1 to 3 mm (2 as it is)",
+        "may change: force of C, 10 to 100 N (now 20)",
+        "may change: shim of bl1, -0.5 to 0.25 mm (now 0)",
+        "may change: stroke of T, 1 to 3 mm (now 2)",
         "may change: order of stage clamp: C+…+V, T; 2 orders",
         "may change: place of locators.bl2, to (1, 0, 0); (2, 0, 0); (3, 0, 0); (4, 0, 0); (5, 0, 0); (6, 0, 0) and 2 "
         "more",
-        "kept: 6σ of M is at most 0.3 mm",
-        "kept: the sum of the forces of all clamps is at least 5 N and at most 90 N",
+        "constraint: 6σ of M is at most 0.3 mm",
+        "constraint: the sum of the forces of all clamps is at least 5 N and at most 90 N",
     ]
-    assert effort.startswith("takes: 18 designs of orders and places × 3 settings between bounds; ")
+    assert effort.startswith("effort: 18 designs of orders and places × 3 settings between bounds; ")
     assert f"{BUDGET:,} evaluations" in effort and f"{2 * FRESH:,}" in effort
 
 
 def test_what_is_wanted_is_told_with_its_weights():
     told = words({"objective": "largest-six-sigma", "weights": {"M": 2}, "forces": WHOLE["forces"]})
-    assert told[0].startswith("wanted: the largest 6σ of all measurements becomes as small as it can")
-    assert told[0].endswith("; weights: M 2") and told[-1].startswith("takes: 1 setting between bounds; ")
+    assert told[0].startswith("objective: minimise the largest 6σ of all measurements")
+    assert told[0].endswith("; weights: M 2") and told[-1].startswith("effort: 1 setting between bounds; ")
     told = words({"forces": WHOLE["forces"]})
-    assert told[0].startswith("wanted: the least Cpk of all measurements becomes as large as it can, ")
+    assert told[0].startswith("objective: maximise the least Cpk of all measurements ")
 
 
 def test_measured_parts_are_counted_and_a_file_that_is_none_is_refused(tmp_path):
     (tmp_path / "f.csv").write_text("b\n0.1\n0.2\n0.3\n")
     (tmp_path / "r.csv").write_text("a\n0.1\n0.2\n")
     told = words({}, tmp_path)
-    assert "may be matched: 3 parts f, measured: b" in told and "may be matched: 2 parts r, measured: a" in told
-    assert told[-1].startswith("takes: 6 combinations of parts; ")
+    assert "to be matched: 3 parts f with measured b" in told and "to be matched: 2 parts r with measured a" in told
+    assert told[-1].startswith("effort: 6 combinations of parts; ")
     (tmp_path / "r.csv").unlink()
     with pytest.raises(mic.SceneError, match=r"optimise\.matching\[1\]\.file \(r\)"):
         words({}, tmp_path)

@@ -31,7 +31,8 @@ def test_samples_are_drawn_until_the_accuracy_is_reached_and_no_longer(lap_model
     count = RunFolder(tmp_path).record()["samples"]
     found = read_outcome(tmp_path)
     assert found.uncertainty <= 0.004 and drawn(tmp_path) == list(range(count)) and 50 <= count < 500
-    assert f"{count} samples: every 6σ is known to {found.uncertainty:.2%} (0.40% asked for)" in heard.sentences
+    reached = f"every 6σ at most {found.uncertainty:.2%} (requested: 0.40%)"
+    assert f"{count} samples: half-width of the 95 % interval of {reached}" in heard.sentences
     assert found.missing == {"frictionless": 0}
 
 
@@ -40,7 +41,7 @@ def test_what_is_asked_decides_and_plain_samples_would_have_to_be_thousands(lap_
     assert drawn(tmp_path / "rough") == list(range(50))
     sample_into(tmp_path / "fine", asking(lap_model, accuracy=1e-9), LAWS, 120, 4, heard := Heard())
     assert drawn(tmp_path / "fine") == list(range(120))
-    assert heard.sentences[-1].endswith("more samples may be had by --samples")
+    assert heard.sentences[-1].endswith("increase --samples")
 
 
 def test_an_interrupted_run_ends_with_the_same_samples(lap_model, tmp_path):
