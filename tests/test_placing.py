@@ -37,7 +37,7 @@ def table(**changes):
         "name": "placing",
         "parts": parts,
         "locators": located("plate", 0) + located("ring", 1),
-        "zones": [{"name": "ring", "parts": ["plate", "ring"], "friction": 0.2}],
+        "zones": [{"name": "ring", "parts": ["plate", "ring"], "friction": 0.2, "pairs": 6}],
         "stages": [{"kind": kind} for kind in ("locate", "clamp", "weld", "release", "measure")],
         "measurements": [
             {"name": "M", "part": "ring", "point": [30, 56, 1], "direction": [0, 0, 1], "lower": -1, "upper": 1}
@@ -264,7 +264,10 @@ def test_rows_without_a_name_are_numbered(tmp_path):
     "given, words",
     [
         ({"points": []}, r"welds\[0\].points: the list is empty"),
-        ({"points": [[12, 30, 0.5]], "point": [48, 30, 0.5]}, r"welds\[0\]: give either point, for one weld, or points"),
+        (
+            {"points": [[12, 30, 0.5]], "point": [48, 30, 0.5]},
+            r"welds\[0\]: give either point, for one weld, or points",
+        ),
     ],
 )
 def test_a_weld_of_points_has_some_and_no_other(given, words):
@@ -410,7 +413,10 @@ def test_a_pad_may_lie_over_a_hole_or_a_set_of_nodes(folder):
         ({"node": 99999}, r"fixtures\[0\] \(pad\).node: part 'plate' has no node 99999 .* nearest number is"),
         ({"set": "LOCC"}, r"fixtures\[0\] \(pad\).set: part 'plate' has no set"),
         ({"hole": [1, 2, 0]}, r"fixtures\[0\] \(pad\).hole: part 'plate' has no hole"),
-        ({"point": [30, 30, 9]}, r"\(pad\).point: \(30, 30, 9\) is 9 mm away from part 'plate' .* nearest .*\(30, 30, 0\)"),
+        (
+            {"point": [30, 30, 9]},
+            r"\(pad\).point: \(30, 30, 9\) is 9 mm away from part 'plate' .* nearest .*\(30, 30, 0\)",
+        ),
     ],
 )
 def test_a_pad_that_cannot_be_set_is_refused_by_its_name(folder, keys, words):

@@ -295,14 +295,14 @@ def test_a_singular_correlation_is_one():
     np.testing.assert_allclose(standard[:, 0], standard[:, 1], atol=1e-12)
 
 
-def test_a_run_of_a_design_tells_the_intervals_that_hold(lap_scene, cache, tmp_path):
+def test_a_run_of_a_design_tells_the_intervals_that_hold(lap_scene, cache, tmp_path, no_pictures):
     """Those of key characteristics come from its groups; others, which would take independent samples, are left out."""
     asked = lap_scene.monte_carlo.model_copy(update={"design": "antithetic", "samples": 24})
     laws = lap_scene.report.model_copy(update={"laws": ["coulomb"], "fields": False})
     outcome = run(lap_scene.model_copy(update={"monte_carlo": asked, "report": laws}), tmp_path / "out", cache)
     own = outcome.measurement_statistics.iloc[0]
     x = outcome.measured("coulomb", own["measurement"])
-    expected = estimates.grouped(x, np.arange(24) // 2, np.mean)
+    expected = estimates.grouped_jackknife(x, np.arange(24) // 2, np.mean)
     assert own["mean_low"] == pytest.approx(expected.low) and own["mean_high"] == pytest.approx(expected.high)
     assert own["mean_high"] - own["mean_low"] < 0.5 * np.subtract(*_ends(estimates.mean(x)))
     assert own["sigma_low"] < own["sigma"] < own["sigma_high"] and own["cp_low"] < own["cp"] < own["cp_high"]
