@@ -12,6 +12,7 @@ ROOT = Path(__file__).resolve().parents[1]
 SHEETS = ((0.8, 70e3, 0.33), (1.3, 206e3, 0.28))
 
 
+@pytest.mark.slow
 @pytest.fixture(scope="module")
 def unlike(cache):
     """The lap joint of two unlike sheets."""

@@ -32,22 +32,6 @@ def refused(cache, caplog, words, identity="abc"):
     return cache.load(identity) is not None and not caplog.messages
 
 
-def test_an_entry_is_found_by_its_key_only(cache, caplog):
-    header, arrays = cache.load("abc")
-    assert header == {"part": "lower"} and list(arrays) == ["H"]
-    np.testing.assert_array_equal(arrays["H"], H)
-    assert cache.load("abd") is None and Cache(cache.folder / "nowhere", "influence", THING).load("abc") is None
-    assert not caplog.messages
-
-
-def test_exchanged_numbers_count_as_absent(cache, caplog):
-    path = cache.path("abc")
-    with np.load(path) as data:
-        header = data["header"]
-    np.savez(path, header=header, H=3 * H)
-    assert refused(cache, caplog, "cut short or damaged; it counts as absent and is replaced")
-
-
 def test_a_truncated_file_counts_as_absent(cache, caplog):
     whole = cache.path("abc").read_bytes()
     for length in (0, 20, 200, len(whole) - 1):

@@ -72,6 +72,7 @@ def test_flush_gap_and_distance_measure_the_second_point_relative_to_the_first(a
     np.testing.assert_allclose(read(assembly, rigid(shift, [0, 0, 0]), STILL), [-0.5, -0.3, -shift @ line], atol=1e-12)
 
 
+@pytest.mark.slow
 def test_a_rigid_motion_does_not_change_a_distance(assembled):
     assembly = assembled(between("distance"))
     assert (
@@ -122,6 +123,7 @@ def three(**keys):
     return [{"part": "lower", "point": [*place, 0], "direction": [0, 0, 1]} | LIMITS | keys for place in places]
 
 
+@pytest.mark.slow
 def test_a_best_fit_removes_rigid_motion(assembled):
     fit = {"best_fit": ["M0", "M1", "M2"]}
     far = {"part": "upper", "point": [150, 20, 1]} | LIMITS
@@ -143,6 +145,7 @@ def test_a_best_fit_applies_to_measurements_between_two_points(assembled):
     assert found[3] == pytest.approx(0.0, abs=1e-12) and abs(found[4]) > 0.01
 
 
+@pytest.mark.slow
 def test_a_best_fit_on_one_point_removes_its_shift_only(assembled):
     away = {"part": "upper", "point": [150, 20, 1], "direction": [0, 0, 1]} | LIMITS
     assembly = assembled(three()[0], away | {"best_fit": ["M0"]}, away)
@@ -151,6 +154,7 @@ def test_a_best_fit_on_one_point_removes_its_shift_only(assembled):
     assert fitted == pytest.approx(plain - point, abs=1e-12) and abs(point) > 0.1
 
 
+@pytest.mark.slow
 def test_a_best_fit_on_more_points_is_by_least_squares(assembled):
     names = [f"M{i}" for i in range(6)]
     places = [[x, y, 0] for x in (12, 40, 70) for y in (5, 18)]
@@ -172,6 +176,7 @@ def test_flatness_is_parallelism_fitted_on_itself(assembled):
     assert read(assembly, STILL, bent)[0] > 0.3
 
 
+@pytest.mark.slow
 def test_the_tangent_is_the_derivative_of_the_values(assembled):
     assembly = assembled(*three(), LINE | {"kind": "parallelism"}, LINE | {"kind": "profile"})
     made = Characteristics.of(assembly.scene)
@@ -182,6 +187,7 @@ def test_the_tangent_is_the_derivative_of_the_values(assembled):
     assert (np.abs(change) > 1e-9).all()
 
 
+@pytest.mark.slow
 def test_a_placed_scene_survives_writing_and_reading(assembled):
     fitted = LINE | {"kind": "profile", "best_fit": ["M3"]}
     hole = between("distance")

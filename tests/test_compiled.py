@@ -4,6 +4,8 @@ import os
 import subprocess
 import sys
 
+import pytest
+
 from mic.contact.laws import LAWS
 from mic.system.compilation import MESSAGE
 
@@ -37,6 +39,8 @@ def python(*arguments):
     return done.stdout + done.stderr
 
 
+@pytest.mark.slow
+@pytest.mark.slow
 def test_evaluations_compile_nothing_once_kernels_are_compiled(lap_model, tmp_path):
     lap_model.save(tmp_path / "model.npz")
     python("-m", "mic.commands.compile")

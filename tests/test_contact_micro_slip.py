@@ -34,6 +34,7 @@ def dragged(compliance, bound, way, normal=1.0):
     return np.array(forces), np.array(anchors), work
 
 
+@pytest.mark.slow
 def test_a_jenkins_element_yields_slips_and_yields_back():
     """Spring 1/c in series with a slider of strength R: ``min(x/c, R)``; back, the spring unloads first."""
     c, R = 0.5, 0.3
@@ -147,6 +148,7 @@ def test_soft_contacts_tend_to_independent_springs():
     assert (np.diff(loads) > 0.0).all(), loads  # the softer the contacts, the less they take up
 
 
+@pytest.mark.slow
 def test_a_bar_pulled_over_its_bed_yields_and_slips_from_its_end():
     """Bar EA on a bed of k_t per length that slips at q: pulled by P, its last l slips, ``P = q l + (q/β) coth β(L -
     l)``, ``β² = k_t/EA``, and its end moves by ``q/k_t + (N l + q l²/2)/EA``, ``N = P - q l``."""

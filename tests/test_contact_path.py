@@ -169,6 +169,7 @@ def test_a_motion_below_the_tolerance_takes_one_step():
         assert np.linalg.norm(found.anchor - exact) < found.trace.error[0] < floor
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("beside", [0, 1])
 def test_contacts_that_touch_without_force_are_followed(beside):
     """Two touch as the load begins, a third closes later and takes over from one of them: what slips, since when; by
@@ -212,6 +213,7 @@ def sheets(contacts, samples, seed):
     return ContactSolver(S, 0.3), b.reshape(samples, 2, -1)
 
 
+@pytest.mark.slow
 @pytest.fixture(scope="module")
 def followed_sheets():
     solver, b = sheets(30, 60, seed=5)

@@ -101,6 +101,7 @@ def test_the_answer_does_not_depend_on_units():
     np.testing.assert_allclose(other.force / force, here.force, atol=1e-9 * np.abs(here.force).max())
 
 
+@pytest.mark.slow
 @CASES
 def test_all_samples_converge_on_batch_rungs(pieces, mu):
     problem = slip_dominated(60, 60, np.random.default_rng(7))

@@ -111,7 +111,7 @@ def test_an_indefinite_compliance_is_refused(share, refused):
         assert solve(S, b, 0.3).converged
 
 
-@settings(max_examples=120, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+@settings(max_examples=80, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 @given(
     m=st.integers(1, 4),
     rank=st.integers(0, 12),

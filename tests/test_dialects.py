@@ -233,7 +233,8 @@ MALFORMED = {
         UNIVERSAL,
         [
             ("   1.0000000000000000D+00   0.", "   one   0.", r"line 2: a field of this dataset 2411 is no number"),
-            ("         3         1         1        11", "         2         1         1        11", "node 2 is defined"),
+            ("         3         1         1        11", "         2         1         1        11",
+             "node 2 is defined"),
             ("         2        91", "         1        91", "element 1 is defined twice"),
             ("         2        10", "         2        11", "uses the node 11, which is not defined"),
             ("         2        10         3\n", "", "element 2 has fewer than its 3 nodes"),

@@ -4,7 +4,6 @@ import meshlane
 import numpy as np
 import pytest
 
-import mic
 from mic.compliance import provider
 from mic.errors import FormatError, MissingProvider
 from mic.model.assembly import assemble
@@ -13,7 +12,6 @@ from mic.results.low_rank_forces import CompressedForces, ForceAccumulator
 from mic.results.outcome import read_outcome
 from mic.results.run_folder import RunFolder
 from mic.runs import sample_into
-from mic.scene import Scene
 from mic.statistics.draw import draw
 
 SAMPLES, SEED = 25, 3
@@ -31,46 +29,6 @@ def folder(lap_model, lap_scene, cache, tmp_path_factory):
 @pytest.fixture(scope="module")
 def evaluation(lap_model):
     return lap_model.process("coulomb").evaluate(draw(lap_model.scene, SEED, 0, SAMPLES))
-
-
-def _misread(model, evaluation):
-    """Largest difference of H f + G q at the measurement points from what was measured, and the scale of that."""
-    compliance = model.compliance
-    reading = compliance.displace(evaluation.functional_force) + compliance.carry(evaluation.motion)
-    measured = reading @ model.rows["measurement"].toarray().T
-    return np.abs(measured - evaluation.measurements).max(), np.abs(evaluation.measurements).max()
-
-
-def test_forces_and_motions_reproduce_the_measurements(lap_model, evaluation):
-    """Forces, motions and signs are right."""
-    error, scale = _misread(lap_model, evaluation)
-    assert scale > 0.01 and error < 1e-9 * scale
-
-
-def test_redundant_rows_have_no_effect_on_forces_and_motions(lap_scene, cache):
-    """A second locator at the place of the first, off by 0.3 mm, in the last stage."""
-    content = lap_scene.model_dump()
-    twin = content["locators"][0] | {"name": "twin"}
-    off = {"name": "off", "kind": "locator", "target": "twin", "mean": 0.3, "sigma": 0.1}
-    stages = [stage for stage in content["stages"] if stage["kind"] != "release"]
-    scene = Scene(
-        **content
-        | {
-            "locators": [*content["locators"], twin],
-            "deviations": [*content["deviations"], off],
-            "stages": stages,
-            "folder": lap_scene.folder,
-        }
-    )
-    model = mic.reduce(scene, cache)
-    assert model.process().stages[-1].response.redundant
-    error, scale = _misread(model, model.evaluate({}))
-    assert scale > 1e-3 and error < 1e-9 * scale
-
-
-def test_forces_balance_on_every_part(lap_model, evaluation):
-    scale = np.abs(evaluation.functional_force).max() * max(np.abs(G).max() for G in lap_model.compliance.G)
-    assert np.abs(lap_model.compliance.resultants(evaluation.functional_force)).max() < 1e-9 * scale
 
 
 @pytest.mark.fem

@@ -37,6 +37,7 @@ def test_a_graded_size_never_exceeds_the_overall_size():
     assert GradedSize(3, [], []).at(np.ones((2, 3))) == pytest.approx([3, 3])
 
 
+@pytest.mark.slow
 def test_a_script_can_use_the_graded_size_and_its_mesh_is_cached_by_it(tmp_path):
     (tmp_path / "strip.py").write_text(GRADED)
     part = Part(name="strip", geometry="strip.py", accuracy=0.1, thickness=1.0)

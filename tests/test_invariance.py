@@ -10,6 +10,8 @@ from mic.contact.working_set import PATH_PENETRATION, PENETRATION
 from mic.model.assembly import assemble
 from mic.process.stage import LEAST_MOTION
 
+pytestmark = pytest.mark.slow
+
 #: Changes of a case, by a number, with the matrix and the unit in which the changed scene is seen.
 CHANGES = {
     "turned, renumbered, in inches": lambda case, seed: _turned(
@@ -45,7 +47,6 @@ def folder(tmp_path_factory):
     return cache(lambda *key: tmp_path_factory.mktemp("case"))
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("seed, watched", CASES)
 @pytest.mark.parametrize("change", CHANGES)
 def test_a_changed_scene_has_the_same_pairs_in_the_same_order(change, seed, watched, folder):
@@ -63,7 +64,6 @@ def test_a_changed_scene_has_the_same_pairs_in_the_same_order(change, seed, watc
     np.testing.assert_allclose(found_patches[:, 3] * unit, patches[:, 3], **close)
 
 
-@pytest.mark.slow
 @pytest.mark.fem
 @pytest.mark.parametrize("seed, watched", CASES)
 @pytest.mark.parametrize("change", CHANGES)
@@ -81,7 +81,6 @@ def test_a_changed_scene_has_the_same_measurements(change, seed, watched, folder
         np.testing.assert_allclose(found, measured, rtol=0, atol=1e-8 * np.abs(measured).max())
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("seed, watched", CASES)
 def test_pairs_follow_a_small_change(seed, watched, folder):
     case = random_case(seed, watched=watched)
@@ -92,7 +91,6 @@ def test_pairs_follow_a_small_change(seed, watched, folder):
     np.testing.assert_allclose(found_patches, patches, rtol=0, atol=1e-6)
 
 
-@pytest.mark.slow
 @pytest.mark.fem
 def test_measurements_follow_a_small_change(folder):
     seed, watched = CASES[0]
@@ -102,7 +100,6 @@ def test_measurements_follow_a_small_change(folder):
     np.testing.assert_allclose(found, measured, rtol=0, atol=1e-6)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("seed", [0, 1])
 def test_given_points_are_the_pairs_whichever_part_is_named_first(seed, folder):
     case = random_case(seed, patch=0.0, points=True)
@@ -115,7 +112,6 @@ def test_given_points_are_the_pairs_whichever_part_is_named_first(seed, folder):
     np.testing.assert_allclose(found.frame[:, :, 0], -contacts.frame[:, :, 0], rtol=0, atol=1e-12)
 
 
-@pytest.mark.slow
 @pytest.mark.fem
 @pytest.mark.parametrize("seed", [0, 1])
 def test_measurements_are_the_same_whichever_part_is_named_first(seed, folder):

@@ -67,38 +67,6 @@ def test_linear_maps_equal_the_stages(name, law, request):
         np.testing.assert_array_equal(one.state, resolutions[stage].state)
 
 
-def test_linear_maps_give_contact_the_same_problems(monkeypatch):
-    """Plates that overlap when a clamp lets them settle, and were moved aside before."""
-    named = [{"name": name, "kind": "locator", "target": name, "sigma": 0.1} for name in ("bl1", "bl4")]
-    process = plates(deviations=named).process("coulomb")
-    asked = []
-    for stage in process.stages:
-        for each in filter(stage.solves_contact, stage.required_steps):
-            solver = stage.solver(each)
-            monkeypatch.setattr(solver, "follow", lambda *a, own=solver.follow: asked.append(a[:3]) or own(*a))
-    deviations = np.array([[0.1, 0.2], [-0.9, -0.3]])
-    maps = Linear.of(process, 2)
-    lift = maps.steps[0].overlap([np.column_stack([np.ones(2), deviations])])
-    assert lift.min() < 0 < lift.max()
-    one_by_one(process, deviations)
-    expected, asked[:] = list(asked), []
-    maps.follow(process.stages, deviations)
-    assert len(asked) == len(expected) > 1
-    for found, given in zip(asked, expected):
-        for one, other in zip(found, given):
-            np.testing.assert_allclose(one, other, rtol=0, atol=1e-12 * max(1, np.abs(other).max()))
-    assert all(np.abs(anchor).max() > 1e-3 for _, _, anchor in expected)
-
-
-def test_a_sample_has_the_same_bits_alone_and_among_others(lap_model):
-    process, deviations = Process(lap_model, "coulomb"), draw(lap_model.scene, 5, 0, 9)
-    together = process.evaluate(deviations)
-    for number in (0, 4, 8):
-        alone = process.evaluate(deviations[[number]])
-        np.testing.assert_array_equal(alone.measurements[0], together.measurements[number])
-        np.testing.assert_array_equal(alone.functional_force[0], together.functional_force[number])
-
-
 def test_stages_are_evaluated_once_and_only_on_request(lap_model, monkeypatch):
     process, deviations = Process(lap_model, "coulomb"), draw(lap_model.scene, 5, 0, 3)
     process.evaluate(deviations)  # the maps are made

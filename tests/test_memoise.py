@@ -103,6 +103,8 @@ def changed_scenes(scene):
     yield scene.model_copy(update={"report": scene.report.model_copy(update={"laws": ["frictionless"]})})
 
 
+@pytest.mark.slow
+@pytest.mark.slow
 def test_a_cached_assembly_equals_a_new_one_and_belongs_to_one_scene(small_scene, tmp_path, monkeypatch):
     there = lambda: len(list((tmp_path / "assemblies").iterdir()))
     first, again = assemble(small_scene, tmp_path), assemble(small_scene, tmp_path)
@@ -130,6 +132,7 @@ def test_a_changed_file_invalidates_the_cached_assembly(small_scene, tmp_path):
     assert assemble(scene, tmp_path).identity != first.identity
 
 
+@pytest.mark.slow
 def test_warnings_are_cached_for_each_scene(small_scene, tmp_path):
     assembly = assemble(small_scene, tmp_path)
     soft = [part.model_copy(update={"young": 1e3}) for part in small_scene.parts]

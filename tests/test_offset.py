@@ -102,6 +102,7 @@ def test_the_offset_of_a_junction_is_refused():
         moved(Surface(points, [[0, 1, 2], [1, 0, 3], [0, 1, 4]]), 0.1)
 
 
+@pytest.mark.slow
 def test_offsets_move_parts_from_the_faying_surface_to_their_middle(tmp_path, cache):
     middle = assemble(lap(tmp_path, (0.0, 1.0)), cache)
     offset_section = STEEL + "*Shell Section, elset=all, material=S, offset=SPOS\n1.,\n"
@@ -156,6 +157,7 @@ def test_a_zone_can_state_its_gap(tmp_path, cache):
     assert found.contacts.gap == pytest.approx(0.3) and mean_gaps(found) == pytest.approx(0.3)
 
 
+@pytest.mark.slow
 def test_the_scene_overrides_the_deck_and_missing_values_are_refused(tmp_path, cache):
     section = STEEL + "*Shell Section, elset=all, material=S\n0.7,\n"
     scene = lap(
@@ -216,6 +218,7 @@ def test_check_reports_the_source_of_values_and_repairs(tmp_path, cache, monkeyp
     assert "upper: upper.inp: ignored elements other than shells: 1 MASS" in output and "valid" in output
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("fused", [True, False])
 def test_a_weld_over_a_wedge_measures_the_tilt_of_its_gap(tmp_path, cache, fused):
     """g = 0.3 + α x + β y over a disc of radius R: moments α R / 4, β R / 4; rotations (β, −α)."""

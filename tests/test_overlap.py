@@ -23,6 +23,7 @@ def lap(thickness, **zone):
     return scene.model_copy(update={"parts": parts, "zones": zones})
 
 
+@pytest.mark.slow
 def test_overlap_is_closed_at_pairs_and_welds_and_reported(cache):
     assembly = assemble(lap(1.06), cache)
     np.testing.assert_array_equal(assembly.contacts.gap, 0.0)
@@ -44,6 +45,7 @@ def test_open_gaps_remain(cache):
     assert not assembly.contacts.overlap.any() and not assembly.contacts.overlapping.any()
 
 
+@pytest.mark.slow
 def test_overlap_beyond_the_limit_is_refused_with_the_remedy(cache):
     with pytest.raises(
         SceneError, match=r"zones\[0\] \(lap\).*0\.4 mm at \(.*at most 0\.35 mm.*half a thickness.*keep"

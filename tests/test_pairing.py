@@ -81,6 +81,7 @@ def beside(pairs, bodies, angle, thickness, at_nodes=False):
     return found
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("shape, angle", [("V", 15.0), ("V", 60.0), *((shape, 30.0) for shape in BENT if shape != "V")])
 @pytest.mark.parametrize("bent_first", [False, True])
 @pytest.mark.parametrize("find", [find_pairs, node_pairs])
@@ -91,6 +92,7 @@ def test_facing_points_lie_along_the_normal(find, shape, bent_first, angle):
     assert not beside(pairs, bodies, angle, 0.8, at_nodes=find is node_pairs)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("find", [find_pairs, node_pairs])
 def test_crossing_channels_of_a_body_side_have_no_pairs_beside_each_other(find, tmp_path):
     """The lip of one channel stands up to 7 mm beside the web of the other and must not face it."""
@@ -117,6 +119,7 @@ def test_candidates_lie_on_the_edges_and_folds_of_both_sheets():
                 assert sum(np.abs(x[:, axis] - end).max() < 1e-9 for x in read) >= 2
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("spacing", [3.0, 9.0])
 def test_a_candidate_lies_at_every_corner_and_fold_end_of_a_border(spacing):
     """A square above a larger one, and an L whose foot ends at its fold."""
@@ -210,6 +213,7 @@ def hem():
     return about, Side(Surface(*extrude([(-10, 1), (19, 1)], 1.0, 28.0, 2.1)), 1.0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "find, keys, within_first",
     [
@@ -237,6 +241,7 @@ def test_each_side_of_a_sheet_within_a_hem_has_its_own_pairs(find, keys, within_
         assert (between > 0).sum() == (up > 0).sum() if not within_first else (between < 0).sum() == (up > 0).sum()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("within_first", [False, True])
 def test_a_pad_on_a_hem_has_a_candidate_on_either_side_of_the_sheet(within_first):
     bodies = hem()[::-1] if within_first else hem()
@@ -263,6 +268,7 @@ def test_fewer_pairs_than_sides_are_refused():
         find_pairs(zone(pairs=1), *hem())
 
 
+@pytest.mark.slow
 def test_a_sheet_within_a_rigid_slot_is_held_on_both_sides():
     slot = Side(Surface(*extrude([(0, 0), (20, 0), (20, 2.4), (0, 2.4)], 0.0, 30.0, 5.0)))
     pairs = find_pairs(
@@ -286,6 +292,7 @@ def test_no_candidate_patch_crosses_the_rim_of_a_nugget():
     assert sum(pair.area for pair in pairs) == pytest.approx(400)
 
 
+@pytest.mark.slow
 def test_no_candidate_patch_crosses_the_rim_of_a_pad():
     """Two concentric pads, and one that only touches the zone and has no rim there."""
     bodies = Side(plane(0, n=16), 1.0), Side(plane(1, n=15), 1.0)
@@ -306,6 +313,7 @@ def test_no_candidate_patch_crosses_the_rim_of_a_pad():
     assert len(alone) == len(pairs)
 
 
+@pytest.mark.slow
 def test_a_rest_beneath_a_pad_bounds_patches_but_not_the_spacing():
     """A small rest has as many candidates as its share of the pad; how near all others stand the clamp decides."""
     bodies = Side(plane(0, n=16), 1.0), Side(plane(1, n=15), 1.0)
@@ -328,6 +336,7 @@ def test_a_rest_beneath_a_pad_bounds_patches_but_not_the_spacing():
     assert len(one) == len(find_pairs(zone(pairs=None), *bodies, pressed=[clamp]))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("keys", [{}, {"spacing": 4.0}])
 def test_a_spacing_factor_applies_under_pads_and_elsewhere(keys):
     """Half the distance, four times as many in either place."""
@@ -361,6 +370,7 @@ def bend(turn, size, z=0.0):
     return Surface(*extrude(profile, 0.0, 20.0, size)[:2])
 
 
+@pytest.mark.slow
 def test_normals_along_a_bend_follow_the_arc_and_not_the_facets():
     """A bend of four facets of 22.5°, one row each, upon itself.
 
@@ -503,24 +513,6 @@ def test_coincident_points_share_their_area(apart):
         np.testing.assert_allclose(often[i].frame, once[0].frame, atol=1e-12)
 
 
-def test_pairs_lie_exactly_at_given_points():
-    bodies = Side(plane(0, n=7), 1.0), Side(plane(1, n=5), 1.0)
-    wanted = np.array([(5.123, 5.321, 0.0), (15.01, 4.97, 0.0), (10.77, 15.2, 0.0)])
-    for order in (1, -1):
-        given = [tuple(map(float, point)) for point in wanted]
-        pairs = find_pairs(zone(pairs=None, points=given, patch=0.0), *bodies[::order])
-        for pair, point in zip(pairs, wanted):
-            for body, patch in zip(bodies[::order], pair.patches):
-                at = body.surface.at(patch.triangle, patch.barycentric)
-                np.testing.assert_allclose(at[:, :2], [point[:2]], rtol=0, atol=1e-12)
-
-
-def test_first_body_above_turns_the_normal():
-    pairs = find_pairs(zone(), Side(plane(1.5), 1.0), Side(plane(0), 1.0))
-    assert all(pair.frame[2, 0] == pytest.approx(-1) for pair in pairs)
-    assert all(pair.gap == pytest.approx(0.5) for pair in pairs)
-
-
 def test_both_patches_of_a_pair_cover_the_same_points():
     first, second = plane(0), plane(1.0, n=5, x0=6.0)  # overhang on both sides
     pairs = find_pairs(zone(pairs=6), Side(first, 1.0), Side(second, 1.0))
@@ -603,6 +595,7 @@ def cylinder(radius, degrees, elements, size, flat=0.0):
     return Surface(points, triangles, about * np.sign((about * normals).sum(2, keepdims=True)))
 
 
+@pytest.mark.slow
 def test_the_spacing_on_bends_follows_curvature_and_mesh():
     """√(R t) of the inner sheet, of 7 mm in 2 mm; on two facets of 5.4 mm across nothing nearer than these is read."""
 

@@ -30,6 +30,7 @@ def readings(model, evaluation):
     return compliance.displace(evaluation.functional_force) + compliance.carry(evaluation.motion)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["lap_model", "hat_model"])
 @pytest.mark.parametrize("law", ["coulomb", "frictionless"])
 def test_forces_balance_and_reproduce_the_measurements(name, law, request):
@@ -78,6 +79,8 @@ def test_nested_single_threaded_functions_stay_single_threaded():
         assert (outer(), threads()) == ({1}, before)
 
 
+@pytest.mark.slow
+@pytest.mark.slow
 def test_forces_balance_and_welds_hold_in_a_process_of_two_stations(hat_model, cache):
     """Clamp and weld one side, let its clamps go, then clamp and weld the other; one clamp stays from the first."""
     scene = hat_model.scene
@@ -129,6 +132,7 @@ def test_later_stages_do_not_change_the_clamped_state(lap_model, lap_scene, cach
     np.testing.assert_allclose(alone.force, followed.force, atol=1e-6 * np.abs(alone.force).max())
 
 
+@pytest.mark.slow
 def test_a_weld_keeps_its_initial_gap(lap_model, lap_scene, cache):
     deviations = draw(lap_scene, 3, 0, 4)
     unwelded = mic.reduce(with_stages(lap_scene, ("locate", "clamp", "measure")), cache)
@@ -160,6 +164,7 @@ def test_a_closing_weld_closes_gap_and_tilt(hat_model):
     assert np.abs(sideways[:, closing]).max() > 1e-4
 
 
+@pytest.mark.slow
 def test_slip_is_measured_from_the_end_of_the_previous_stage(lap_scene, cache):
     """Nothing changes in a stage that only repeats its predecessor: with memory, no slip and the same forces."""
     clamp = lap_scene.stages[1]
@@ -225,6 +230,7 @@ def test_a_sample_that_misses_its_tolerance_in_one_step_fails(lap_model, monkeyp
     assert evaluation.resolutions["clamp"].converged.tolist() == [True, False, True]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("law", ["coulomb", "associated", "frictionless"])
 def test_a_sample_has_the_same_bits_in_any_batch_order_and_number_of_threads(hat_model, law):
     deviations = draw(hat_model.scene, 5, 0, 11)
@@ -262,6 +268,7 @@ def everything(evaluation):
     return found
 
 
+@pytest.mark.slow
 def test_results_without_contact_are_affine(lap_scene, cache):
     model = mic.reduce(lap_scene.model_copy(update={"zones": []}), cache)
     assert len(model.contacts) == 0
@@ -271,6 +278,8 @@ def test_results_without_contact_are_affine(lap_scene, cache):
     assert np.abs(one - zero).max() > 1e-3
 
 
+@pytest.mark.slow
+@pytest.mark.slow
 def test_normal_rows_suffice_without_friction(lap_scene, lap_model, cache):
     scene = lap_scene.model_copy(
         update={"report": lap_scene.report.model_copy(update={"laws": ["frictionless"], "slip": False})}
@@ -304,6 +313,7 @@ def test_a_process_without_release_solves_contact_once(lap_scene, cache):
     assert list(mic.reduce(scene, cache).evaluate({}).resolutions) == ["clamp"]
 
 
+@pytest.mark.slow
 def test_increments_change_the_result_and_converge(hat_model):
     def measured(increments):
         stages = [stage.model_copy(update={"increments": increments}) for stage in hat_model.scene.stages]
@@ -327,6 +337,8 @@ def test_the_path_tolerance_is_that_of_the_scene(lap_model):
     assert paths("associated", path=closely) == [Increments(1)] * 2  # whose small steps do not tend to it
 
 
+@pytest.mark.slow
+@pytest.mark.slow
 def test_a_tighter_path_tolerance_reduces_the_error(hat_model):
     deviations = draw(hat_model.scene, 3, 0, 4)
 
@@ -352,6 +364,7 @@ def test_a_part_without_support_is_refused_before_computation(lap_scene, cache, 
         mic.reduce(lap_scene.model_copy(update={"stages": stages}), cache)
 
 
+@pytest.mark.slow
 def test_a_redundant_locator_is_named_and_has_no_effect(lap_scene, cache):
     # Of one increment each, because a step more is a leg more, and a path that is followed has errors of its own.
     twin = lap_scene.locators[0].model_copy(update={"name": "twin", "stage": "clamp"})

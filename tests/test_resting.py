@@ -264,6 +264,7 @@ def test_a_clamp_of_limited_force_can_press_a_resting_part():
             np.testing.assert_allclose(clamp.needed[0], [needed], rtol=1e-7)
 
 
+@pytest.mark.slow
 def test_a_flexible_sheet_can_rest_on_another_and_be_welded(lap_scene, cache):
     """The lap joint, its upper strip without locators: 60 N press it on, welds hold it once they are made."""
     model = mic.reduce(

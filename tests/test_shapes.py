@@ -220,6 +220,7 @@ def test_the_correlation_is_that_of_matern():
     assert ρ[0] == pytest.approx(1.0, abs=1e-12) and (np.sqrt(8) * k1(np.sqrt(8))) == pytest.approx(0.14, abs=0.005)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("stretch", [2.5, 0.5])
 def test_a_directional_field_has_the_matern_correlation_of_the_stretched_distance(stretch):
     """The direction need not lie in the sheet: what of it does counts."""
@@ -336,6 +337,7 @@ def test_the_density_of_measured_points_limits_the_spacing(angle, tmp_path):
         expand_modes(scene_of(tmp_path, **keys, spacing=6.0), {"a": angle}, {"a": None})
 
 
+@pytest.mark.slow
 def test_many_wrong_files_give_one_short_error(angle, tmp_path):
     for i in range(9):
         write(tmp_path, np.random.default_rng(i).uniform(200, 300, (50, 3)), name=f"p{i}.csv")

@@ -22,7 +22,7 @@ from mic.process.model import ReducedModel
 from mic.scene.load import read_table
 from mic.studies import thickness
 from mic.studies.sensitivity import effects
-from mic.studies.thickness import interpolated
+from mic.studies.thickness import interpolation_errors
 
 LAP = Path(__file__).resolve().parents[1] / "meshes" / "lap_joint"
 T = {"name": "T", "kind": "thickness", "part": "upper", "sigma": 0.02}
@@ -91,6 +91,7 @@ def assembled(cache):
     return assemble(read(lap([T])), cache)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "part, skin, change",
     [("upper", 0, -0.5), ("lower", 0, -0.5), ("upper", 1, -1), ("upper", -1, 0), ("lower", 1, 0), ("lower", -1, -1)],
@@ -207,14 +208,14 @@ def test_derivatives_equal_finite_differences(varied):
 def test_the_error_of_the_interpolation_is_reported(varied, cache, monkeypatch):
     """It grows with fewer thicknesses where the sheet bends and stretches."""
     assembly, model = varied
-    (one,) = interpolated(assembly, model, cache)
+    (one,) = interpolation_errors(assembly, model, cache)
     assert (one.name, one.part) == ("T", "upper") and one.thickness == pytest.approx((0.94, 1.06))
     assert np.abs(one.error).max() < 1e-7 and np.abs(one.change).max() > 0.005
     known = model.thicknesses["upper"]
     two = Thicknesses(known.t[::4], known.low, known.high, known.H[::4], known.G[::4])
-    (bad,) = interpolated(assembly, replace(model, thicknesses={"upper": two}), cache)
+    (bad,) = interpolation_errors(assembly, replace(model, thicknesses={"upper": two}), cache)
     assert np.abs(bad.error).max() > 1e-5
-    assert thickness.AWAY == 3.0
+    assert thickness.DISTANCE == 3.0
 
 
 @pytest.mark.fem
@@ -274,6 +275,8 @@ def test_two_thickness_deviations_of_one_sheet_and_fields_are_refused(cache):
         assemble(read(table), cache)
 
 
+@pytest.mark.slow
+@pytest.mark.slow
 @pytest.mark.parametrize("key", ["stiffness", "compliance"])
 def test_a_varying_thickness_is_refused_for_a_given_matrix(key, assembled, cache, tmp_path):
     surface = assembled.parts[1].surface

@@ -157,6 +157,7 @@ def test_weights_are_loads_from_placement_to_the_next_station():
 PIN = {"kind": "locator", "sigma": 0.0, "target": ["upper-C1", "upper-B1"]}
 
 
+@pytest.mark.slow
 def test_a_displaced_pin_moves_its_locators_and_a_displaced_hole_does_the_opposite(lap_scene, cache):
     along = [0.6, 0.8, 0]
     items = [
@@ -235,6 +236,7 @@ def test_sources_without_temperature_do_not_expand(lap_scene):
 MU = {"name": "mu", "kind": "friction", "target": "lap", "sigma": 0.05}
 
 
+@pytest.mark.slow
 def test_varying_friction_equals_scenes_with_that_friction(lap_scene, cache):
     """Samples of equal, of different and of negative friction, which fails."""
     table = lap_scene.model_dump()
@@ -259,6 +261,7 @@ def test_varying_friction_equals_scenes_with_that_friction(lap_scene, cache):
     assert not smooth.failed.any()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "change, message",
     [

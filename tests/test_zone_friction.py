@@ -59,6 +59,7 @@ def ratio(resolution):
     return np.where(loaded, np.hypot(f[..., 1], f[..., 2]) / np.where(loaded, f[..., 0], 1.0), 0.0).max(axis=1)
 
 
+@pytest.mark.slow
 def test_each_stage_has_its_own_friction(evaluated):
     _, same_everywhere = evaluated(friction={"clamp": 0.2, "release": 0.2, "default": 0.2})
     _, constant = evaluated(friction=0.2)
@@ -75,6 +76,8 @@ def test_each_stage_has_its_own_friction(evaluated):
     assert np.abs(release.force - before.resolutions["release"].force).max() > 1e-2
 
 
+@pytest.mark.slow
+@pytest.mark.slow
 @pytest.mark.parametrize("keys", [{"friction_table": TABLE}, {"friction_power": POWER}], ids=["table", "power"])
 def test_slipping_pairs_have_the_friction_of_their_pressure(evaluated, keys):
     model, found = evaluated("pressure-dependent", **keys)
@@ -103,6 +106,8 @@ def test_a_table_of_one_point_is_coulombs_law(evaluated):
     same(constant, coulomb, 1e-9)
 
 
+@pytest.mark.slow
+@pytest.mark.slow
 def test_yielding_contacts_move_in_proportion_to_their_forces(evaluated):
     """A loaded pair moves relative to its slider by ``-c Δf_t``, ``c = 1/(k_t A)``; stiff pairs obey Coulomb's law."""
     model, found = evaluated("micro-slip", tangential_stiffness=YIELDING, friction=0.27)
@@ -140,6 +145,8 @@ def test_zones_with_different_friction_functions_can_be_combined(lap_scene, cach
     assert set(contacts.zone) == {0, 1, 2}
 
 
+@pytest.mark.slow
+@pytest.mark.slow
 def test_pressure_is_the_force_over_the_patch_area(lap_scene, cache):
     tributary = assemble(with_zone(lap_scene), cache).contacts
     np.testing.assert_array_equal(tributary.bearing, tributary.area)

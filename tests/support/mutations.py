@@ -27,20 +27,19 @@ from rich.table import Table
 
 ROOT = Path(__file__).resolve().parents[2]
 LIST = ROOT / "tests" / "mutations.toml"
-PYTEST = ("-m", "pytest", "-x", "-q", "--no-header", "-p", "no:cacheprovider", "-m", "not slow")
+PYTEST = ("-m", "pytest", "-x", "-q", "--no-header", "-p", "no:cacheprovider")
 LONGEST = 600  # s: a test that hangs on an error has caught it
 FAILED = 1  # how pytest ends when a test failed; what else it may say is no verdict
-OWED = "Each names the tests that are to catch it; `script/mutate` tells whether they do."
+ALL_CAUGHT = "Each entry names the tests that must catch the error."
 PAGE = """# Planted errors
 
-`script/mutate` plants one error of physics at a time in a copy of the program and runs the tests that stand beside it:
-a sign, a factor, a quantity that is forgotten. A test suite that passes with such an error judges nothing. The list is
-`tests/mutations.toml`; whoever adds a quantity adds its error.
+`script/mutate` plants one error of physics at a time in a copy of the program, such as a wrong sign or factor or a missing
+quantity, and runs the tests that must fail. The entries are in `tests/mutations.toml`; add one for each new quantity.
 
 {survivors}
 
-| error | in | tests that are run |
-| --- | --- | --- |
+| file | planted errors |
+| --- | --- |
 {rows}
 """
 
@@ -156,14 +155,15 @@ def run(folder: Path, tests: Sequence[str], longest: float = LONGEST) -> tuple[s
     return "caught", found[1]
 
 
-def page(all_: Sequence[Mutation]) -> str:
-    """docs/mutations.md."""
-    survivors = [f"- {one.what} (`{one.file}`): {one.survives}" for one in all_ if one.survives]
-    told = "\n".join(["These survive, and why:", "", *survivors]) if survivors else OWED
-    rows = "\n".join(
-        f"| {one.what} | `{one.file}` | {', '.join(f'`{Path(test).name}`' for test in one.tests)} |" for one in all_
-    )
-    return PAGE.format(survivors=told, rows=rows)
+def page(entries: Sequence[Mutation]) -> str:
+    """The text of docs/mutations.md."""
+    survivors = [f"- {entry.what} (`{entry.file}`): {entry.survives}" for entry in entries if entry.survives]
+    notes = "\n".join(["These survive, for the given reason:", "", *survivors]) if survivors else ALL_CAUGHT
+    by_file: dict[str, list[str]] = {}
+    for entry in entries:
+        by_file.setdefault(entry.file, []).append(f"{entry.what}.")
+    rows = "\n".join(f"| `{file}` | {' '.join(errors)} |" for file, errors in by_file.items())
+    return PAGE.format(survivors=notes, rows=rows)
 
 
 def verdicts(chosen: Sequence[Mutation], processes: int, scratch: Path) -> Iterator[Verdict]:

@@ -9,7 +9,8 @@ import numpy as np
 from mpi4py import MPI
 from scipy.sparse import csr_matrix, hstack, vstack
 
-from fem_reference.full.equilibrium import ContactLaw, Equilibrium, Parts, State
+from fem_reference.full.contact_law import ContactLaw
+from fem_reference.full.equilibrium import Equilibrium, Parts, State
 from fem_reference.full.friction import ContactFriction
 from fem_reference.shell.part import ShellPart
 from mic.compliance.functional import Functionals
