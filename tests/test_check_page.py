@@ -61,7 +61,7 @@ def test_gaps_are_a_map_in_mm_and_overlap_lies_below_zero(tmp_path, cache):
     assert data["map"] == {"scale": "viridis", "low": 0.0, "high": pytest.approx(0.1), "title": "gap (mm)"}
 
 
-def test_an_overlap_is_told_from_a_gap(tmp_path, cache):
+def test_overlaps_and_gaps_have_different_signs(tmp_path, cache):
     _, data, _ = checked(tmp_path, cache, ("thickness = 1\nyoung = 210000", "thickness = 1.2\nyoung = 210000"))
     (group,) = [group for group in data["points"] if "values" in group]
     assert group["values"] == pytest.approx(np.full(6, -0.2)) and "overlap 0.2 mm" in group["labels"][0]
@@ -108,7 +108,7 @@ name = "lower-A1"
 """
 
 
-def test_fixtures_are_drawn_and_those_that_cannot_be_are_left_out(tmp_path, cache):
+def test_fixtures_are_drawn_unless_their_mesh_is_missing(tmp_path, cache):
     """A block from a file; a pad that is set against a part, and hence only where that is meshed; neither, if not."""
     edit = ('[[locators]]\nname = "lower-A1"\n', PAD)
     block = "solid b\n facet normal 0 0 1\n  outer loop\n   vertex 0 0 -5\n   vertex 9 0 -5\n   vertex 0 9 -5\n"
@@ -121,7 +121,7 @@ def test_fixtures_are_drawn_and_those_that_cannot_be_are_left_out(tmp_path, cach
     assert [part["name"] for part in data["parts"]] == ["lower", "upper"] and "there is no file" in html
 
 
-def test_without_any_part_the_page_says_so(tmp_path, cache):
+def test_a_page_without_any_part_has_a_message(tmp_path, cache):
     html, data, _ = checked(tmp_path, cache, ('geometry = "geometry.py"', 'geometry = "none.py"'))
     assert data is None and "No part\n  could be read" in html and html.count("there is no file") == 2
 

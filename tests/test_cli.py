@@ -45,19 +45,32 @@ def command(cache, tmp_path):
     return call
 
 
+@pytest.fixture
+def here(cache):
+    """Output of a command that runs in this process."""
+
+    def call(*arguments):
+        done = CliRunner().invoke(app, [*map(str, arguments)], env={"MIC_CACHE": str(cache), "COLUMNS": "200"})
+        assert done.exit_code == 0, done.output
+        return done.output
+
+    return call
+
+
+@pytest.mark.slow
 @pytest.mark.fem
-def test_run_check_report(command, cache, tmp_path):
-    checked = command("check", LAP).stdout
+def test_run_check_report(command, here, tmp_path, no_pictures):
+    scene = lap_with(tmp_path, ("friction = 0.27", "friction = 0.27\npairs = 12"))
+    checked = here("check", scene)
     assert (
         re.search(r"lower *│ 509 *│", checked)  # nodes
         and "6000" not in checked
         and "200 samples × 3 laws" in checked
         and "The scene is valid" in checked
     )
-    scene = lap_with(tmp_path, ("friction = 0.27", "friction = 0.27\npairs = 12"))
-    first = command("run", scene, "--samples", 20).stdout
+    first = here("run", scene, "--samples", 20)
     assert "report:" in first and "RMS slip under load" in first and "RMS tangential displacement" in first
-    assert "coulomb: worst residual" in first and "12 samples on a tighter path change key characteristics" in first
+    assert "coulomb: largest residual" in first and "with a tighter load path (12 samples)" in first
     folder = tmp_path / "results" / "lap-joint"
     summary = json.loads((folder / "summary.json").read_text())
     assert summary["samples"] == 20 and set(summary["laws"]) == {"coulomb", "associated", "frictionless"}
@@ -70,8 +83,7 @@ def test_run_check_report(command, cache, tmp_path):
     assert summary["laws"]["coulomb"]["path"]["repeated"] == 12 and zone["six_sigma_rms_slip_path"] is not None
     assert (folder / "report.html").stat().st_size > 10_000
     (folder / "report.html").unlink()
-    again = CliRunner().invoke(app, ["run", scene, "--samples", "20"], env={"MIC_CACHE": str(cache), "COLUMNS": "200"})
-    assert again.exit_code == 0 and "reused" in again.output
+    assert "reused" in here("run", scene, "--samples", 20)
     assert (folder / "report.html").is_file()
     record = json.loads((folder / "run.json").read_text())
     (folder / "run.json").write_text(json.dumps(record | {"format": record["format"] - 1}))
@@ -79,7 +91,7 @@ def test_run_check_report(command, cache, tmp_path):
     assert old.returncode == 2 and len(old.stderr.strip().splitlines()) == 1 and "an older version" in old.stderr
 
 
-def test_check_shows_what_is_not_modelled(cache, tmp_path):
+def test_check_shows_what_a_frictionless_run_omits(cache, tmp_path):
     text = (LAP / "scene.toml").read_text().replace("fields = true", "")
     text = re.sub(r'\[\[stages\]\]\nkind = "release".*?\n\n', "", text, flags=re.S)
     (tmp_path / "scene.toml").write_text(text)
@@ -91,7 +103,7 @@ def test_check_shows_what_is_not_modelled(cache, tmp_path):
     assert "no field solves" in lean
 
 
-def test_check_says_where_normals_come_from_and_draws_them(cache, tmp_path):
+def test_check_shows_sources_of_normals_and_draws_them(cache, tmp_path):
     """A geometry that leaves normals out: a bend of two rows by 100°, and flats."""
     script = """
 import numpy as np
@@ -118,8 +130,8 @@ def build(part, size):
     (tmp_path / "bent.py").write_text(script)
     picture = tmp_path / "normals.png"
     told = CliRunner().invoke(app, ["check", scene, "--normals", str(picture)], env=environment).output
-    assert re.search(r"lower +│ nobody +│ 0 +│ [1-9]\d* +│ [1-9]\d* +│ 0", told)
-    assert "turn by more than 40°, too far to follow a bend" in " ".join(told.split())
+    assert re.search(r"lower +│ none +│ 0 +│ [1-9]\d* +│ [1-9]\d* +│ 0", told)
+    assert "with a bend of more than 40°, too coarse for its curvature" in " ".join(told.split())
     assert picture.read_bytes().startswith(b"\x89PNG")
 
 
@@ -134,7 +146,7 @@ def lap_with(tmp_path, *edits):
     return str(tmp_path)
 
 
-def test_check_prints_the_process_step_by_step_and_what_is_doubtful_about_it(cache, tmp_path, lap_model):
+def test_check_prints_the_process_step_by_step_with_notes(cache, tmp_path, lap_model):
     """With coefficients at hand (those of the model) a few samples say where friction hardly matters."""
     scene = lap_with(
         tmp_path,
@@ -146,7 +158,7 @@ def test_check_prints_the_process_step_by_step_and_what_is_doubtful_about_it(cac
     environment = {"MIC_CACHE": str(cache), "COLUMNS": "200"}
     printed = CliRunner().invoke(app, ["check", scene], env=environment).output
     process = printed[printed.index("Process") : printed.index("Optimisation")].splitlines()
-    assert "• may change: force of C1-upper, 30 to 90 N (60 as it is)\n" in printed
+    assert "• may change: force of C1-upper, 30 to 90 N (now 60)\n" in printed
     assert process[3:] == [
         "clamp: contact active, load path followed",
         "  1. parts that overlap come to rest on each other",
@@ -161,10 +173,10 @@ def test_check_prints_the_process_step_by_step_and_what_is_doubtful_about_it(cac
         "measure: nothing moves",
         "  1. 2 key characteristics are measured",
     ]
-    assert "note: stage clamp: friction changes where the contacts end by no more than 5 %" in printed
+    assert "note: stage clamp: friction changes the tangential motion of the closed contacts by at most 5 %" in printed
     nothing_at_hand = {"MIC_CACHE": str(tmp_path / "empty"), "COLUMNS": "200"}
     told = CliRunner().invoke(app, ["check", scene], env=nothing_at_hand).output
-    assert "note:" not in told and "mic order tells, once the influence coefficients are computed" in told
+    assert "note:" not in told and "Effect of the process order: not computed. Run mic order." in told
 
 
 @pytest.mark.parametrize("order", ["check", "run", "order"])
@@ -174,7 +186,7 @@ def test_a_process_that_frees_a_part_is_refused_before_long_work(order, tmp_path
     def compute(*_):
         raise AssertionError("influence coefficients were asked for")
 
-    for name in ("runs.coefficients", "commands.check.influence_coefficients", "commands.call.coefficients"):
+    for name in ("runs.coefficients", "commands.check.influence_coefficients", "commands.invocation.coefficients"):
         monkeypatch.setattr(f"mic.{name}", compute)
     where = ["--out", str(tmp_path / "out")] if order == "run" else []
     done = CliRunner().invoke(app, [order, scene, *where])
@@ -201,7 +213,7 @@ def test_errors_are_one_line_and_exit_with_two(command, arguments, words, tmp_pa
         assert word in done.stderr
 
 
-def test_an_interrupted_run_says_how_to_go_on(tmp_path, monkeypatch):
+def test_an_interrupted_run_names_the_command_that_continues_it(tmp_path, monkeypatch):
     def interrupt(*_):
         raise KeyboardInterrupt
 
@@ -223,7 +235,7 @@ def test_the_backends_of_the_options_are_those_of_a_scene():
     assert set(get_args(asked)) == set(get_args(declared)[0].__members__)
 
 
-def test_whoever_asks_for_help_waits_for_no_numerics():
+def test_help_imports_no_numerical_library():
     script = (
         "import sys, mic.cli\n"
         "sys.argv = ['mic', 'run', '--help']\n"

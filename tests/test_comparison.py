@@ -48,7 +48,7 @@ def row(found, name):
     return found.table.set_index("quantity").loc[name]
 
 
-def test_a_change_of_friction_is_that_by_hand(before):
+def test_a_change_of_friction_agrees_with_the_closed_form(before):
     """The drag of every sample goes as μ, so that the samples of M do."""
     found = compare(before, dragged(friction=0.2), samples=40, seed=3)
     COMPARISON.check(found.table, "memory", "mend it")
@@ -64,7 +64,7 @@ def test_a_change_of_friction_is_that_by_hand(before):
     assert found.changes == ["zones.z.friction: 0.3 → 0.2"]
     slip = row(found, "slip clamp z")
     assert slip["mean_a"] == pytest.approx(PULL, rel=0.05) and np.isnan(slip["cpk_a"]) and slip["mean_change"] > 0
-    assert "mean changes of M by −" in " ".join(sentences(found))
+    assert "Significant changes of mean: M by −" in " ".join(sentences(found))
 
 
 def test_deviations_are_paired_by_name_whatever_their_order_and_spread(before):
@@ -75,7 +75,7 @@ def test_deviations_are_paired_by_name_whatever_their_order_and_spread(before):
     assert any(line.startswith("deviations.P.sigma: 0.05 → 0.1") for line in found.changes)
 
 
-def test_nothing_changes_where_nothing_differs_and_another_law_is_a_change(before):
+def test_equal_scenes_have_no_change_and_another_law_is_one(before):
     found = compare(before, before, samples=10)
     changes = found.table[[name for name in COMPARISON.names if name.endswith("_change")]].to_numpy()
     assert (np.nan_to_num(changes) == 0).all() and not found.changes
@@ -97,7 +97,7 @@ def test_yield_and_share_outside_are_counted_in_pairs(before):
 
 
 @pytest.mark.parametrize("n", [20, 100])
-def test_intervals_cover_what_they_claim(n):
+def test_intervals_have_their_stated_coverage(n):
     """1000 repetitions of correlated normals: 95 %, less three standard errors of that."""
     draws, hits, repeated = np.random.default_rng(n), np.zeros(4), 1000
     sigma, limits = np.sqrt([1.09, 0.73]), (-3.0, 3.0)
@@ -133,11 +133,11 @@ def test_lists_of_samples_go_together_row_by_row(before):
     found = compare(given(before, rows), dragged(far_first=True), samples=3)
     for side in (found.a, found.b):
         np.testing.assert_allclose(side.values["M"], [MU * lift / 4 for lift in (0.3, 0.4, 0.5)], rtol=1e-9)
-    with pytest.raises(SceneError, match="tables of as many rows"):
+    with pytest.raises(SceneError, match="tables of samples do not match"):
         compare(given(before, rows), given(before, rows[:2]), samples=3)
 
 
-def test_what_has_nothing_in_common_is_refused(before):
+def test_runs_without_common_characteristics_are_refused(before):
     items = before.scene.model_dump(mode="json")["measurements"]
     scene = mic.Scene(**before.scene.model_dump(mode="json") | {"measurements": [items[0] | {"name": "other"}]})
     nothing = []
@@ -149,17 +149,17 @@ def test_what_has_nothing_in_common_is_refused(before):
         with pytest.raises(SceneError, match=words):
             compare(before, dataclasses.replace(before, scene=changes), samples=3, progress=nothing.append)
     assert nothing == []
-    with pytest.raises(SceneError, match="two laws at most"):
+    with pytest.raises(SceneError, match="laws are given for two sides"):
         compare(before, before, ("coulomb", "frictionless", "associated"))
 
 
 def test_scenes_of_other_assemblies_are_refused_before_either_is_reduced(monkeypatch):
-    monkeypatch.setattr("mic.commands.compare.studied", lambda *_: pytest.fail("it was reduced"))
+    monkeypatch.setattr("mic.commands.compare.load_model", lambda *_: pytest.fail("it was reduced"))
     done = CliRunner().invoke(app, ["compare", *(str(examples.folder(name)) for name in ("lap_joint", "wheelhouse"))])
     assert "have no part in common (lower, upper; inner, outer)" in str(done.exception)
 
 
-def test_differences_of_scenes_name_what_came_and_went(before):
+def test_differences_of_scenes_name_added_and_removed_items(before):
     other = dragged().scene.model_dump(mode="json")
     other["zones"], other["name"] = [other["zones"][0] | {"name": "y"}], "other"
     assert scene_differences(before.scene, mic.Scene(**other)) == ["zones.z: removed", "zones.y: added"]
@@ -171,7 +171,7 @@ def test_the_command_writes_a_page_and_a_table(before, tmp_path):
     asked = ["compare", *(str(tmp_path / name) for name in ("a.npz", "b.npz")), "--samples", "12", "--seed", "3"]
     done = CliRunner().invoke(app, [*asked, "--out", str(tmp_path / "out")], env={"COLUMNS": "160"})
     assert done.exit_code == 0, done.output
-    assert "The mean changes of M by" in done.output
+    assert "Significant changes of mean: M by" in done.output
     page = (tmp_path / "out" / "comparison.html").read_text(encoding="utf-8")
     assert "zones.z.friction: 0.3 → 0.2" in page and page.count("data:image/svg+xml") == 2
     assert len(COMPARISON.read(tmp_path / "out", "")) == 3
@@ -199,7 +199,7 @@ def test_runs_are_compared_as_they_stand_with_maps(lap_scene, cache, tmp_path):
     np.testing.assert_allclose(maps[1].mean, fields[1]["upper"].mean - fields[0]["upper"].mean)
     other = monte_carlo.model_copy(update={"seed": 77})
     c = mic.run(scene.model_copy(update={"monte_carlo": other}), tmp_path / "c", cache)
-    with pytest.raises(RunError, match="drew other samples"):
+    with pytest.raises(RunError, match="different draws"):
         compare(a, c)
-    with pytest.raises(RunError, match="was not run under frictionless"):
+    with pytest.raises(RunError, match="has no samples under frictionless"):
         compare(a, b, ("frictionless",))

@@ -15,7 +15,7 @@ from mic.report.driver_sentences import linear_words, named
 from mic.results.schema import CONTRIBUTORS, LINEARITY
 from mic.statistics.sobol_indices import Linear, sobol
 from mic.studies.contributors import contributors, groups, joint_ranking
-from mic.studies.input_screening import bounds, left_out
+from mic.studies.input_screening import bounds, negligible
 
 
 def nothing_linear(inputs, samples, outputs=1):
@@ -62,7 +62,7 @@ def test_indices_of_a_function_in_closed_form(linear):
 
 
 @pytest.mark.slow
-def test_intervals_cover_what_they_claim():
+def test_intervals_have_their_stated_coverage():
     """Of 24 repetitions as many as 95 % allow, but for one time in a thousand.
 
     On a quarter of the samples the most skewed of them, the first total index, is covered in 0.92 of the repetitions.
@@ -77,7 +77,7 @@ def test_intervals_cover_what_they_claim():
         assert (np.sum(hits, axis=0) >= binom.ppf(0.001, 24, 0.95)).all(), (name, np.mean(hits, axis=0))
 
 
-def test_what_is_linear_leaves_no_noise():
+def test_a_linear_function_has_exact_indices():
     slopes = np.array([3.0, 1.0, 0.0, -2.0])
     found = picked(lambda x: x @ slopes, 4, 16, 3, linear=True)
     for index in (found.first, found.total):
@@ -87,7 +87,7 @@ def test_what_is_linear_leaves_no_noise():
     assert np.abs(noisy.first.value[:, 0] - slopes**2 / 14).max() > 0.05
 
 
-def test_samples_of_which_one_evaluation_failed_are_left_out_and_counted():
+def test_samples_with_a_failed_evaluation_are_excluded_and_counted():
     a, b, mixed = np.random.default_rng(1).standard_normal((3, 40, 1))
     whole = sobol(a[:30], b[:30], mixed[None, :30], nothing_linear(1, 30))
     a[30:34], b[34:37], mixed[37:] = np.nan, np.nan, np.nan
@@ -96,7 +96,7 @@ def test_samples_of_which_one_evaluation_failed_are_left_out_and_counted():
     assert (found.sigma.used, found.sigma.excluded) == (30, 10)
 
 
-def test_what_does_not_vary_has_no_shares():
+def test_a_constant_output_has_no_indices():
     same = np.full((20, 1), 0.3)
     found = sobol(same, same, same[None], nothing_linear(1, 20))
     assert np.isnan(found.first.value).all() and np.isnan(found.total.low).all()
@@ -163,7 +163,7 @@ def test_two_deviations_that_matter_only_together_are_found(dragged):
     np.testing.assert_allclose(other, [0.0, 0.0, -one.measurements[0, 0]], atol=1e-9)
 
 
-def test_a_linear_analysis_misses_them_and_that_is_said(dragged):
+def test_a_warning_states_that_a_linear_analysis_misses_them(dragged):
     found = contributors(dragged, "coulomb", 500, seed=3)
     told = found.linearity.iloc[0]
     assert told["r_squared"] < 0.1 and told["tangent_sigma"] < 0.1 * told["sigma"] and not told["linear"]
@@ -192,7 +192,7 @@ def closing():
     )
 
 
-def test_where_a_gap_closes_in_a_fifth_of_the_samples_the_differences_at_the_mean_miss_the_drivers(closing):
+def test_differences_at_the_mean_miss_contributors_behind_a_gap_that_seldom_closes(closing):
     found = contributors(closing, "frictionless", 1000, seed=5)
     own, told = found.table.set_index("contributor"), found.linearity.iloc[0]
     # At the mean the gap is open: all that moves b is its own locator, by half of its 0.04 mm.
@@ -208,7 +208,7 @@ def test_where_a_gap_closes_in_a_fifth_of_the_samples_the_differences_at_the_mea
     assert "drives it, and the differences at the mean would have named B1" in said and not told["linear"]
 
 
-def test_of_a_nearly_linear_assembly_that_is_said_and_all_rank_alike(lap_model):
+def test_a_nearly_linear_assembly_is_called_so_and_all_rankings_agree(lap_model):
     found = contributors(lap_model, "coulomb", 32, seed=1)
     CONTRIBUTORS.check(found.table, "memory", "mend it")
     LINEARITY.check(found.linearity, "memory", "mend it")
@@ -233,7 +233,7 @@ def many():
     return sheets("ba", [90.0], ["ba"], items, friction=0.0, measured=("b", 0, 0, 1))
 
 
-def test_of_many_those_that_hardly_matter_count_as_one_and_their_bounds_hold(many):
+def test_many_small_contributors_count_as_one_and_their_bounds_hold(many):
     found = contributors(many, "frictionless", 64, seed=1)
     CONTRIBUTORS.check(found.table, "memory", "mend it")
     own = found.table.set_index("contributor")
@@ -250,7 +250,7 @@ def test_of_many_those_that_hardly_matter_count_as_one_and_their_bounds_hold(man
     assert named(found.table, "total").startswith("L 55 %, N 31 %, K 14 %")
 
 
-def test_bounds_hold_of_what_is_not_linear(closing):
+def test_bounds_hold_for_a_nonlinear_assembly(closing):
     """Where the gap closes in a fifth of the samples."""
     own = groups(closing.scene)
     bound = bounds(closing, "frictionless", own, 400, seed=1)[:, 0]
@@ -259,20 +259,20 @@ def test_bounds_hold_of_what_is_not_linear(closing):
     assert (0.25 * bound[:2] < found["total"][:2]).all()  # and are not idle
 
 
-def test_what_is_left_out_makes_no_more_than_it_may():
+def test_omitted_contributors_stay_below_the_limit():
     bound = np.array([[0.9, 0.001], [0.02, 0.0], [0.02, 0.04], [0.005, 0.02], [np.inf, np.inf]])
-    assert left_out(bound, np.array([True, True])).tolist() == [False, True, False, True, False]
-    assert left_out(bound, np.array([True, False])).tolist() == [False, True, True, True, False]
-    assert not left_out(bound[[0, 1]], np.array([True, True])).any()  # one alone is no group
+    assert negligible(bound, np.array([True, True])).tolist() == [False, True, False, True, False]
+    assert negligible(bound, np.array([True, False])).tolist() == [False, True, True, True, False]
+    assert not negligible(bound[[0, 1]], np.array([True, True])).any()  # one alone is no group
 
 
-def test_samples_of_a_table_do_not_tell_what_varies_alone(closing):
+def test_samples_of_a_table_give_no_contributors(closing):
     given = closing.scene.monte_carlo.model_copy(update={"values": [[0.0, 0.0, 0.0]], "samples": 1})
-    with pytest.raises(ValueError, match="states its samples in a table"):
+    with pytest.raises(ValueError, match="its samples are given in a table"):
         contributors(replace(closing, scene=closing.scene.model_copy(update={"monte_carlo": given})), "frictionless", 8)
 
 
-def test_what_hardly_varies_is_told_and_given_no_shares(closing):
+def test_a_nearly_constant_characteristic_has_no_shares(closing):
     quiet = closing.scene.model_copy(
         update={"deviations": [each.model_copy(update={"sigma": 1e-5}) for each in closing.scene.deviations]}
     )
@@ -295,7 +295,7 @@ def test_the_joint_ranking_weighs_each_characteristic_by_how_much_of_its_toleran
     assert named(ranked, "total") == "B 73 %, A 27 %"
 
 
-def test_the_command_takes_a_saved_model_and_prints_what_it_found(lap_model, tmp_path):
+def test_the_command_takes_a_saved_model_and_prints_its_results(lap_model, tmp_path):
     lap_model.save(tmp_path / "model.npz")
     done = CliRunner().invoke(
         app, ["contributors", str(tmp_path / "model.npz"), "--samples", "16"], env={"COLUMNS": "160"}
@@ -303,7 +303,7 @@ def test_the_command_takes_a_saved_model_and_prints_what_it_found(lap_model, tmp
     assert done.exit_code == 0, done.output
     wanted = contributors(lap_model, "coulomb", 16, lap_model.scene.monte_carlo.seed)
     ranked = joint_ranking(wanted.table, wanted.linearity, lap_model.scene)
-    assert f"Over all key characteristics: {named(ranked, 'total')}" in done.output
+    assert f"All key characteristics together: {named(ranked, 'total')}" in done.output
     assert "86 evaluations" in done.output
 
 

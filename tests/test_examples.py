@@ -50,7 +50,7 @@ def test_a_copy_holds_all_files_and_gives_the_same_meshes(tmp_path, cache):
         assert (one.surface.points == other.surface.points).all()
 
 
-def test_the_large_case_is_what_its_geometry_says():
+def test_the_large_scene_is_written_by_its_script():
     folder = ROOT / "meshes" / "body_side"
     written = subprocess.run([sys.executable, folder / "write.py"], capture_output=True, text=True, check=True).stdout
     assert (folder / "body_side.toml").read_text(encoding="utf-8") == written
@@ -72,7 +72,7 @@ def test_nothing_is_overwritten_and_names_are_checked(tmp_path, monkeypatch):
         examples.copy("lap_joint", tmp_path / "file" / "below")
 
 
-def test_init_says_what_it_copied_and_what_comes_next(tmp_path, monkeypatch):
+def test_init_names_the_copied_folder_and_the_next_command(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     out = tmp_path / "mine"
     result = CliRunner().invoke(app, ["init", "--example", "hat_on_plate", "--out", str(out)])

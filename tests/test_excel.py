@@ -75,7 +75,7 @@ def test_the_report_writes_it_into_the_results_folder(folder):
     assert (folder / "tables.xlsx").is_file() and "tables.xlsx" in done.output.replace("\n", "")
 
 
-def test_without_the_library_one_sentence_says_what_to_install(folder, tmp_path, monkeypatch):
+def test_a_missing_library_is_refused_with_the_command_to_install_it(folder, tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "xlsxwriter", None)
     with pytest.raises(RunError, match="pip install xlsxwriter"):
         write_excel(folder, tmp_path / "tables.xlsx")

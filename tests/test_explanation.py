@@ -53,7 +53,7 @@ def test_a_linear_cause_is_that_of_the_closed_form(model):
     assert found.further["told"].iloc[0] > 0.99
 
 
-def test_the_gauge_decides_how_much_is_told(model):
+def test_a_finer_gauge_gives_more_information(model):
     everything = {"M": MU * LIFT / 4, "N": PULL}
     fine, coarse = (explain(model, measured, gauge) for measured, gauge in ((everything, 1e-4), ({"M": 0.0}, 1.0)))
     FURTHER.check(fine.further, "memory", "mend it")
@@ -63,7 +63,7 @@ def test_the_gauge_decides_how_much_is_told(model):
     assert coarse.untold == ["D", "P"] or coarse.untold == ["P", "D"]
 
 
-def test_sources_that_only_a_difference_tells_are_named():
+def test_indistinguishable_sources_are_named():
     """Two locators that lift b alike."""
     deviations = [
         {"name": name, "kind": "locator", "target": target, "mean": LIFT, "sigma": SIGMA}
@@ -72,15 +72,15 @@ def test_sources_that_only_a_difference_tells_are_named():
     pulled = [at_face("t", (1, 0, 0), name="T", stroke=PULL)]
     found = explain(dragged(deviations=deviations, clamps=pulled), {"M": MU * LIFT / 4 + 0.001}, 1e-5)
     assert found.together == [("P", "Q")]
-    assert "P and Q cannot be told apart" in " ".join(sentences(found))
+    assert "cannot separate P and Q" in " ".join(sentences(found))
 
 
-def test_what_no_assembly_of_the_scene_would_be_is_not_explained(model):
+def test_measurements_outside_the_model_are_not_explained(model):
     found = explain(model, {"M": MU * LIFT / 4 + 10 * SLOPE * SIGMA}, 1e-4)
     assert found.likely < 1e-10 and "does not explain" in " ".join(sentences(found))
     assert row(found, "P")["off"] > 8
     likely = explain(model, {"M": MU * LIFT / 4}, 1e-4)
-    assert likely.likely > 0.5 and "Nothing is unusual" in sentences(likely)[0]
+    assert likely.likely > 0.5 and "No source is unusual" in sentences(likely)[0]
 
 
 def test_friction_may_be_among_the_unknown(model):
@@ -110,7 +110,7 @@ def touching():
     )
 
 
-def test_the_truth_lies_in_the_region_as_often_as_claimed_where_contacts_change_state():
+def test_the_credible_region_covers_the_truth_where_contacts_change_state():
     """30 made assemblies of which only the upper part was measured: 95 %, less and more three standard errors."""
     model, draws, cases = touching(), np.random.default_rng(11), 30
     z = draws.standard_normal((cases, 2))
@@ -124,7 +124,7 @@ def test_the_truth_lies_in_the_region_as_often_as_claimed_where_contacts_change_
     assert abs(hits / cases - 0.95) < 3 * np.sqrt(0.95 * 0.05 / cases), hits / cases
 
 
-def test_the_further_point_that_is_named_is_the_one_that_tells_most():
+def test_the_proposed_further_point_reduces_the_uncertainty_most():
     """Of two locators that lift b's face alike, L reads the one, R the other by a tenth, N neither. Each is measured in
     turn: what is left of both is least where it was said to be."""
     deviations = [
@@ -153,12 +153,12 @@ def test_the_further_point_that_is_named_is_the_one_that_tells_most():
         assert then == pytest.approx((1 - told["told"]) * before, abs=0.02 * before)
 
 
-def test_what_the_search_errs_by_is_said_where_the_gauge_is_finer(model):
+def test_the_error_of_the_search_is_reported_if_it_exceeds_the_gauge(model):
     found = explain(model, {"M": MU * LIFT / 4}, 1e-3)
     assert (found.posterior.error < 1e-8).all()  # all is linear here
     blunt = replace(found, posterior=replace(found.posterior, error=np.array([6e-4, 0.0])))
-    assert not any("intervals are wider" in said for said in sentences(found))
-    assert any("M is known to 0.60 µm, its gauge to 1.0 µm" in said for said in sentences(blunt))
+    assert not any("widens the intervals" in said for said in sentences(found))
+    assert any("has an error of 0.60 µm for M, with a gauge of 1.0 µm" in said for said in sentences(blunt))
 
 
 def test_slopes_of_distributions_are_those_of_their_quantiles(model):
@@ -179,19 +179,19 @@ def test_slopes_of_distributions_are_those_of_their_quantiles(model):
     [
         ("", "not a table"),
         ("measurement,value,gauge\n", "no row below the header"),
-        ("measurement,value,sigma\nM,1,1\n", "there is no column 'sigma'"),
-        ("measurement,gauge\nM,1\n", "there is no column 'value'; add it"),
-        ("measurement,value\nM,1\n", "there is no column 'gauge'; add it, or give --gauge"),
-        ("measurement,value,gauge\nM,1,0\n", "row 2, column gauge: '0' is no number above 0"),
-        ("measurement,value,gauge\nM,1,-1\n", "row 2, column gauge: '-1' is no number above 0"),
-        ("measurement,value,gauge\nM,a,1\n", "row 2, column value: 'a' is no finite number"),
-        ("measurement,value,gauge\nM,nan,1\n", "row 2, column value: 'nan' is no finite number"),
-        ("measurement,value,gauge\nM,1,1\nM,2,1\n", "row 3, column measurement: 'M' stands there twice"),
+        ("measurement,value,sigma\nM,1,1\n", "unknown column 'sigma'"),
+        ("measurement,gauge\nM,1\n", "column 'value' is missing; add it"),
+        ("measurement,value\nM,1\n", "column 'gauge' is missing; add it, or give --gauge"),
+        ("measurement,value,gauge\nM,1,0\n", "row 2, column gauge: '0' is not a number above 0"),
+        ("measurement,value,gauge\nM,1,-1\n", "row 2, column gauge: '-1' is not a number above 0"),
+        ("measurement,value,gauge\nM,a,1\n", "row 2, column value: 'a' is not a finite number"),
+        ("measurement,value,gauge\nM,nan,1\n", "row 2, column value: 'nan' is not a finite number"),
+        ("measurement,value,gauge\nM,1,1\nM,2,1\n", "row 3, column measurement: 'M' is given twice"),
         ("measurement,value,gauge\n,1,1\n", "row 2, column measurement: is empty"),
         ("measurement,value,value\nM,1,1\n", "column 'value' is given twice"),
     ],
 )
-def test_a_file_that_is_none_is_refused_in_a_sentence(text, said, tmp_path):
+def test_an_invalid_file_is_refused_in_one_sentence(text, said, tmp_path):
     path = tmp_path / "measured.csv"
     path.write_text(text)
     with pytest.raises(SceneError) as refused:
@@ -210,12 +210,12 @@ def test_decimal_commas_and_a_gauge_for_all_are_read(tmp_path):
     [
         ({}, 0.1, "no measurement is given"),
         ({"O": 1.0}, 0.1, "has no key characteristic 'O'; it has: M, N"),
-        ({"M": np.inf}, 0.1, "no finite number"),
-        ({"M": 1.0}, 0.0, "no standard deviation"),
-        ({"M": 1.0}, {"N": 0.1}, "no standard deviation"),
+        ({"M": np.inf}, 0.1, "not a finite number"),
+        ({"M": 1.0}, 0.0, "no positive standard deviation"),
+        ({"M": 1.0}, {"N": 0.1}, "no positive standard deviation"),
     ],
 )
-def test_what_cannot_be_explained_is_refused(model, measured, gauge, said):
+def test_invalid_measurements_are_refused(model, measured, gauge, said):
     with pytest.raises(SceneError, match=said):
         explain(model, measured, gauge)
 
@@ -226,11 +226,11 @@ def test_the_command_writes_a_page_and_tables(model, tmp_path):
     asked = ["explain", str(tmp_path / "model.npz"), "--measured", str(tmp_path / "measured.csv"), "--gauge", "0.0005"]
     done = CliRunner().invoke(app, [*asked, "--out", str(tmp_path / "out")], env={"COLUMNS": "160"})
     assert done.exit_code == 0, done.output
-    assert "Most probable cause: P at" in done.output and "Measuring N as well" in done.output
+    assert "Most probable cause: P at" in done.output and "The most useful further measurement is N" in done.output
     assert EXPLANATION.read(tmp_path / "out", "")["source"].tolist() == ["P", "D"]
     page = (tmp_path / "out" / "explanation.html").read_text(encoding="utf-8")
     assert "Most probable cause: P at" in page and page.count("data:image/svg+xml") == 2
     (tmp_path / "measured.csv").write_text("measurement,value\nO,1\n")
     other = CliRunner().invoke(app, [*asked, "--out", str(tmp_path / "other")])
     said = str(other.exception)
-    assert "measured.csv" in said and "no key characteristic 'O', it has: M, N; correct the name" in said
+    assert "measured.csv" in said and "no key characteristic 'O'; it has: M, N; correct the name" in said

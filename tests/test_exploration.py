@@ -30,7 +30,7 @@ def value(answer, name):
     return answer.table.set_index("measurement").loc[name, "value"]
 
 
-def test_each_move_is_answered_as_by_hand(exploration):
+def test_each_move_gives_the_closed_form(exploration):
     """b's face is lifted by h = (P + s)/2, s the shim below its third locator, and dragged by μ h/4; t goes by D and
     its clamp's stroke."""
     moved = {"P": 0.9, "locators.bl2": 0.1, "zones.z.friction": 0.2, "clamps.T.stroke": -0.25}
@@ -42,7 +42,7 @@ def test_each_move_is_answered_as_by_hand(exploration):
     assert answer.shares == {"open": 0, "stick": 0, "slip": 1} and "Solved in all stages" in answer.said
 
 
-def test_sources_give_what_the_model_evaluates(model, exploration):
+def test_sources_give_evaluations_of_the_model(model, exploration):
     answer, whole = exploration.answer({"P": 0.95, "D": 2.1}), model.evaluate({"P": 0.95, "D": 2.1})
     assert answer.table["value"].tolist() == whole.measurements[0].tolist()
     np.testing.assert_array_equal(answer.evaluation.functional_force, whole.functional_force)
@@ -54,7 +54,7 @@ def test_values_are_held_against_their_limits(exploration):
     assert exploration.answer({"clamps.T.stroke": -1.2}).table["within"].tolist() == [True, False]
 
 
-def test_what_matters_most_comes_first_in_its_group(exploration):
+def test_the_largest_contributor_is_first_in_its_group(exploration):
     """D's three sigma move N by 0.15 of half its tolerance; P's move M by 3 σ μ/8."""
     by_name = {one.name: one for one in exploration.controls}
     assert by_name["D"].matters == pytest.approx(0.15) and by_name["P"].matters == pytest.approx(0.3 * MU / 8)
@@ -94,13 +94,13 @@ def test_a_preliminary_answer_is_near_the_final_one_and_called_so(lap_model):
     exploration = mic.explore(lap_model)
     first, final = exploration.answer(coarse=True), exploration.answer()
     assert first.preliminary and not final.preliminary
-    _, y = exploration.drawn(6)
+    _, y = exploration.draw_samples(6)
     off = np.abs(first.table["value"] - final.table["value"]).to_numpy()
     assert 0 < off.max() and (off < 0.1 * y.std(axis=0)).all()
     assert first.residual < 1e-10  # solved as exactly, along another path
 
 
-def test_what_cannot_be_computed_is_said_and_the_next_move_is_answered(exploration):
+def test_a_failed_move_is_reported_and_the_next_is_evaluated(exploration):
     impossible = exploration.answer({"zones.z.friction": -0.1})
     assert impossible.failed and "Not solved" in impossible.said and not impossible.table["within"].any()
     assert not exploration.answer().failed
@@ -109,12 +109,12 @@ def test_what_cannot_be_computed_is_said_and_the_next_move_is_answered(explorati
 @pytest.mark.parametrize(
     ("moved", "stage", "said"),
     [
-        ({"Q": 1.0}, None, "'Q' cannot be moved; known: D, P"),
-        ({"P": float("nan")}, None, "P: nan is no finite number"),
+        ({"Q": 1.0}, None, "there is no control 'Q'; known: D, P"),
+        ({"P": float("nan")}, None, "P: nan is not a finite number"),
         ({}, "paint", "there is no stage 'paint'; known: locate, clamp, measure"),
     ],
 )
-def test_what_is_not_there_is_refused(exploration, moved, stage, said):
+def test_unknown_names_are_refused(exploration, moved, stage, said):
     with pytest.raises(ValueError) as refused:
         exploration.answer(moved, stage)
     assert said in str(refused.value).replace("known: P, D", "known: D, P")
@@ -131,14 +131,14 @@ def test_a_scene_without_measurements_can_be_moved_too():
 
 
 def test_a_sample_of_the_scene_is_that_of_its_deviations(model, exploration):
-    x, y = exploration.drawn(5)
-    again, _ = exploration.drawn(2, first=3)
+    x, y = exploration.draw_samples(5)
+    again, _ = exploration.draw_samples(2, first=3)
     np.testing.assert_array_equal(x[3:], again)
     answer = exploration.answer(exploration.sample(x[2]))
     np.testing.assert_allclose(answer.table["value"], y[2], rtol=1e-12)
 
 
-def test_what_is_saved_gives_the_same_numbers_again(model, exploration, tmp_path):
+def test_a_saved_assembly_gives_the_same_numbers(model, exploration, tmp_path):
     """The scene with its new tables, and the row of samples that goes with it, by the readers of both."""
     moved = {"P": 0.8765432109876543, "locators.bl2": 1 / 7, "zones.z.friction": 0.2, "clamps.T.stroke": -0.25}
     added = tomllib.loads(exploration.scene_tables(moved))["deviations"]
@@ -168,7 +168,7 @@ def test_a_run_takes_a_sample_that_was_saved(lap_model, tmp_path):
     assert scene.monte_carlo.samples == 1 and scene.monte_carlo.values[0][lap_model.parameters.index("F1")] == -6.25
 
 
-def test_the_how_to_does_what_it_says(lap_model, tmp_path, monkeypatch, capsys):
+def test_the_how_to_page_runs(lap_model, tmp_path, monkeypatch, capsys):
     page = (Path(__file__).resolve().parents[1] / "docs" / "howto.md").read_text(encoding="utf-8")
     section = page.split("## Explore an assembly interactively\n")[1].split("\n## ")[0]
     (program,) = re.findall(r"```python\n(.*?)```", section, re.S)
@@ -194,7 +194,7 @@ def test_a_law_without_friction_has_no_coefficients_to_move(model):
     assert "friction" not in {one.group for one in mic.explore(model, "frictionless").controls}
 
 
-def test_nothing_to_move_is_said():
+def test_a_scene_without_movable_inputs_is_refused():
     free = dragged(
         deviations=[],
         clamps=[],

@@ -19,8 +19,8 @@ from typer.testing import CliRunner
 import mic
 from mic.commands.predict import read_parts
 from mic.errors import FormatError
-from mic.explorer.picture import Picture
-from mic.explorer.shapes import PartShape, Shapes, beside
+from mic.explorer.positions import AssemblyPositions
+from mic.explorer.shapes import PartShape, Shapes, shapes_path
 from mic.options import app
 
 CHROMIUM = ("chromium", "chromedriver")
@@ -58,8 +58,8 @@ def test_parts_are_drawn_where_forces_and_motions_take_them(exploration):
         basis = np.zeros((2, 4, 3), dtype=np.float32)
         basis[1, :, 2] = 0.5
         parts.append(PartShape(name, points, triangles, basis, rigid, np.array([2, 0])))
-    picture, answer = Picture(exploration, Shapes(tuple(parts), "")), exploration.answer({"D": 2.1})
-    placed, nominal = picture.placed(answer, 10.0), picture.placed(answer, 0.0)
+    positions, answer = AssemblyPositions(exploration, Shapes(tuple(parts), "")), exploration.answer({"D": 2.1})
+    placed, nominal = positions.of(answer, 10.0), positions.of(answer, 0.0)
     force = answer.evaluation.functional_force[0]
     for p, rows in enumerate(model.compliance.functionals):
         q = answer.evaluation.motion[0][6 * p : 6 * p + 6]
@@ -70,29 +70,29 @@ def test_parts_are_drawn_where_forces_and_motions_take_them(exploration):
     assert np.abs(placed.contacts - nominal.contacts).max() == pytest.approx(10 * 0.5 * (2.1 + 0.03), rel=1e-6)
 
 
-def test_without_shapes_measured_points_move_as_they_read_and_that_is_said(exploration):
-    picture, answer = Picture(exploration, Shapes()), exploration.answer({"D": 2.1})
-    moved = picture.placed(answer, 4.0).measured - picture.placed(answer, 0.0).measured
+def test_without_shapes_measured_points_move_by_their_values_with_a_note(exploration):
+    positions, answer = AssemblyPositions(exploration, Shapes()), exploration.answer({"D": 2.1})
+    moved = positions.of(answer, 4.0).measured - positions.of(answer, 0.0).measured
     np.testing.assert_allclose(moved, [[4 * 0.03, 0, 0], [4 * 2.1, 0, 0]], rtol=1e-6)
-    assert "contacts and measured points alone are drawn" in picture.shapes.said
-    usual = picture.usual(answer)
+    assert "only contacts and measured points are displayed" in positions.shapes.note
+    usual = positions.default_magnification(answer)
     assert float(f"{usual:.0e}") == usual and usual >= 1
 
 
-def test_shapes_are_kept_for_their_own_model_alone(exploration, tmp_path):
+def test_cached_shapes_belong_to_one_model(exploration, tmp_path):
     points, triangles, rigid = square("b")
     shapes = Shapes((PartShape("b", points, triangles, np.ones((2, 4, 3), np.float32), rigid, np.arange(2)),), "")
-    path = beside(tmp_path / "model.npz")
-    shapes.save(path, exploration.own)
-    again = Shapes.load(path, exploration.own)
-    assert path.name == "model.shapes.npz" and again.said == "" and again.parts[0].name == "b"
+    path = shapes_path(tmp_path / "model.npz")
+    shapes.save(path, exploration.scene_model)
+    again = Shapes.load(path, exploration.scene_model)
+    assert path.name == "model.shapes.npz" and again.note == "" and again.parts[0].name == "b"
     for key in ("points", "triangles", "basis", "rigid", "acting"):
         np.testing.assert_array_equal(getattr(again.parts[0], key), getattr(shapes.parts[0], key))
     with pytest.raises(FormatError, match="belong to another model; write it again"):
         Shapes.load(path, dragged(measurements=[]))
-    exploration.own.save(path)
+    exploration.scene_model.save(path)
     with pytest.raises(FormatError, match="no set of drawn shapes"):
-        Shapes.load(path, exploration.own)
+        Shapes.load(path, exploration.scene_model)
 
 
 @pytest.mark.fem
@@ -114,7 +114,7 @@ def test_a_shape_is_the_field_of_the_finite_elements(lap_model, lap_scene, cache
     part, rows, modes = parts[1], lap_model.compliance.functionals[1], lap_model.compliance.motions[1]
     solved, rigid = provider.find(part).field(part, found.functional_force[0][rows, None])
     whole = solved[:, :3, 0] + rigid[:, :3] @ found.motion[0][modes]
-    assert shapes.said == "" and len(shapes.parts[1].points) == len(whole)
+    assert shapes.note == "" and len(shapes.parts[1].points) == len(whole)
     np.testing.assert_allclose(moved[1], whole, atol=2e-5 * np.abs(whole).max())
 
 
@@ -157,7 +157,7 @@ def served(lap_model, tmp_path_factory):
     yield SimpleNamespace(address=address, host=host, path=f"/{query}", folder=folder)
     program.send_signal(signal.SIGINT)
     said, wrong = program.communicate(timeout=60)
-    assert program.returncode == 0 and "Ended." in said and wrong == ""
+    assert program.returncode == 0 and "Stopped." in said and wrong == ""
 
 
 def status(served, path=None, **headers):
@@ -196,17 +196,20 @@ def test_the_page_is_served_to_nobody_else(served):
 
 
 @pytest.mark.slow
-def test_what_was_kept_is_read_again(served, lap_model):
+def test_cached_shapes_are_read_again(served, lap_model):
     kept = mic.ReducedModel.load(served.folder / "kept.npz")
-    assert Shapes.load(beside(served.folder / "kept.npz"), kept).parts == () and kept.parameters == lap_model.parameters
+    assert (
+        Shapes.load(shapes_path(served.folder / "kept.npz"), kept).parts == ()
+        and kept.parameters == lap_model.parameters
+    )
 
 
 @pytest.mark.slow
-def test_a_port_that_is_in_use_is_told_before_anything_else(served):
+def test_a_port_in_use_is_refused_first(served):
     port = served.host.partition(":")[2]
     done = CliRunner().invoke(app, ["explore", str(served.folder / "model.npz"), "--port", port])
     assert done.exit_code != 0
-    assert str(done.exception) == f"--port {port}: it is in use; name another, or leave --port out for any free one"
+    assert str(done.exception) == f"--port {port}: this port is in use; use another, or omit --port for a free one"
 
 
 @pytest.fixture(scope="module")
@@ -266,7 +269,7 @@ def test_numbers_on_the_page_are_those_of_the_model(served, browser, lap_model):
     page.until(lambda: browser.find_elements("id", "value-of-M1"), "the page")
     m1 = lap_model.evaluate({}).measurements[0][0]
     assert float(page("value-of-M1").get_attribute("title").split()[0]) == pytest.approx(m1, abs=1e-12)
-    assert "alone are drawn" in page("said").text and "Solved in all stages" in page("certificate").text
+    assert "are displayed" in page("note").text and "Solved in all stages" in page("certificate").text
 
     names = [one.name for one in exploration.controls]
     i = names.index("F1")
@@ -286,7 +289,7 @@ def test_numbers_on_the_page_are_those_of_the_model(served, browser, lap_model):
     low, high = (figure(one.text) for one in browser.find_elements("css selector", ".ends span"))
     middle = figure(page(f"bar-{bar}").get_attribute("title"))
     assert abs(told - middle) < 0.52 * (high - low) / 25 + 5e-3 * abs(middle)  # as it is told, to three digits
-    (drawn,), (measured,) = exploration.drawn(1, first=number)
+    (drawn,), (measured,) = exploration.draw_samples(1, first=number)
     assert told == pytest.approx(measured[0], abs=1e-9)
     assert page.input(i) == pytest.approx(drawn[lap_model.parameters.index("F1")], abs=1e-12)
 

@@ -11,7 +11,7 @@ import mic
 from mic.options import app
 from mic.report.driver_sentences import friction_words
 from mic.results.schema import FRICTION_EFFECTS
-from mic.studies.friction import friction_effects, friction_needed, scaled
+from mic.studies.friction import friction_effects, friction_needed, with_scaled_friction
 
 MU, LIFT, PULL = 0.3, 0.4, 2.0
 
@@ -45,7 +45,7 @@ def effects(dragged):
     return friction_effects(dragged, "coulomb", 30, seed=2)
 
 
-def test_changes_are_those_by_hand(dragged, effects):
+def test_changes_agree_with_the_closed_form(dragged, effects):
     """The drag, and with it mean and 6σ, goes as μ of the zone above; the zone below never touches."""
     FRICTION_EFFECTS.check(effects, "memory", "mend it")
     lift = mic.statistics.draw.draw(dragged.scene, 2, 0, 30)[:, 0] / 2
@@ -88,24 +88,27 @@ def test_friction_that_varies_is_scaled_with_its_mean(dragged):
     np.testing.assert_allclose(own["mean_change"], [-mean, -mean / 2, mean], rtol=1e-8)
 
 
-def test_friction_that_changes_nothing_is_said_to_change_nothing(lap_model):
+def test_friction_without_effect_is_reported_so(lap_model):
     found = friction_effects(lap_model, "coulomb", 6, seed=1)
     assert set(found["zone"]) == {""} and (found["six_sigma_change"] != 0).all()
     first, second = friction_words(found, friction_needed(found))
-    assert first.startswith("Friction hardly matters here") and second.startswith("The answer holds to a tenth of 6σ")
+    assert first.startswith("Friction has little effect") and second.startswith(
+        "Results change by less than a tenth of 6σ"
+    )
 
 
 def test_friction_by_pressure_is_scaled_with_the_rest(lap_model):
     contacts = lap_model.contacts
     pieces = np.tile([[0.0, 0.2, 1e-3, 0.4, 0.5]], (len(contacts), 1, 1))
     model = replace(lap_model, contacts=replace(contacts, pressure=pieces))
-    own = scaled(model, np.array([0]), 2.0).contacts
+    own = with_scaled_friction(model, np.array([0]), 2.0).contacts
     np.testing.assert_allclose(own.pressure[0, 0], [0.0, 0.4, 2e-3, 0.8, 0.5])
     np.testing.assert_allclose(own.friction, 2 * contacts.friction)
-    assert (pieces[:, 0, 1] == 0.2).all() and scaled(model, np.array([]), 2.0).contacts.pressure[0, 0, 1] == 0.2
+    assert (pieces[:, 0, 1] == 0.2).all()
+    assert with_scaled_friction(model, np.array([]), 2.0).contacts.pressure[0, 0, 1] == 0.2
 
 
-def test_the_command_prints_what_it_found_and_refuses_what_has_no_friction(dragged, tmp_path):
+def test_the_command_prints_effects_and_refuses_a_frictionless_law(dragged, tmp_path):
     dragged.save(tmp_path / "model.npz")
     arguments = ["friction", str(tmp_path / "model.npz"), "--samples", "10"]
     done = CliRunner().invoke(app, arguments, env={"COLUMNS": "160"})
@@ -114,10 +117,10 @@ def test_the_command_prints_what_it_found_and_refuses_what_has_no_friction(dragg
     for sentence in friction_words(found, friction_needed(found)):
         assert sentence in " ".join(done.output.split())
     refused = CliRunner().invoke(app, [*arguments, "--law", "frictionless"])
-    assert refused.exit_code != 0 and "there is no friction to ask for" in str(refused.exception)
+    assert refused.exit_code != 0 and "the effect of friction cannot be computed" in str(refused.exception)
 
 
-def test_what_friction_alone_holds_has_no_row_without_it(effects):
+def test_an_assembly_held_by_friction_alone_has_no_row_without_it(effects):
     held = effects[effects["factor"] > 0]
     said = friction_words(held, friction_needed(held))
     assert said[0] == "Without friction this assembly does not hold."

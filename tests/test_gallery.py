@@ -16,12 +16,12 @@ PAGES = {
     "compare": (("changes", "distributions"), ("zones.lap.friction: 0.27 → 0.135",)),
     "contributors": (("shares", "changes"), ("opened all together",)),
     "explain": (("sources", "reached"), ("F2  4.79",)),
-    "explore": (("stated", "mended"), ('target = "lower-A3"', "Solved in all stages")),
+    "explore": (("clamped", "compensated"), ('target = "lower-A3"', "Solved in all stages")),
     "friction": (("changes",), ("Friction hardly matters here",)),
     "optimise": (("changes", "search"), ("least Cpk",)),
-    "predict": (("foretold",), ("rejected", "within all limits", "still")),
+    "predict": (("intervals",), ("rejected", "within all limits", "still")),
     "rare": (("probabilities", "likeliest"), ("first_order", "levels")),
-    "remedy": (("done",), ("locators.upper-", "True")),
+    "remedy": (("effect",), ("locators.upper-", "True")),
     "sensitivity": (("steps",), ("locators.lower-A3", "from the next change")),
 }
 #: Questions that stand on another's page.
@@ -38,7 +38,7 @@ def test_every_function_that_has_pictures_has_a_page_that_shows_them():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("page", PAGES)
-def test_the_page_runs_and_shows_what_it_promises(page, cache, monkeypatch, capsys):
+def test_each_gallery_page_runs_and_shows_its_pictures(page, cache, monkeypatch, capsys):
     monkeypatch.setenv("MIC_CACHE", str(cache))
     monkeypatch.setattr(plt, "show", lambda: None)
     with matplotlib.rc_context({"backend": "agg"}):

@@ -63,5 +63,5 @@ def test_each_offence_is_found(source):
 @pytest.mark.parametrize(
     "source", ["self._open.pop()", "from __future__ import annotations", "x.__dict__", "_ = f(x)", "os._exit(9)"]
 )
-def test_what_is_a_modules_own_is_no_offence(source):
+def test_members_of_a_module_itself_are_no_offence(source):
     assert offences(source) == []

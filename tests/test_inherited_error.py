@@ -37,7 +37,7 @@ def test_a_stage_in_which_nothing_slides_has_the_error_of_those_before():
     np.testing.assert_array_equal(found["press"].trace.error, found["clamp"].trace.error)
 
 
-def test_where_a_stage_tells_no_error_none_after_it_does():
+def test_no_stage_has_an_error_after_a_stage_without_one():
     found = Process(cornered(path="increments", increments=4), "coulomb").evaluate(SAMPLES)
     assert not found.failed.any()
     assert np.isnan(found.resolutions["clamp"].trace.error).all()

@@ -37,7 +37,7 @@ def calls(tmp_path):
     return (tmp_path / "geometry.py.calls").read_text().splitlines()
 
 
-def test_a_script_is_run_once_and_its_mesh_kept(tmp_path):
+def test_a_script_runs_once_and_its_mesh_is_cached(tmp_path):
     first, second = script(tmp_path, STRIP), script(tmp_path, STRIP)
     assert calls(tmp_path) == ["sheet 2.0"]
     assert np.array_equal(first.points, second.points) and np.array_equal(first.triangles, second.triangles)
@@ -46,7 +46,7 @@ def test_a_script_is_run_once_and_its_mesh_kept(tmp_path):
     assert len(calls(tmp_path)) == 3  # another size key, another script: other meshes
 
 
-def test_normals_that_a_script_returns_are_kept_with_its_mesh(tmp_path):
+def test_normals_returned_by_a_script_are_cached_with_its_mesh(tmp_path):
     leaning = STRIP.replace("[0, 2, 3]]", "[0, 2, 3]], np.full((2, 3, 3), [0.3, 0, 1.0])")
     for _ in range(2):
         surface = script(tmp_path, leaning)
@@ -55,7 +55,7 @@ def test_normals_that_a_script_returns_are_kept_with_its_mesh(tmp_path):
     assert len(calls(tmp_path)) == 1
 
 
-def test_a_kept_mesh_that_is_damaged_is_generated_again(tmp_path):
+def test_a_damaged_cached_mesh_is_generated_again(tmp_path):
     first = script(tmp_path, STRIP)
     (kept,) = (tmp_path / "cache" / "meshes").iterdir()
     kept.write_bytes(kept.read_bytes()[:100])
@@ -183,7 +183,7 @@ def gone(process):
 
 
 @pytest.mark.slow
-def test_what_a_script_starts_ends_with_it(tmp_path, monkeypatch):
+def test_processes_started_by_a_script_end_with_it(tmp_path, monkeypatch):
     monkeypatch.setenv("MIC_SCRIPT_LIMIT", "5")
     text = (
         "import pathlib, subprocess, sys, time\n"
@@ -210,13 +210,13 @@ os.environ["HOME"] = "nowhere"
 """
 
 
-def test_what_a_script_prints_or_leaves_running_does_no_harm(tmp_path, capfd):
+def test_output_and_threads_of_a_script_do_no_harm(tmp_path, capfd):
     home = os.environ.get("HOME")
     assert script(tmp_path, RUBBISH + STRIP).areas.sum() == pytest.approx(2)
     assert capfd.readouterr() == ("", "") and os.environ.get("HOME") == home
 
 
-def test_named_sizes_are_told(tmp_path):
+def test_an_unknown_size_is_refused_with_the_named_sizes(tmp_path):
     (tmp_path / "geometry.py").write_text("print('hello')\nSIZES = {'a': 2, 'b': 3.5}\ndef build(part, size): pass")
     assert named_sizes("sheet", tmp_path / "geometry.py") == {"a": 2.0, "b": 3.5}
     (tmp_path / "geometry.py").write_text("SIZES = {'a': 'large'}\ndef build(part, size): pass")

@@ -24,12 +24,12 @@ SECTION = PAGE[PAGE.index("## Use measured parts") :].partition("\n## ")[0]
 MEASURE = runpy.run_path(str(FOLDER / "measure.py"))
 
 
-def test_the_clouds_are_what_is_planted_with_noise():
+def test_the_point_clouds_are_those_of_their_script():
     for piece in range(MEASURE["PIECES"]):
         assert (FOLDER / f"hat-{piece + 1:02}.csv").read_text(encoding="utf-8") == MEASURE["cloud"](piece)
 
 
-def test_the_page_shows_what_the_scene_says():
+def test_the_page_shows_tables_of_the_scene():
     """Its tables stand in the scene, key by key."""
     given = tomllib.loads((FOLDER / "measured.toml").read_text(encoding="utf-8"))
     shown = [tomllib.loads(block) for block in re.findall(r"```toml\n(.*?)```", SECTION, re.S)]
@@ -48,7 +48,7 @@ def model(cache):
 
 @pytest.mark.fem
 @pytest.mark.slow
-def test_what_was_planted_is_found(model):
+def test_the_planted_shape_is_found(model):
     """At all contact pairs and measurements of the hat: the pieces' mean and their spread, to 5 %.
 
     A part is measured from where it is set down, so of what is planted the rigid motion is taken that its datum rows

@@ -123,7 +123,7 @@ def output(values):
 
 
 @pytest.mark.parametrize("design", DESIGNS)
-def test_intervals_of_a_design_cover_and_designs_tell_more(lap_scene, design):
+def test_intervals_of_a_design_have_their_coverage_and_designs_reduce_the_error(lap_scene, design):
     """Over 160 repetitions of 640 or 600 samples; of the mean and of σ."""
     scene = having(lap_scene, design=design, mean=0.0, sigma=1.0)
     n = 600 if design == "latin-hypercube" else 640
@@ -131,8 +131,8 @@ def test_intervals_of_a_design_cover_and_designs_tell_more(lap_scene, design):
     found = []
     for seed in range(160):
         y = output(draw(scene, seed, 0, n))
-        mean = estimates.grouped(y, group, np.mean)
-        sigma = estimates.grouped(y, group, lambda x: np.std(x, ddof=1), size=True)
+        mean = estimates.grouped_jackknife(y, group, np.mean)
+        sigma = estimates.grouped_jackknife(y, group, lambda x: np.std(x, ddof=1), positive=True)
         found.append((mean.value, sigma.value, mean.low, mean.high, sigma.low, sigma.high))
     truth = 0.2, np.sqrt(1 + 0.25 + 0.09 + 2 * 0.04 + 0.04)
     value = np.array(found)
@@ -154,7 +154,7 @@ def test_every_sample_reaches_the_sink_once(lap_model):
     assert reused == {"coulomb": 0, "frictionless": 0}
 
 
-def test_a_copy_of_the_process_evaluates_some_blocks_to_the_same_bits(lap_model, monkeypatch):
+def test_a_worker_process_evaluates_some_blocks_to_the_same_bits(lap_model, monkeypatch):
     """Ten blocks; what both processes found is handed over here, and all samples are told of."""
 
     def found(core):
@@ -181,7 +181,7 @@ def test_a_copy_of_the_process_evaluates_some_blocks_to_the_same_bits(lap_model,
             np.testing.assert_array_equal(value, other)
 
 
-def test_blocks_that_are_done_are_left_out_and_counted(lap_model):
+def test_finished_blocks_are_skipped_and_counted(lap_model):
     heard = []
     found, reused = collected(
         lap_model,
@@ -232,7 +232,7 @@ def test_blocks_grow_with_their_place_as_far_as_memory_allows():
     assert max(count for *_, count in large) * 500 <= MAX_ENTRIES
 
 
-def test_where_samples_take_long_they_are_told_of_one_by_one_and_stay_the_same(lap_model, monkeypatch):
+def test_slow_samples_are_reported_one_by_one_with_the_same_results(lap_model, monkeypatch):
     one = lap_model.process("coulomb").evaluate(draw(lap_model.scene, 4, 0, 6))
     monkeypatch.setattr(montecarlo, "REPORT_INTERVAL", 0.0)  # any sample takes long
     told, expected = [], []
@@ -246,7 +246,7 @@ def test_where_samples_take_long_they_are_told_of_one_by_one_and_stay_the_same(l
         np.testing.assert_array_equal(resolution.force, other.resolutions[stage].force)
 
 
-def test_what_is_expected_of_a_run_leaves_out_what_the_first_sample_prepares(lap_model, monkeypatch):
+def test_the_expected_duration_excludes_the_setup_in_the_first_sample(lap_model, monkeypatch):
     """It loads and compiles; the others are judged by each other."""
     ticks = iter([0.0, 0.0, 1000.0, 1000.0, 1006.0])
     monkeypatch.setattr(montecarlo.time, "perf_counter", lambda: next(ticks))

@@ -12,7 +12,7 @@ EVERY = mutations.mutations()
 
 
 @pytest.mark.parametrize("mutation", EVERY, ids=lambda one: one.what)
-def test_what_is_to_be_planted_stands_once_where_the_list_says(mutation):
+def test_each_planted_line_occurs_once_in_its_file(mutation):
     assert (ROOT / mutation.file).read_text(encoding="utf-8").count(mutation.right) == 1
     assert mutation.wrong != mutation.right
     assert mutation.tests and all((ROOT / test).is_file() for test in mutation.tests)

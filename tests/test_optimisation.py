@@ -26,11 +26,12 @@ from mic.studies.optimisation import moved_items as sites_module
 from mic.studies.optimisation import optimise
 from mic.studies.optimisation.design import Change, Design, Space
 from mic.studies.optimisation.evaluations import BudgetExceeded
-from mic.studies.optimisation.matching import Kind, assigned
+from mic.studies.optimisation.matching import Kind, assign_parts
 from mic.studies.optimisation.moved_items import RelocatedModels
 from mic.studies.optimisation.objective import Objective
-from mic.studies.optimisation.scene_changes import rewritten
+from mic.studies.optimisation.scene_changes import scene_text_with_changes
 from mic.studies.optimisation.search import all_designs, local_search, random_design
+from verification.scenes import few
 
 ROOT = Path(__file__).resolve().parents[1]
 FORCE = {"clamps": ["C"], "between": [10, 100]}
@@ -117,7 +118,7 @@ def test_the_share_outside_falls_to_nothing_where_half_a_tolerance_is_ten_sigma(
     assert found.before < 0.3 and found.after == 1.0 and found.gained
 
 
-def test_of_two_ways_to_keep_a_constraint_the_cheaper_is_taken_as_far_as_it_must():
+def test_the_cheaper_way_to_meet_a_constraint_is_used_as_far_as_needed():
     """Cpk 1 takes a mean of 0.65: 10 N more at 1 each, or 0.4 mm at 10 each."""
     asked = {
         "objective": "cost",
@@ -131,7 +132,7 @@ def test_of_two_ways_to_keep_a_constraint_the_cheaper_is_taken_as_far_as_it_must
     assert found.gained and found.relief.low > 0 > found.gain.high, "it costs, and keeps what was missed"
 
 
-def test_a_constraint_that_fresh_samples_miss_is_asked_for_by_more():
+def test_a_constraint_violated_on_fresh_samples_is_tightened():
     """Of seeds the first by whose twenty samples 0.33 mm are enough, where all take 0.4."""
     asked = {
         "objective": "cost",
@@ -147,13 +148,13 @@ def test_a_constraint_that_fresh_samples_miss_is_asked_for_by_more():
     assert all(one.share < 0.03 for one in found.missed), "as far as a thousand samples tell"
 
 
-def test_a_cost_is_paid_as_long_as_it_saves_more_of_what_is_rejected():
+def test_a_cost_is_spent_while_it_saves_more_in_rejects():
     found = optimise(pushed({"objective": "cost", "reject": 100, "forces": [FORCE | {"cost": 1}]}), "frictionless")
     # Φ of the share outside falls by 100 φ(z)/(50 σ) per N: it pays until that is 1, and a little smoothing off.
     assert 25 < changes(found)["C",] < 31 and found.after < 12 < found.before
 
 
-def test_a_limit_of_forces_is_kept_and_one_that_nothing_reaches_is_told_with_what_it_lacks():
+def test_a_force_limit_is_met_and_an_infeasible_constraint_is_reported():
     limit = {"quantity": "force", "at_most": 40}
     found = optimise(pushed({"forces": [FORCE], "constraints": [limit]}), "frictionless")
     assert changes(found) == {("C",): 40.0} and not found.missed
@@ -163,13 +164,13 @@ def test_a_limit_of_forces_is_kept_and_one_that_nothing_reaches_is_told_with_wha
     assert missed.short == pytest.approx(1 + 10 / STIFFNESS + 0.05, abs=0.02)
 
 
-def test_where_nothing_can_be_gained_it_says_so():
+def test_a_search_without_gain_reports_none():
     asked = {"objective": "largest-six-sigma", "forces": [FORCE]}  # a force moves the mean alone
     found = optimise(pushed(asked), "frictionless")
     assert not found.gained and found.after == pytest.approx(found.before)
 
 
-def test_what_is_gained_with_the_samples_of_the_search_alone_is_no_gain():
+def test_a_gain_on_the_samples_of_the_search_alone_is_no_gain():
     """Centred but for the mean of the samples of the search: what is gained with these is lost with others."""
     clamp = at_face("b", (0, 0, 1), name="C", force=47.5)
     found = optimise(pushed({"forces": [FORCE], "of": ["M"]}, clamps=[clamp]), "frictionless", samples=20, fresh=60)
@@ -189,7 +190,7 @@ def test_what_is_gained_with_the_samples_of_the_search_alone_is_no_gain():
         ({"objective": "cost", "reject": 30}, 30 * 2 / 6 + 2 * 5.0),
     ],
 )
-def test_each_objective_is_what_it_says(asked, wanted):
+def test_each_objective_has_its_defined_value(asked, wanted):
     force = FORCE | ({"cost": 2.0} if asked["objective"] == "cost" else {})
     objective = Objective(Space(pushed(asked | {"forces": [force]})))
     z = np.array([1.4, -1.4, 0.2, -0.2, 0.0])
@@ -236,7 +237,7 @@ def test_the_best_of_all_orders_is_found():
     assert found.gained and found.scene.stages[1].order == change.after
 
 
-def test_what_stands_together_in_the_scene_changes_its_order_together():
+def test_items_of_one_group_change_their_order_together():
     table = LAP | {"optimise": {"orders": [{"stage": name} for name in ("clamp", "weld", "release")]}}
     table["clamps"] = [*LAP["clamps"], LAP["clamps"][0] | {"name": "C2", "point": [60, 12.5, 1]}]
     rest = [f"upper-{name}" for name in ("A1", "A2", "A3", "B1", "B2", "C1")]
@@ -304,7 +305,7 @@ def test_orders_of_thirty_come_near_the_best_that_is_known_and_random_ones_of_eq
 
 
 def placed(asked, **changes):
-    lap = mic.load_scene(mic.examples.folder("lap_joint"))
+    lap = few(mic.load_scene(mic.examples.folder("lap_joint")))
     parts = [part.model_copy(update={"size": "coarse"}) for part in lap.parts]
     report = lap.report.model_copy(update={"fields": False})
     table = lap.model_copy(update={"parts": parts, "report": report} | changes).model_dump()
@@ -318,7 +319,7 @@ A3 = {"item": "locators.upper-A3", "points": [[120, 12.5, 1]]}
 @pytest.mark.fem
 @pytest.mark.slow
 @pytest.mark.parametrize("fused, times", [(False, 1), (True, 2)])
-def test_items_at_other_places_are_those_of_a_scene_that_states_them(fused, times, cache, monkeypatch):
+def test_items_moved_by_the_search_equal_those_of_a_scene_at_that_place(fused, times, cache, monkeypatch):
     """Each part is solved once for all places; at a fused nugget its elements are divided: once for each of these."""
     computed, find = [], sites_module.influence_coefficients
 
@@ -343,9 +344,10 @@ def test_items_at_other_places_are_those_of_a_scene_that_states_them(fused, time
 @pytest.mark.fem
 @pytest.mark.slow
 def test_the_best_of_all_places_is_found(cache):
-    """Of a weld's three, each taken through the process by hand."""
+    """A weld has three; each is evaluated here."""
+    points = {"item": "welds.W1", "points": [[70, 6, 0.5], [97, 6, 0.5]]}
     welds = [one.model_copy(update={"fused": False}) for one in mic.load_scene(mic.examples.folder("lap_joint")).welds]
-    scene = placed([W1], welds=welds)
+    scene = placed([points], welds=welds)
     asked = scene.optimise.model_copy(update={"objective": "largest-six-sigma"})
     model = mic.reduce(scene.model_copy(update={"optimise": asked}), cache)
     found = optimise(model, "coulomb", samples=20, fresh=20, seed=1, cache=cache)
@@ -358,7 +360,7 @@ def test_the_best_of_all_places_is_found(cache):
     best = min(spread, key=spread.get)
     assert any(best) and spread[best] < 0.99 * spread[0,], "it matters where they stand"
     chosen = {change.targets[0]: change.after for change in found.changes}
-    wanted = {one["item"]: one["points"][at - 1] for one, at in zip((W1,), best) if at}
+    wanted = {one["item"]: one["points"][at - 1] for one, at in zip((points,), best) if at}
     assert chosen == wanted and found.found == pytest.approx(spread[best], rel=1e-9)
 
 
@@ -368,7 +370,7 @@ def test_a_candidate_off_its_part_is_refused_by_name_before_anything_is_solved(c
     off = {"item": "welds.W1", "points": [[80, 6, 0.5], [92, 64, 0.5]]}
     space = Space(SimpleNamespace(scene=placed([off])))
     with pytest.raises(
-        SceneError, match=r"^optimise.places\[0\].points\[1\] \(welds.W1\): \[92, 64, 0.5\] lies 39 mm"
+        SceneError, match=r"^optimise.places\[0\].points\[1\] \(welds.W1\): \[92, 64, 0.5\] is 39 mm"
     ) as told:
         RelocatedModels(space, cache)
     assert "\n" not in str(told.value) and "[92, 25, 0]" in str(told.value)
@@ -376,7 +378,7 @@ def test_a_candidate_off_its_part_is_refused_by_name_before_anything_is_solved(c
 
 def test_places_take_the_meshes_of_the_scene(cache):
     scene = placed([W1]).model_copy(update={"folder": Path("nowhere")})
-    with pytest.raises(SceneError, match="other places take the parts' meshes, and they cannot be had"):
+    with pytest.raises(SceneError, match="other places require the meshes of the parts, which cannot be read"):
         RelocatedModels(Space(SimpleNamespace(scene=scene)), cache)
 
 
@@ -391,7 +393,7 @@ def kinds(*sizes):
 @pytest.mark.parametrize("sizes", [(5, 5), (3, 5), (5, 3)])
 def test_an_assignment_is_the_one_that_brute_force_finds(sizes):
     table = np.random.default_rng(7).uniform(size=sizes)
-    found = assigned(kinds(*sizes), lambda pairs: table[pairs[:, 0], pairs[:, 1]])
+    found = assign_parts(kinds(*sizes), lambda pairs: table[pairs[:, 0], pairs[:, 1]])
     few, many = (0, 1) if sizes[0] <= sizes[1] else (1, 0)
     square = table if few == 0 else table.T
     best = min(square[range(len(square)), list(p)].mean() for p in permutations(range(sizes[many]), sizes[few]))
@@ -405,7 +407,7 @@ def test_three_kinds_are_assigned_until_nothing_improves():
     """Of sums that are to be 0 three kinds of ±values have such a matching, and it is found from the file's order."""
     values = [np.array([1.0, -1.0, 2.0, -2.0]), np.array([2.0, 1.0, -1.0, -2.0]), np.zeros(4)]
     cost = lambda own: sum(value[own[:, t]] for t, value in enumerate(values)) ** 2
-    found = assigned(kinds(4, 4, 4), cost)
+    found = assign_parts(kinds(4, 4, 4), cost)
     assert found.before > 0 and found.after == pytest.approx(0.0, abs=1e-12) and found.rounds >= 3
     assert cost(found.rows - 2).mean() == pytest.approx(0.0, abs=1e-12)
     for t in range(3):
@@ -451,12 +453,12 @@ def test_measured_parts_are_matched_long_with_short(tmp_path, sigma):
     [
         ("B\n0.1\n0.2\n", "'B' is measured on front as well"),
         ("Q\n0.1\n0.2\n", "there is no deviation 'Q' in this scene; known: B, C, D"),
-        ("C\n0.1\nlong\n", "row 3, column C: 'long' is no finite number"),
+        ("C\n0.1\nlong\n", "row 3, column C: 'long' is not a finite number"),
         (
             "C\n0.1\n9.0\n",
-            "9 is more than 6 standard deviations (0.1) off the mean, 0; these are no parts of this scene",
+            "9 is more than 6 standard deviations (0.1) off the mean, 0; give the parts of this scene",
         ),
-        ("C\n0.1\n", "there are not two parts in it"),
+        ("C\n0.1\n", "the file has fewer than two parts"),
     ],
 )
 def test_measured_parts_of_another_scene_are_refused(tmp_path, text, said):
@@ -477,7 +479,7 @@ def test_the_jackknife_of_a_mean_is_students_interval():
     assert [own.value, own.low, own.high] == pytest.approx([known.value, known.low, known.high])
 
 
-def test_a_call_that_was_killed_goes_on_without_what_was_evaluated(tmp_path):
+def test_a_killed_search_continues_without_repeating_evaluations(tmp_path):
     ledger, counts = tmp_path / "evaluated.jsonl", []
     asked = {"objective": "largest-six-sigma", "orders": [{"stage": "clamp"}], "forces": [
         {"clamps": ["C1"], "between": [5, 30]}]}  # fmt: skip
@@ -501,12 +503,12 @@ def test_a_call_that_was_killed_goes_on_without_what_was_evaluated(tmp_path):
     assert not again
 
 
-def test_the_budget_is_kept():
+def test_the_budget_is_respected():
     count = []
     asked = {"objective": "largest-six-sigma", "orders": [{"stage": "clamp"}]}
     found = optimise(rubbing(asked), "coulomb", samples=20, fresh=20, budget=150, progress=count.append)
     assert found.evaluations <= 150 and sum(count) <= 150 + 2 * 20
-    with pytest.raises(SceneError, match="20 samples of the scene as it is exceed the budget of 10"):
+    with pytest.raises(SceneError, match="20 samples of the stated scene exceed the budget of 10"):
         optimise(rubbing(asked), "coulomb", samples=20, budget=10)
 
 
@@ -520,11 +522,11 @@ def test_a_table_of_samples_is_halved():
 
 def test_a_stage_that_does_all_at_once_has_no_order():
     stages = [{"kind": "locate"}, {"kind": "clamp", "path": "one-step"}, {"kind": "measure"}]
-    with pytest.raises(SceneError, match=r"orders\[0\].stage: 'clamp' does all at once"):
+    with pytest.raises(SceneError, match=r"orders\[0\].stage: 'clamp' has no order"):
         optimise(pushed({"orders": [{"stage": "clamp"}]}, stages=stages))
 
 
-def test_a_scene_that_says_nothing_or_varies_in_nothing_is_refused():
+def test_a_scene_without_optimisation_or_variation_is_refused():
     with pytest.raises(SceneError, match=r"add a table \[optimise\]"):
         optimise(pushed(None))
     with pytest.raises(SceneError, match="nothing varies"):
@@ -560,7 +562,7 @@ JAW = {"clamps": ["C1-upper", "C1-lower"], "between": [30, 120]}
         ({"forces": [JAW], "constraints": [{"quantity": "mean"}]}, "give at_least or at_most"),
     ],
 )
-def test_what_cannot_be_asked_is_refused_by_key(tmp_path, asked, said):
+def test_invalid_requests_are_refused_by_key(tmp_path, asked, said):
     with pytest.raises(SceneError) as told:
         read_table(LAP | {"optimise": asked}, tmp_path / "scene.toml")
     (line,) = str(told.value).splitlines()
@@ -577,7 +579,7 @@ SECTION = (ROOT / "docs" / "howto.md").read_text().split("## Optimise fixture, s
 SECTION = SECTION.split("\n## ")[0]
 
 
-def test_what_the_page_asks_can_be_asked(tmp_path):
+def test_tables_of_the_page_are_valid(tmp_path):
     tables = [tomllib.loads(text) for text in re.findall(r"```toml\n(.*?)```", SECTION, re.S)]
     assert [set(read_table(LAP | table, tmp_path / "scene.toml").optimise.model_fields_set) for table in tables] == [
         {"objective", "forces", "orders", "places", "constraints"},
@@ -586,7 +588,7 @@ def test_what_the_page_asks_can_be_asked(tmp_path):
 
 
 @pytest.mark.slow
-def test_what_the_page_does_in_python_is_done(cache, monkeypatch, capsys):
+def test_python_code_of_the_page_runs(cache, monkeypatch, capsys):
     monkeypatch.setenv("MIC_CACHE", str(cache))
     (code,) = re.findall(r"```python\n(.*?)```", SECTION, re.S)
     exec(code, {})
@@ -616,7 +618,7 @@ laws = ["coulomb"]
 """
 
 
-def test_keys_of_a_file_are_changed_and_all_else_stays():
+def test_revised_keys_change_and_the_rest_of_the_file_stays():
     found = revised(TEXT, "stages", 1, {"order": [["b"], ["a"]], "sequence": None})
     assert tomllib.loads(found)["stages"][1] == {"kind": "clamp", "order": [["b"], ["a"]]}
     assert "# a scene" in found and "# of the weld" in found and "the stated one" not in found
@@ -629,7 +631,7 @@ def test_keys_of_a_file_are_changed_and_all_else_stays():
         revised(TEXT, "clamps", 0, {"force": 3})
 
 
-def test_a_scene_is_written_with_what_changes(tmp_path):
+def test_a_scene_is_written_with_its_changes(tmp_path):
     text = (mic.examples.folder("lap_joint") / "scene.toml").read_text()
     before = read_table(tomllib.loads(text), tmp_path / "scene.toml")
     wanted = [
@@ -638,7 +640,7 @@ def test_a_scene_is_written_with_what_changes(tmp_path):
         Change("order", ("weld",), None, [["W2"], ["W1"]]),
         Change("place", ("welds.W1",), [88, 6, 0.5], [86.0, 7.0, 0.5]),
     ]
-    after = read_table(tomllib.loads(rewritten(text, before, wanted)), tmp_path / "scene.toml")
+    after = read_table(tomllib.loads(scene_text_with_changes(text, before, wanted)), tmp_path / "scene.toml")
     assert sorted(scene_differences(before, after)) == [
         "clamps.C1-lower.force: 60 → 90",
         "clamps.C1-upper.force: 60 → 90",
@@ -649,22 +651,22 @@ def test_a_scene_is_written_with_what_changes(tmp_path):
     assert (after.deviations[-1].target, after.deviations[-1].mean, after.deviations[-1].sigma) == ("lower-A1", 0.2, 0)
 
 
-def test_what_changes_of_the_jaws_of_a_tong_is_written_of_the_tong():
+def test_changes_of_the_jaws_of_a_tong_are_written_to_the_tong():
     text = '[[stages]]\nkind = "clamp"\n\n[[clamps]]\nname = "T"\nparts = ["a", "b"]\nforce = 20\n'
     scene = SimpleNamespace(clamps=[SimpleNamespace(name=f"T-{part}", stroke=None) for part in "ab"])
     wanted = [
         Change("force", ("T-a", "T-b"), 20.0, 30.0),
         Change("order", ("clamp",), None, [["T-a", "T-b"], ["L"]]),
     ]
-    table = tomllib.loads(rewritten(text, scene, wanted))
+    table = tomllib.loads(scene_text_with_changes(text, scene, wanted))
     assert table["clamps"] == [{"name": "T", "parts": ["a", "b"], "force": 30.0}]
     assert table["stages"] == [{"kind": "clamp", "order": [["T"], ["L"]]}]
     text = '[[clamps]]\nname = "S"\nstroke = 1.0\n\n[[clamps]]\nname = "U"\nstroke = -2.0 # mm\n'
     scene = SimpleNamespace(clamps=[SimpleNamespace(name=name, stroke=x) for name, x in (("S", 1.0), ("U", -2.0))])
-    table = tomllib.loads(rewritten(text, scene, [Change("shim", ("S", "U"), 0.0, 0.5)]))
+    table = tomllib.loads(scene_text_with_changes(text, scene, [Change("shim", ("S", "U"), 0.0, 0.5)]))
     assert [one["stroke"] for one in table["clamps"]] == [1.5, -1.5]
-    with pytest.raises(SceneError, match="'C' stands in a row of a file"):
-        rewritten('[[clamps]]\nfile = "c.csv"\n', scene, [Change("force", ("C",), 20.0, 30.0)])
+    with pytest.raises(SceneError, match="'C' is stated in a table file"):
+        scene_text_with_changes('[[clamps]]\nfile = "c.csv"\n', scene, [Change("force", ("C",), 20.0, 30.0)])
 
 
 # -------------------------------------------------------------------------------------------------------- command
@@ -676,60 +678,60 @@ def called(tmp_path, model, *options):
     return CliRunner().invoke(app, ["optimise", str(path), "--out", str(tmp_path / "out"), *options])
 
 
-def test_the_command_tells_what_to_change_what_it_is_worth_and_what_else_it_does(tmp_path):
+def test_the_command_prints_changes_gain_and_side_effects(tmp_path):
     found = called(tmp_path, pushed({"forces": [FORCE], "of": ["M"]}), "--fresh", "60", "--law", "frictionless")
     assert found.exit_code == 0, found.output
-    assert "clamps.C: 20 → 47" in found.output and "On 60 fresh samples the least Cpk" in found.output
-    assert "Nothing was gained" not in found.output and " N " in found.output
+    assert "clamps.C: 20 → 47" in found.output and "On 60 independent samples the least Cpk" in found.output
+    assert "No significant gain" not in found.output and " N " in found.output
     for table in (OPTIMA, OPTIMUM_CHANGES):
         assert len(table.read(tmp_path / "out", "mend it")) == 1
     assert json.loads((tmp_path / "out" / "evaluated.jsonl").read_text().splitlines()[0])["key"].startswith("[]")
 
 
-def test_the_command_says_what_is_missed_and_where_nothing_is_gained(tmp_path):
+def test_the_command_prints_violated_constraints_and_missing_gains(tmp_path):
     limits = [{"quantity": "mean", "of": ["M"], "at_most": -1}]
     found = called(tmp_path, pushed({"forces": [FORCE], "constraints": limits}), "--law", "frictionless")
-    assert "Not kept: mean of M at most -1; it is 0.2" in found.output and "1.2" in found.output
+    assert "Violated: mean of M at most -1; it is 0.2" in found.output and "1.2" in found.output
     found = called(tmp_path, pushed({"objective": "largest-six-sigma", "forces": [FORCE]}), "--law", "frictionless")
-    assert "Nothing better was found" in found.output
+    assert "No better design found" in found.output
 
 
-def test_the_command_prints_which_parts_go_together(tmp_path):
+def test_the_command_prints_matched_parts(tmp_path):
     (tmp_path / "front.csv").write_text("B\n0.1\n-0.2\n0.3\n")
     (tmp_path / "rear.csv").write_text("C\n0.2\n0.1\n-0.3\n0.0\n")
     found = called(tmp_path, matched(tmp_path), "--law", "frictionless")
     assert found.exit_code == 0, found.output
-    assert "Rows that go together" in found.output and "Left over of rear: rows" in found.output
+    assert "Matched parts" in found.output and "Unused parts rear: rows" in found.output
     assert len(OPTIMUM_MATCHES.read(tmp_path / "out", "mend it")) == 6
 
 
-def test_an_interrupted_search_tells_what_it_has_found_so_far(tmp_path, monkeypatch):
+def test_an_interrupted_search_prints_its_best_design_so_far(tmp_path, monkeypatch):
     def interrupted(*arguments, better, **options):
         better([Change("force", ("C",), 20.0, 30.0)], 1.5)
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("mic.commands.optimise.optimised", interrupted)
+    monkeypatch.setattr("mic.commands.optimise.search_optimum", interrupted)
     found = called(tmp_path, pushed({"forces": [FORCE]}))
     assert found.exit_code and "so far 1.5 on the samples of the" in found.output
-    assert "clamps.C: 20 → 30 N" in found.output and "call again, and it goes on from there" in found.output
+    assert "clamps.C: 20 → 30 N" in found.output and "Run the command again to continue" in found.output
 
 
-def test_a_changed_copy_is_written_of_a_scene_file_and_beside_it(tmp_path):
+def test_a_changed_copy_is_written_beside_a_scene_file_only(tmp_path):
     found = called(tmp_path, pushed({"forces": [FORCE]}), "--save", str(tmp_path / "better.toml"))
     assert found.exit_code and "--save writes a changed copy of a scene file" in str(found.exception)
     scene = tmp_path / "here" / "scene.toml"
     scene.parent.mkdir()
     scene.write_text("")
     options = ["optimise", str(scene), "--save", str(tmp_path / "better.toml")]
-    assert "is not beside" in str(CliRunner().invoke(app, options).exception)
+    assert "save to the same folder" in str(CliRunner().invoke(app, options).exception)
 
 
 @pytest.mark.parametrize("gained", [True, False])
-def test_a_copy_is_written_of_what_is_gained_and_of_nothing_else(tmp_path, monkeypatch, gained):
+def test_a_copy_is_written_only_after_a_gain(tmp_path, monkeypatch, gained):
     scene = tmp_path / "scene.toml"
     scene.write_text('[[clamps]]\nname = "C"\nforce = 20\n')
     model = pushed({"objective": "cpk" if gained else "largest-six-sigma", "forces": [FORCE], "of": ["M"]})
-    monkeypatch.setattr("mic.commands.optimise.studied", lambda console, source: (model, None))
+    monkeypatch.setattr("mic.commands.optimise.load_model", lambda console, source: (model, None))
     options = ["optimise", str(scene), "--save", str(tmp_path / "better.toml"), "--out", str(tmp_path / "out")]
     done = CliRunner().invoke(app, [*options, "--law", "frictionless"])
     assert done.exit_code == 0, done.output

@@ -50,11 +50,10 @@ def words(table, folder=None):
     return describe(built(table, folder))
 
 
-def test_all_that_may_be_changed_and_must_be_kept_is_told():
+def test_variables_and_constraints_are_described():
     *told, effort = words(WHOLE)
     assert told == [
-        "objective: minimise the cost of M over the variation of the inputs; an assembly outside its "
-        "limits costs 40",
+        "objective: minimise the cost of M over the variation of the inputs; an assembly outside its limits costs 40",
         "may change: force of C, 10 to 100 N (now 20)",
         "may change: shim of bl1, -0.5 to 0.25 mm (now 0)",
         "may change: stroke of T, 1 to 3 mm (now 2)",
@@ -68,7 +67,7 @@ def test_all_that_may_be_changed_and_must_be_kept_is_told():
     assert f"{BUDGET:,} evaluations" in effort and f"{2 * FRESH:,}" in effort
 
 
-def test_what_is_wanted_is_told_with_its_weights():
+def test_the_objective_is_described_with_its_weights():
     told = words({"objective": "largest-six-sigma", "weights": {"M": 2}, "forces": WHOLE["forces"]})
     assert told[0].startswith("objective: minimise the largest 6σ of all measurements")
     assert told[0].endswith("; weights: M 2") and told[-1].startswith("effort: 1 setting between bounds; ")
@@ -87,7 +86,7 @@ def test_measured_parts_are_counted_and_a_file_that_is_none_is_refused(tmp_path)
         words({}, tmp_path)
 
 
-def test_what_is_found_of_a_run_stands_in_its_report(tmp_path, monkeypatch):
+def test_the_report_of_a_run_shows_its_optimum(tmp_path, monkeypatch):
     """Its tables go where the report is drawn from, with the run's folder held; elsewhere there is no page."""
     model, drawn = built({"forces": WHOLE["forces"], "of": ["M"]}), []
     monkeypatch.setattr("mic.commands.optimise.load_model", lambda console, source: (model, source))
@@ -102,7 +101,7 @@ def test_what_is_found_of_a_run_stands_in_its_report(tmp_path, monkeypatch):
 
 
 @pytest.mark.fem
-def test_a_candidate_off_its_part_is_told_by_the_check(tmp_path):
+def test_check_refuses_a_candidate_off_its_part(tmp_path):
     """With its page, before anything is reduced."""
     folder = examples.copy("lap_joint", tmp_path / "joint")
     with (folder / "scene.toml").open("a") as file:

@@ -89,15 +89,15 @@ def test_a_file_of_variants_changes_the_keys_of_the_stages_that_it_names(hat_mod
 
 BROKEN = {
     "no file": (None, ["cannot be read", "check the path"]),
-    "no TOML": ("[[orders", ["not valid TOML", "mend"]),
-    "no orders": ('name = "x"', ["give one or more [[orders]]"]),
+    "no TOML": ("[[orders", ["not valid TOML", "correct the syntax"]),
+    "no orders": ('name = "x"', ["must contain at least one [[orders]]"]),
     "no stages": ('[[orders]]\nname = "x"', ["orders[0]", "give name and stages"]),
     "no such stage": ('[[orders]]\nname = "x"\nstages.clmp.order = [["C1"]]', ["orders[0].stages", "'clmp'", "clamp"]),
     "no such key": ('[[orders]]\nname = "x"\nstages.clamp.ordre = [["C1"]]', ["orders[0]", "stages.1.ordre"]),
     "left out": ('[[orders]]\nname = "x"\nstages.clamp.order = [["C1"]]', ["orders[0]", "closes 'plate-A4'", "add"]),
     "one name for two": (
         '[[orders]]\nname = "x"\nstages.weld.sequence = true\n' * 2,
-        ["'x' stands more than once", "its own"],
+        ["several orders are named 'x'", "its own"],
     ),
 }
 
@@ -121,7 +121,7 @@ def test_the_wheelhouse_has_variants_of_the_order_that_it_states():
     assert len(clamps) == 4 and all("-A" in name for name in clamps[-1]) and len(found) == 8
 
 
-def test_what_changes_is_the_order_s_doing(found, hat_model):
+def test_changes_are_caused_by_the_order_alone(found, hat_model):
     """The same samples: nothing differs from itself, and an order by hand gives what its row says."""
     others, table = found
     stated = table[table["order"] == STATED]
@@ -141,7 +141,7 @@ def test_what_changes_is_the_order_s_doing(found, hat_model):
     assert rows["mean_change"].abs().max() > 0.005  # mm
 
 
-def test_orders_stand_by_how_much_of_a_tolerance_they_change(found):
+def test_orders_are_sorted_by_their_share_of_a_tolerance(found):
     _, table = found
     change = table[["mean_change", "six_sigma_change"]].abs().max(axis=1) / table["tolerance"]
     largest = change.groupby(table["order"], sort=False).max()
@@ -162,16 +162,19 @@ def test_a_stage_in_which_friction_hardly_matters_is_named_and_no_other(lap_mode
     assert doubts(replace(hat_model, scene=scene, contacts=contacts)) == []  # nothing that friction could do
 
 
-def test_an_outcome_that_hangs_on_how_parts_are_set_down_is_named(lap_model):
+def test_dependence_on_how_parts_are_set_down_is_reported(lap_model):
     """Some µm: little of the tolerance of 2 mm, and much of one of 20 µm."""
     wide, narrow = (
         [doubt for doubt in doubts(with_tolerance(lap_model, width)) if "set down" in doubt] for width in (2.0, 0.02)
     )
     assert wide == [] and len(narrow) == 1
-    assert "of its tolerance, if parts that overlap come to rest on each other while the first thing" in narrow[0]
+    assert (
+        "of its tolerance, if overlapping parts settle on each other while the first locator or clamp closes"
+        in narrow[0]
+    )
 
 
-def test_order_takes_a_saved_model_and_writes_what_it_prints(hat_model, tmp_path):
+def test_the_order_command_writes_the_printed_table(hat_model, tmp_path):
     hat_model.save(tmp_path / "model.npz")
     arguments = ["order", str(tmp_path / "model.npz"), "--samples", "3", "--permutations", "0"]
     done = CliRunner().invoke(app, [*arguments, "--table", str(tmp_path / "orders.csv")], env={"COLUMNS": "160"})

@@ -1,6 +1,7 @@
 """The outcome of a run, against the evaluation that it came from; failed and missing samples."""
 
 import json
+import shutil
 from dataclasses import replace
 
 import numpy as np
@@ -24,10 +25,17 @@ SAMPLES, SEED = BLOCK + 10, 5
 LAWS = ["coulomb", "frictionless"]
 
 
+@pytest.fixture(scope="module")
+def sampled(lap_model, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("sampled")
+    sample_into(folder, lap_model, LAWS, SAMPLES, SEED)
+    return folder
+
+
 @pytest.fixture
-def folder(lap_model, tmp_path):
-    sample_into(tmp_path, lap_model, LAWS, SAMPLES, SEED)
-    return tmp_path
+def folder(sampled, tmp_path):
+    """A copy of the run, which a test may change."""
+    return shutil.copytree(sampled, tmp_path, dirs_exist_ok=True)
 
 
 @pytest.fixture(scope="module")
@@ -60,7 +68,7 @@ def test_contact_arrays_are_those_of_the_evaluation(folder, evaluation):
     )  # friction is there to be compared
 
 
-def test_statistics_of_zones_and_measurements_by_hand(folder, evaluation):
+def test_statistics_of_zones_and_measurements_agree_with_numpy(folder, evaluation):
     outcome = read_outcome(folder)
     summary = outcome.summary()
     for law in LAWS:
@@ -86,7 +94,7 @@ def test_statistics_of_zones_and_measurements_by_hand(folder, evaluation):
         assert found["cpk"] == pytest.approx(min(1 - x.mean(), x.mean() + 1) / (3 * x.std(ddof=1)), rel=1e-6)
 
 
-def test_what_presses_a_zone_together_is_summed_over_all_pairs_and_over_those_clear_of_the_welds(folder, lap_model):
+def test_normal_forces_are_summed_over_all_pairs_and_over_pairs_clear_of_welds(folder, lap_model):
     outcome, contacts = read_outcome(folder), lap_model.contacts
     welds = lap_model.scene.welds
     away = [np.linalg.norm((contacts.point - weld.point)[:, :2], axis=1) / weld.radius for weld in welds]
@@ -144,16 +152,16 @@ def test_tables_that_were_just_written_are_those_that_would_be_read(lap_model, e
         pd.testing.assert_frame_equal(written[name], frame, check_exact=True)
 
 
-def test_what_was_just_written_is_not_read_again_as_far_as_there_is_room(folder, lap_model):
+def test_blocks_just_written_are_cached_up_to_a_limit(folder, lap_model):
     store = RunFolder(folder)
     whose, expected = store.record()["identity"], read_outcome(folder)
     every = [block for law in LAWS for block in store.blocks(law)]
     written = TableCache()
     for block in every:
-        written.keep(block, store.read_block(block, whose))
+        written.store(block, store.read_block(block, whose))
     full = TableCache(sum(frame.memory_usage(index=False).sum() for frame in written[every[0]].values()))
     for block in every:
-        full.keep(block, written[block])
+        full.store(block, written[block])
     assert list(written) == every and list(full) == every[:1]
     for path in (folder / "contacts").rglob("*.parquet"):
         path.write_bytes(b"cut")
@@ -163,7 +171,7 @@ def test_what_was_just_written_is_not_read_again_as_far_as_there_is_room(folder,
     assert len(read_outcome(folder, lap_model, full).damaged) == len(every) - 1
 
 
-def test_an_interrupted_run_is_read_and_says_what_is_missing(folder, evaluation):
+def test_an_interrupted_run_is_read_with_its_missing_samples(folder, evaluation):
     (last,) = (folder / "samples" / "law=frictionless").glob(f"{BLOCK:06d}-*")
     last.unlink()  # its contacts are there already: the block was cut off before it was done
     (folder / "samples" / "law=frictionless" / ".half.parquet").write_bytes(b"half a file")
@@ -198,10 +206,10 @@ def test_summary_and_tables_on_disk(folder):
     assert zones["mean_rms_slip"].notna().tolist() == [law == "coulomb" for law in zones["law"]]
 
 
-def test_kept_parts_are_the_parts(folder, lap_scene, cache):
+def test_stored_parts_are_the_parts(folder, lap_scene, cache):
     assembly = assemble(lap_scene, cache)
     assert read_outcome(folder).parts == ()
-    RunFolder(folder).keep_inputs(assembly)
+    RunFolder(folder).store_inputs(assembly)
     assert [part.fingerprint() for part in read_outcome(folder).parts] == [
         part.fingerprint() for part in assembly.parts
     ]
@@ -212,7 +220,7 @@ def test_a_folder_that_holds_no_run_is_refused(tmp_path):
         read_outcome(tmp_path)
 
 
-def test_accessors_give_what_the_evaluation_holds(folder, evaluation, lap_model):
+def test_accessors_return_values_of_the_evaluation(folder, evaluation, lap_model):
     outcome = read_outcome(folder)
     assert outcome.stages == ["clamp", "release"] and outcome.has_slip
     for law in LAWS:
@@ -336,23 +344,23 @@ def test_statistics_block_by_block_are_those_of_all_samples_at_once(folder):
         assert outcome.worst_residual(law) == max(outcome.residual(law, stage).max() for stage in outcome.stages)
 
 
-def test_samples_asked_for_by_number_are_those_samples(folder, monkeypatch):
+def test_samples_are_read_by_number(folder, monkeypatch):
     fail(folder, "coulomb", {3: ("clamp", "not converged")})
     whole, few = read_outcome(folder), (2, 7, BLOCK + 4)
     monkeypatch.setattr("mic.results.outcome.CACHE_SIZE", 0)  # nothing at hand: all is read again
     outcome = read_outcome(folder)
-    assert not any(outcome.kept.values()) and any(whole.kept.values())
+    assert not any(outcome.cached_tables.values()) and any(whole.cached_tables.values())
     place = np.searchsorted(outcome.sample_numbers("coulomb"), few)
     for found in (whole, outcome):
         np.testing.assert_array_equal(
             found.contact("coulomb", "clamp", "f_t", few), whole.contact("coulomb", "clamp", "f_t")[place]
         )
         np.testing.assert_array_equal(found.measured("coulomb", "M1", few), whole.measured("coulomb", "M1")[place])
-    with pytest.raises(KeyError, match="not among its valid ones"):
+    with pytest.raises(KeyError, match="requested samples are not valid"):
         outcome.measured("coulomb", "M1", [3, 4])
 
 
-def test_samples_beyond_those_asked_for_do_not_count(folder):
+def test_samples_beyond_the_requested_number_do_not_count(folder):
     record = RunFolder(folder).record()
     RunFolder(folder).write_record(record | {"samples": 20})
     outcome = read_outcome(folder)

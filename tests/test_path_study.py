@@ -81,7 +81,7 @@ def test_the_first_samples_stand_beside_themselves_on_the_tighter_path(folder, o
     assert (moved["value"] - moved["tighter"]).abs().max() > 1e-6  # the path matters, so there is something to see
 
 
-def test_effects_on_mean_and_six_sigma_by_hand(folder, on_both):
+def test_effects_on_mean_and_six_sigma_agree_with_numpy(folder, on_both):
     outcome = read_outcome(folder)
     one, eight = (zone_rms(evaluation.resolutions["clamp"].displacement[:, :, 1:]) for evaluation in on_both)
     mean, spread = outcome.path_study.effects("coulomb", "rms_tangential", "lap", "clamp")
@@ -118,7 +118,7 @@ def table(value, tight, quantity="rms_slip", converged=True):
     return PathStudy(frame.assign(law="coulomb", quantity=quantity, stage="clamp", name="Z"), pd.DataFrame())
 
 
-def test_of_a_thousandth_of_a_millimetre_no_share_is_told():
+def test_a_change_below_a_micrometre_has_no_share():
     tiny = np.array([1e-4, 2e-4, 3e-4])
     for effect in table(tiny, 2 * tiny).effects("coulomb", "rms_slip", "Z", "clamp"):
         assert effect.change > 0 and np.isnan(effect.share)
@@ -133,7 +133,7 @@ def test_the_mean_of_a_key_characteristic_is_held_against_its_scatter():
     assert mean.share == pytest.approx(0.03 / 0.6) and spread.change == pytest.approx(0.0, abs=1e-15)
 
 
-def test_a_repetition_that_did_not_converge_is_left_out_and_counted():
+def test_a_repetition_that_did_not_converge_is_excluded_and_counted():
     value = np.array([0.1, 0.2, 0.3, 0.4])
     study = table(value, value + np.array([0.01, 0.01, 0.01, 9.0]), converged=[True, True, True, False])
     mean, _ = study.effects("coulomb", "rms_slip", "Z", "clamp")
@@ -195,7 +195,7 @@ def test_rescued_samples_are_counted_and_stay(lap_model, tmp_path):
     assert summary["laws"]["coulomb"]["rescued"] == 2 and summary["laws"]["coulomb"]["samples"] == SAMPLES
 
 
-def test_the_summary_tells_what_the_way_took_and_left(lap_model, tmp_path):
+def test_the_summary_shows_steps_and_errors_of_the_path(lap_model, tmp_path):
     sample_into(tmp_path, lap_model, ["coulomb"], SAMPLES, SEED)
 
     def told(frame):

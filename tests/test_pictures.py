@@ -121,7 +121,7 @@ def test_remedies_stand_between_the_limits_of_the_scene(drawn):
     assert "12.5 % are outside as it is; with locators.A 25.0 %" in picture.caption
 
 
-def test_of_each_order_the_characteristic_that_changes_most_is_drawn(drawn):
+def test_the_characteristic_that_changes_most_in_each_order_is_drawn(drawn):
     pictures(order(NAMES))
     mean, spread = drawn[0].axes
     assert [label.get_text() for label in mean.get_yticklabels()] == ["reverse"]
@@ -144,7 +144,7 @@ def test_changes_are_drawn_in_shares_of_the_tolerance(drawn):
     assert "from 1.00 to 1.62" in search.caption
 
 
-def test_what_is_foretold_stands_at_its_value_by_its_verdict(drawn):
+def test_predictions_are_drawn_at_their_values_and_coloured_by_verdict(drawn):
     table = filled(PREDICTIONS, 4 * [{}])
     table["measurement"], table["row"] = ["M1", "", "M1", ""], [0, 0, 1, 1]
     table["verdict"] = ["accepted", "accepted", "rejected", "open"]
@@ -174,7 +174,7 @@ def test_an_assembly_that_is_moved_shows_its_contacts_and_characteristics(drawn)
     assert "Preliminary" in pictures(exploration.answer({"D": 2.1}, coarse=True))[0].caption
 
 
-def test_what_is_shown_is_what_the_public_functions_return():
+def test_pictures_exist_for_results_of_public_functions():
     commands = {one.name or one.callback.__name__ for one in app.registered_commands}
     assert {one.command for one in STUDIES} <= commands
     assert commands - {one.command for one in STUDIES} == {"check", "init", "report"}  # a page, a scene, a page

@@ -64,7 +64,7 @@ def test_a_hole_is_where_the_sheet_lies_around_a_rim(folder):
     assert find_holes(read_mesh(folder / "plate.inp")[0]) == []
 
 
-def test_an_oblong_hole_tells_its_length_and_its_width(tmp_path):
+def test_an_oblong_hole_has_length_and_width(tmp_path):
     points, quads = annulus((0, 0, 0), 4, 20)
     points[:, 0] += np.sign(points[:, 0].round(9)) * 3
     (hole,) = find_holes(read_mesh(write_deck(tmp_path / "slot.inp", {"SLOT": (points, quads)}))[0])
@@ -150,7 +150,7 @@ def test_order_keep_and_deviations_may_name_a_tong(folder):
 
 
 @pytest.mark.slow
-def test_a_placed_scene_is_what_its_dump_says_and_is_placed_already(folder):
+def test_the_dump_of_a_placed_scene_is_the_same_placed_scene(folder):
     keys = {"name": "T", "parts": ["plate", "ring"], "point": PAD, "force": 50}
     measurement = {"name": "M", "part": "ring", "hole": list(RING), "lower": -1, "upper": 1}
     scene = placed(folder, clamps=[keys], measurements=[measurement])
@@ -186,7 +186,7 @@ def wrong(changes):
 
 
 @pytest.mark.parametrize("case", WRONG)
-def test_what_cannot_be_placed_is_told_with_the_nearest_that_can(folder, case):
+def test_an_item_that_cannot_be_placed_is_refused_with_the_nearest_place(folder, case):
     changes, words = WRONG[case]
     with pytest.raises(mic.SceneError) as told:
         placed(folder, **wrong(changes))
@@ -194,7 +194,7 @@ def test_what_cannot_be_placed_is_told_with_the_nearest_that_can(folder, case):
         assert word in str(told.value)
 
 
-def test_all_that_cannot_be_placed_is_told_at_once(folder):
+def test_all_items_that_cannot_be_placed_are_reported_together(folder):
     cases = [wrong(changes) for changes, _ in WRONG.values()]
     changes = {key: [item for case in cases for item in case.get(key, [])] for key in ("measurements", "clamps")}
     for items in changes.values():
@@ -284,7 +284,7 @@ def test_a_weld_with_points_is_a_weld_at_each():
     ]
 
 
-def test_every_bad_cell_is_told_with_file_row_and_column(folder, tmp_path):
+def test_every_invalid_cell_is_reported_with_file_row_and_column(folder, tmp_path):
     rows = ["name,x,y,z,parts,radius,moment", "W1,12,30,0.5,plate ring,3,true", "W 2,12,thirty,0.5,plate ring,-3,true"]
     rows += ["", "W4,12,30,,plate rng,3,perhaps"]
     (tmp_path / "welds.csv").write_text("\n".join(rows))
@@ -342,7 +342,7 @@ NOT_THERE = {
 
 
 @pytest.mark.parametrize("case", NOT_THERE)
-def test_a_node_or_set_that_is_not_there_is_told_with_the_nearest(folder, case):
+def test_an_unknown_node_or_set_is_refused_with_the_nearest_name(folder, case):
     keys, words = NOT_THERE[case]
     with pytest.raises(mic.SceneError) as told:
         measured(folder, **keys)

@@ -517,7 +517,7 @@ def judged(name, scene, rules, assemblies, cache):
 
 
 @pytest.mark.parametrize("case", NONSENSE)
-def test_nothing_nonsensical_passes(case, assemblies, cache):
+def test_each_implausible_input_is_refused_or_warned_of(case, assemblies, cache):
     name, edit, words, rule = NONSENSE[case]
     rules = (rule,) if isinstance(rule, str) else rule
     try:
@@ -530,7 +530,7 @@ def test_nothing_nonsensical_passes(case, assemblies, cache):
     assert [warned for warned in found if warned.rule in rules and words in str(warned)], [str(one) for one in found]
 
 
-def test_there_are_a_hundred_and_fifty_of_them_and_every_rule_has_one():
+def test_there_are_150_implausible_cases_and_one_for_each_rule():
     assert len(NONSENSE) >= 150
     named = {one for *_, rule in NONSENSE.values() for one in ([rule] if isinstance(rule, str) else rule)}
     untried = {rule.name for rule in RULES} - named
@@ -666,7 +666,7 @@ SENSIBLE = {
 
 
 @pytest.mark.parametrize("case", SENSIBLE)
-def test_nothing_sensible_is_warned_of(case, assemblies):
+def test_no_plausible_input_is_warned_of(case, assemblies):
     name, edit = SENSIBLE[case]
     scene = edited(name, edit)
     found = find_warnings(scene, replace(assemblies[name], scene=scene))
@@ -690,7 +690,7 @@ def test_tongs_that_press_a_stack_pair_by_pair_are_not_askew():
     assert about(find_warnings(alone))
 
 
-def test_there_are_thirty_of_them():
+def test_there_are_thirty_plausible_cases():
     assert len(SENSIBLE) >= 30
 
 
@@ -698,7 +698,7 @@ def test_there_are_thirty_of_them():
 @pytest.mark.parametrize(
     "name", ["lap_joint", "hat_on_plate", "bracket", pytest.param("wheelhouse", marks=pytest.mark.fem)]
 )
-def test_nothing_is_warned_of_in_the_shipped_scenes(name, cache):
+def test_shipped_scenes_have_no_warning(name, cache):
     scene = few(mic.load_scene(MESHES_FOLDER / name))
     assert find_warnings(scene, assemble(scene, cache)) == ()
     watched = mic.load_scene(MESHES_FOLDER / "wheelhouse" / "watched.toml")
@@ -844,7 +844,7 @@ SHAPED = {
 
 
 @pytest.mark.parametrize("case", SHAPED)
-def test_what_the_meshes_show(case, tmp_path):
+def test_implausible_meshes_are_warned_of(case, tmp_path):
     plates, rule, item = SHAPED[case]
     scene = plates.scene(tmp_path)
     try:
@@ -860,7 +860,7 @@ def test_sheets_that_are_drawn_far_into_each_other_are_refused(tmp_path):
         assemble(plates(height=-50.0).scene(tmp_path), tmp_path / "cache")
 
 
-def test_a_warning_says_number_range_reason_and_remedy():
+def test_a_warning_states_number_range_reason_and_remedy():
     scene = edited("lap_joint", put("parts.upper", young=210))
     (warned,) = find_warnings(scene)
     assert str(warned) == (
@@ -888,7 +888,7 @@ def nonsense(tmp_path):
     return str(tmp_path)
 
 
-def test_check_tells_all_warnings_counts_them_and_takes_them_for_errors_if_asked(cache, tmp_path):
+def test_check_prints_and_counts_warnings_and_strict_makes_them_errors(cache, tmp_path):
     environment = {"MIC_CACHE": str(cache), "COLUMNS": "200"}
     done = CliRunner().invoke(app, ["check", nonsense(tmp_path)], env=environment)
     assert done.exit_code == 0 and done.output.rstrip().endswith("The scene is valid, 2 warnings.")
@@ -898,7 +898,7 @@ def test_check_tells_all_warnings_counts_them_and_takes_them_for_errors_if_asked
     assert "The scene is valid" not in strict.output
 
 
-def test_a_check_that_ends_in_an_error_tells_what_is_unusual_first(cache, tmp_path):
+def test_a_check_that_ends_in_an_error_prints_warnings_first(cache, tmp_path):
     """It may be why: a sheet of 40 mm reaches through its neighbour."""
     scene = nonsense(tmp_path)
     path = tmp_path / "scene.toml"

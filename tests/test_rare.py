@@ -13,7 +13,7 @@ from typer.testing import CliRunner
 from mic.options import app
 from mic.report.driver_sentences import design_words
 from mic.results.schema import DESIGN_POINTS, RARE
-from mic.statistics.draw import draw, numbers, placed
+from mic.statistics.draw import at_probabilities, draw, number_count
 from mic.studies.first_order_reliability import find_design_points, union_probability
 from mic.studies.rare import agree, rare, subset_simulation
 
@@ -42,14 +42,14 @@ def test_closed_forms_are_within_the_interval_as_often_as_it_claims(case, dimens
     assert found[0].evaluations == 500 + (levels - 1) * 450 and levels == pytest.approx(-np.log10(wanted), abs=1.5)
 
 
-def test_what_is_not_rare_is_a_plain_monte_carlo():
+def test_frequent_misses_use_plain_monte_carlo():
     g, wanted = normal(3, 1.0)
     found = subset_simulation(g, 3, 2000, 1)
     assert (found.levels, found.evaluations) == (1, 2000)
     assert found.low < wanted < found.high and found.high - found.low < 0.04
 
 
-def test_what_never_happens_is_told_to_lie_below_what_was_reached():
+def test_an_impossible_miss_gets_an_upper_bound():
     found = subset_simulation(lambda z: -1.0 - z[:, 0] ** 2, 2, 100, 1)
     assert found.probability == 0.0 and 0 < found.high < 1e-8
 
@@ -71,7 +71,7 @@ def closing():
     )
 
 
-def test_a_rare_miss_through_contact_is_found_and_no_normal_would_have_told_it(closing):
+def test_a_rare_miss_through_contact_is_found_where_a_normal_estimate_fails(closing):
     """a comes down by z = (A1 + A2)/2 of σ √½ and presses b by (z − 0.6)/2, to −1 mm where z is 2.6 mm."""
     wanted = float(ndtr(-2.6 / np.sqrt(0.5)))  # 1.2e-4
     both = rare(closing, "frictionless", ["M"], 500, seed=4)
@@ -163,7 +163,7 @@ def test_correlated_and_other_distributions_are_seen_through():
     assert found.table["first_order"][0] == pytest.approx(0.005, rel=0.01)
 
 
-def test_where_a_limit_is_curved_the_two_disagree_and_it_is_said():
+def test_disagreement_at_a_curved_limit_is_reported():
     row = {"outside": 1e-5, "outside_low": 5e-6, "outside_high": 2e-5, "measurement": "", "agrees": True}
     assert agree(row | {"first_order": 6e-6}) and not agree(row | {"first_order": 4e-6})
     told = pd.DataFrame([row | {"first_order": 4e-6, "agrees": False}])
@@ -187,18 +187,18 @@ def test_samples_that_failed_are_no_misses_and_counted(closing, monkeypatch):
 
 def test_normal_numbers_and_drawn_samples_have_one_distribution(closing):
     scene = closing.scene
-    z = np.random.default_rng(1).standard_normal((4000, numbers(scene)))
-    x, y = placed(scene, ndtr(z)), draw(scene, 3, 0, 4000)
+    z = np.random.default_rng(1).standard_normal((4000, number_count(scene)))
+    x, y = at_probabilities(scene, ndtr(z)), draw(scene, 3, 0, 4000)
     np.testing.assert_allclose(x.mean(axis=0), y.mean(axis=0), atol=0.08)
     np.testing.assert_allclose(x.std(axis=0), y.std(axis=0), atol=0.06)
     np.testing.assert_allclose(x, z, atol=1e-9)  # normal, of mean 0 and standard deviation 1
 
 
-def test_the_command_prints_parts_in_a_million_and_refuses_what_is_not_there(closing, tmp_path):
+def test_the_command_prints_parts_per_million_and_refuses_unknown_names(closing, tmp_path):
     closing.save(tmp_path / "model.npz")
     arguments = ["rare", str(tmp_path / "model.npz"), "--samples", "200", "--law", "frictionless"]
     done = CliRunner().invoke(app, arguments, env={"COLUMNS": "160"})
     assert done.exit_code == 0, done.output
-    assert "The assembly misses a limit in" in done.output and "of a million" in done.output
+    assert "Assemblies outside limits: " in done.output and "levels" in done.output
     refused = CliRunner().invoke(app, [*arguments, "--measurement", "N"])
     assert refused.exit_code != 0 and "has no measurement 'N'; it has: M" in str(refused.exception)

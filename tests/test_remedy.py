@@ -14,7 +14,7 @@ from mic.options import app
 from mic.report.driver_sentences import remedy_words
 from mic.results.schema import REMEDIES, REMEDY_EFFECTS
 from mic.scene.deviation import ClampDeviation, LocatorDeviation
-from mic.studies.adjustment import adjustments, extended, written
+from mic.studies.adjustment import adjustment_tables, adjustments, with_adjustments
 from mic.studies.remedy import Limits, remedies, smallest
 
 
@@ -41,7 +41,7 @@ def limits(half, spread=3.0):
     return Limits(np.array([-half]), np.array([half]), np.array([half]), spread)
 
 
-def test_the_smallest_change_moves_the_mean_by_what_it_is_beyond():
+def test_the_smallest_change_moves_the_mean_just_within_the_limit():
     y = np.full((1, 1), 1.3)
     x, short = smallest(y, np.array([[[0.5, 2.0]]]), limits(1.0), -np.ones(2), np.ones(2))
     np.testing.assert_allclose(x, [0.0, -0.15], atol=1e-9)
@@ -67,18 +67,18 @@ def test_several_that_are_too_weak_alone_share_the_change_the_stronger_first():
     assert short == pytest.approx((2.0 - 1.2 - 0.5) / 0.5)
 
 
-def test_a_characteristic_that_does_not_matter_is_not_looked_at_and_one_that_does_is_kept():
+def test_unselected_characteristics_are_ignored_and_selected_ones_stay_within_limits():
     y, slopes = np.array([[1.3, -0.9]]), np.array([[[-1.0, 0.0], [-1.0, 1.0]]])
     both = Limits(-np.ones(2), np.ones(2), np.ones(2), 3.0)
     bounds = -np.ones(2), np.ones(2)
-    x, _ = smallest(y, slopes, both, *bounds, ask=np.array([0.0, -np.inf]))
+    x, _ = smallest(y, slopes, both, *bounds, margin=np.array([0.0, -np.inf]))
     np.testing.assert_allclose(x, [0.3, 0.0], atol=1e-9)
     x, short = smallest(y, slopes, both, *bounds)
     np.testing.assert_allclose(x, [0.3, 0.2], atol=1e-9)
     assert short == pytest.approx(0.0, abs=1e-9)
 
 
-def test_a_contact_that_closes_on_the_way_takes_more_than_the_derivative_says():
+def test_a_contact_that_closes_needs_more_than_the_derivative_predicts():
     """0.2 mm are left at first. b up by w reads w, then (w + 0.2)/2: 0.5 takes 0.8 and 1.6 of one locator, not 1.0."""
     model = faces(0.5, 1.5)
     found = remedies(model, "frictionless", shim=2.0, names=["bl1"])
@@ -88,7 +88,7 @@ def test_a_contact_that_closes_on_the_way_takes_more_than_the_derivative_says():
     assert one.after[0][0, 0] == pytest.approx(0.5, abs=0.006) and one.before[0][0, 0] == pytest.approx(0.0, abs=1e-9)
 
 
-def test_a_clamp_pushes_harder_by_what_its_spring_takes():
+def test_a_clamp_force_rises_by_the_force_of_its_spring():
     clamp = at_face("b", (0, 0, 1), name="C", force=20.0)
     model = faces(0.5, 1.5, clamps=[clamp], gap=9.0)
     found = remedies(model, "frictionless", names=["C"])
@@ -96,7 +96,7 @@ def test_a_clamp_pushes_harder_by_what_its_spring_takes():
     assert found.table["value"].tolist() == [pytest.approx(25.0)]
 
 
-def test_what_one_bound_does_not_allow_two_do_together():
+def test_two_adjustments_within_bounds_replace_one_beyond():
     model = faces(0.5, 1.5, gap=9.0)
     found = remedies(model, "frictionless", shim=0.6, names=["bl1", "bl2"])
     alone, together = found.found
@@ -104,7 +104,7 @@ def test_what_one_bound_does_not_allow_two_do_together():
     assert together.reached and sum(changes(together).values()) == pytest.approx(1.0, abs=0.011)
 
 
-def test_what_nothing_reaches_is_told_with_what_it_lacks():
+def test_an_unreachable_target_is_reported_with_the_remaining_distance():
     found = remedies(faces(0.5, 1.5, gap=9.0), "frictionless", shim=0.2, names=["bl1", "bl2"])
     together = found.found[-1]
     assert not together.reached and together.name == "together"
@@ -140,8 +140,8 @@ def test_a_table_of_samples_is_judged_as_it_is():
     assert found.effects["fresh"].tolist() == [False] and found.found[0].reached
 
 
-def test_what_holds_the_assembly_while_it_is_measured_is_left_alone_unless_named():
-    with pytest.raises(ValueError, match="nothing that can be adjusted but what it is measured from"):
+def test_locators_in_use_at_measurement_change_only_on_request():
+    with pytest.raises(ValueError, match="nothing to adjust besides the datum of its measurements"):
         remedies(faces(0.5, 1.5), "frictionless")
 
 
@@ -161,21 +161,21 @@ def test_jaws_of_one_pair_of_tongs_are_adjusted_together_and_others_alone():
     assert [(one.low, one.high, one.unit) for one in some][0] == (-10.0, 20.0, "N") and some[2].now == 0.1
 
 
-def test_a_change_is_set_as_a_workshop_can_and_never_less_or_beyond_its_bounds():
+def test_changes_are_rounded_up_to_settable_steps_within_bounds():
     model = faces(0.5, 1.5, clamps=[at_face("b", (0, 0, 1), name="C", force=20.0)])
     shim, force = adjustments(model, names=["bl1", "C"])
     assert [shim.settable(x) for x in (0.123, -0.123, 0.1, 0.0001, 7.0)] == pytest.approx([0.13, -0.13, 0.1, 0.0, 0.5])
     assert [force.settable(x) for x in (5.03, -30.0)] == pytest.approx([5.1, -10.0])
 
 
-def test_what_is_written_is_what_was_evaluated():
+def test_the_written_table_holds_the_evaluated_values():
     jaws = [at_face("b", (0, 0, 1), name="T-b", force=20.0), at_face("a", (0, 0, -1), name="T-a", force=20.0)]
     model = faces(0.5, 1.5, clamps=jaws)
     some = adjustments(model, names=["bl1", "T-a"])
-    told = tomllib.loads(written(model.scene, dict(zip(some, (0.3, -4.0)))))["deviations"]
+    told = tomllib.loads(adjustment_tables(model.scene, dict(zip(some, (0.3, -4.0)))))["deviations"]
     kinds = {"locator": LocatorDeviation, "clamp": ClampDeviation}
     tables = [kinds[one["kind"]](**one) for one in told]
-    own, _ = extended(model, some)
+    own, _ = with_adjustments(model, some)
     scene = own.scene.model_copy(update={"deviations": [*model.scene.deviations, *tables]})
     as_written = replace(own, scene=scene).evaluate({}, "frictionless")
     as_found = own.evaluate(np.array([[-0.8, 0.3, -4.0]]), "frictionless")
@@ -187,7 +187,7 @@ def test_what_is_written_is_what_was_evaluated():
     "options, message",
     [
         (["--adjust", "X"], "'X' is neither a locator nor a clamp of this scene; it has: bl0, bl1"),
-        ([], "nothing that can be adjusted but what it is measured from"),
+        ([], "nothing to adjust besides the datum of its measurements"),
         (["--adjust", "bl1", "--shim", "0"], "shim must be positive and factor larger than 1, not 0 and 2"),
         (["--adjust", "bl1", "--shim", "nan"], "shim must be positive and factor larger than 1, not nan and 2"),
         (["--adjust", "bl1", "--force", "0.5"], "shim must be positive and factor larger than 1, not 0.5 and 0.5"),
@@ -204,7 +204,7 @@ def test_the_command_refuses_in_words(options, message, tmp_path):
     assert done.exit_code != 0 and message in f"{done.output} {done.exception}"
 
 
-def test_the_command_prints_what_to_set_and_what_that_does(tmp_path):
+def test_the_command_prints_adjustments_and_their_effects(tmp_path):
     faces(0.5, 1.5, gap=9.0).save(tmp_path / "model.npz")
     arguments = ["remedy", str(tmp_path / "model.npz"), "--adjust", "bl1", "--shim", "1.5"]
     done = CliRunner().invoke(app, arguments, env={"COLUMNS": "160"})
@@ -213,7 +213,7 @@ def test_the_command_prints_what_to_set_and_what_that_does(tmp_path):
     assert 'target = "bl1"' in done.output and "mean = 1\n" in done.output
 
 
-def test_words_name_what_a_remedy_takes_out_of_its_limits():
+def test_sentences_name_characteristics_that_a_remedy_moves_beyond_limits():
     found = remedies(faces(0.5, 1.5, gap=9.0), "frictionless", shim=2.0, names=["bl1"])
     spoilt = found.effects.assign(measurement="N", margin_before=0.1, margin=-0.1)
     scene = faces(0.5, 1.5, more=[at_face("b", name="N", lower=-1.0, upper=1.0)]).scene

@@ -111,7 +111,8 @@ def folder(tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
-def page(lap_scene, cache, folder):
+def drawn(lap_scene, cache, folder):
+    """The page of a run under all laws, and all pictures that were drawn for it, by name."""
     ends = [item.point for item in lap_scene.measurements]
     tip = {"name": "tip", "kind": "profile", "part": "upper", "points": ends, "upper": 2.0}
     scene = _changed(
@@ -120,22 +121,28 @@ def page(lap_scene, cache, folder):
         measurements=[*lap_scene.model_dump()["measurements"], tip],
         report={"laws": ["coulomb", "associated", "frictionless"], "fields": True},
     )
-    return _results(scene, cache, folder, samples=40)
+    pictures = {}
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("mic.report.page.draw_all", lambda *given: pictures.update(draw_all(*given)) or pictures)
+        return _results(scene, cache, folder, samples=40), pictures
 
 
 @pytest.fixture(scope="module")
-def every_picture(page, folder):
-    """All that are drawn of the page's run, by name."""
-    outcome = read_outcome(folder)
-    return draw_all(outcome, read_context(outcome))
+def page(drawn):
+    return drawn[0]
+
+
+@pytest.fixture(scope="module")
+def every_picture(drawn):
+    return drawn[1]
 
 
 @pytest.fixture
-def drawn(monkeypatch):
+def given_pictures(monkeypatch):
     """The pictures, by name, that pages show in this test, which is about their words: drawing takes seconds."""
-    shown = {}
-    monkeypatch.setattr("mic.report.page.draw_all", lambda *_: shown)
-    return shown
+    pictures = {}
+    monkeypatch.setattr("mic.report.page.draw_all", lambda *_: pictures)
+    return pictures
 
 
 def test_the_page_loads_nothing(page):
@@ -247,23 +254,23 @@ def test_every_picture_stands_once_in_the_page_of_a_full_run(page, folder, every
     assert pictures(read_outcome(folder)) == [*every_picture.values()]
 
 
-def test_pictures_of_what_functions_return_are_those_of_the_page(page, folder):
+def test_pictures_of_returned_studies_are_those_of_the_page(page, folder):
     outcome = read_outcome(folder)
     found = left_by_studies(outcome.model.scene)[1]
     driven = Contributors(outcome.study(CONTRIBUTORS), outcome.study(LINEARITY))
     shown = [picture for one in (driven, *found) for picture in pictures(one, outcome.model.scene)]
-    assert len(shown) == 9 and shown[-1].title == "The search"  # which no run keeps
+    assert len(shown) == 9 and shown[-1].title == "Search for the optimum"  # which no run keeps
     for picture in shown[:-1]:
         assert page.loads.count(picture.uri) == 1, picture.title
 
 
-def test_what_was_found_to_be_best_is_told(page):
+def test_the_page_shows_the_optimum(page):
     assert "On 400 fresh samples the least Cpk 1.250 → 1.500: gain 0.250 (0.125 to 0.375)" in page.words
-    assert "1.625 on the 60 samples of the search, which took 1234 evaluations." in page.words
+    assert "On the 60 samples of the search: 1.625, after 1234 evaluations." in page.words
     assert "force C1 60 75" in page.words and {"optimum-table", "orders", "misses", "optimum"} <= page.ids
 
 
-def test_the_page_tells_what_the_path_left_and_who_was_rescued(folder, page, drawn, tmp_path):
+def test_the_page_shows_path_errors_and_rescued_samples(folder, page, given_pictures, tmp_path):
     """Nothing is known of the placeholder's errors; so they are written into a copy."""
     copy = shutil.copytree(folder, tmp_path / "copy")
     whole = read_outcome(copy)
@@ -282,17 +289,17 @@ def test_the_page_tells_what_the_path_left_and_who_was_rescued(folder, page, dra
     errors.loc[errors["law"] == "coulomb", ["estimate", "measured"]] = [0.006, 0.002]
     errors.to_csv(copy / PATH_ERRORS.place, index=False)
     outcome = read_outcome(copy)
-    picture = drawn["path-error"] = draw("path-error", outcome, read_context(outcome))
+    picture = given_pictures["path-error"] = draw("path-error", outcome, read_context(outcome))
     words = _Page(write_report(copy)).words
     share = outcome.summary()["laws"]["coulomb"]["measurements"]["M1"]["mean_path_share"]
     assert f"path +12 µm (+{percent(share, 1)})" in words
     assert "rescued" in words and outcome.rescued["coulomb"] == [2, 5, 7]
-    assert "largest 17 µm in clamp" in picture.caption and "covers what a tighter path changes in 24" in picture.caption
-    assert "3.0 times that in the median" in picture.caption
+    assert "largest 17 µm in clamp" in picture.caption and "change on a tighter path in 24" in picture.caption
+    assert "(median ratio 3.0" in picture.caption
     assert picture.caption in words
 
 
-def test_work_and_states_along_the_path_are_told_in_numbers(folder, page):
+def test_captions_state_work_and_contact_states_along_the_path(folder, page):
     outcome = read_outcome(folder)
     context, table = read_context(outcome), outcome.zone_statistics.set_index(["law", "stage"])
     work = draw("friction-work", outcome, context).caption
@@ -342,17 +349,17 @@ def test_of_many_samples_the_first_are_drawn_and_the_captions_say_so(folder, mon
     )
     whole = {name: draw(name, outcome, context) for name in ("tangential-density", "law-cost", "measurements")}
     for module in ("contact", "law", "measurement"):
-        monkeypatch.setattr(f"mic.report.{module}_pictures.STUDIES", 7)
+        monkeypatch.setattr(f"mic.report.{module}_pictures.SHOWN", 7)
     few = {name: draw(name, outcome, context) for name in whole}
     assert "over the first 7 samples" in few["tangential-density"].caption
     assert "Over the first 7 samples valid" in few["law-cost"].caption
-    assert "The first 7 samples are drawn." in few["measurements"].caption
+    assert "Histograms of the first 7 samples." in few["measurements"].caption
     for name, picture in whole.items():
         assert "first" not in picture.caption and picture.data != few[name].data
     assert len(law_cost(outcome, context.stage).coulomb) == 7
 
 
-def test_the_laws_under_scaled_friction_are_drawn_from_the_study_that_the_run_left(page, folder, tmp_path):
+def test_laws_under_scaled_friction_are_drawn_from_the_stored_study(page, folder, tmp_path):
     copy = shutil.copytree(folder, tmp_path / "copy")
     outcome = read_outcome(copy)
     context, path = read_context(outcome), copy / "tables" / "friction.csv"
@@ -366,7 +373,7 @@ def test_the_laws_under_scaled_friction_are_drawn_from_the_study_that_the_run_le
     assert without is None
 
 
-def test_drawing_a_page_solves_nothing_and_needs_and_changes_nothing_else(page, folder, tmp_path, monkeypatch):
+def test_writing_a_report_solves_nothing_and_changes_no_other_file(page, folder, tmp_path, monkeypatch):
     def refuse(*_, **__):
         raise AssertionError("drawing solves")
 
@@ -418,14 +425,14 @@ def test_a_law_has_one_colour_in_pictures_and_tables(page, folder):
 
 
 @pytest.mark.slow
-def test_published_figures_stand_beside_those_of_their_zones(folder, page, drawn, tmp_path):
+def test_published_figures_stand_beside_those_of_their_zones(folder, page, given_pictures, tmp_path):
     """The paper's figures come from a file beside the scene; nothing about them is in the program."""
     copy = shutil.copytree(folder, tmp_path / "copy")
     (copy / PUBLISHED).write_text(
         (WHEELHOUSE / PUBLISHED).read_text(encoding="utf-8").replace("zones.CZ1", "zones.lap"), encoding="utf-8"
     )
     outcome = read_outcome(copy)
-    drawn["slip-force"] = draw("slip-force", outcome, read_context(outcome))  # a measured range is published, too
+    given_pictures["slip-force"] = draw("slip-force", outcome, read_context(outcome))  # shows a published range
     found = _Page(write_report(copy))
     assert "0.9582" in found.words and "0.2529" not in found.words  # CZ3 is no zone of this scene
     assert "another, proprietary geometry" in found.words and "0.9582" not in page.words
@@ -433,7 +440,7 @@ def test_published_figures_stand_beside_those_of_their_zones(folder, page, drawn
 
 
 @pytest.mark.slow
-def test_failed_and_missing_samples_are_named_with_advice(folder, page, drawn, tmp_path):
+def test_failed_and_missing_samples_are_named_with_advice(folder, page, given_pictures, tmp_path):
     spoilt = tmp_path / "spoilt"
     shutil.copytree(folder, spoilt)
     fail(spoilt, "associated", {7: ("clamp", "not converged"), 11: ("release", "overflow in a product")})
@@ -446,7 +453,7 @@ def test_failed_and_missing_samples_are_named_with_advice(folder, page, drawn, t
 
 
 @pytest.mark.slow
-def test_wall_time_and_versions_are_told(folder, page, drawn, tmp_path):
+def test_the_page_shows_wall_time_and_versions(folder, page, given_pictures, tmp_path):
     copy = shutil.copytree(folder, tmp_path / "copy")
     record = json.loads((copy / "run.json").read_text())
     (copy / "run.json").write_text(json.dumps(record | {"wall_time": {"Monte Carlo": 12.34}}))
@@ -455,7 +462,7 @@ def test_wall_time_and_versions_are_told(folder, page, drawn, tmp_path):
 
 
 FRICTIONLESS = {"laws": ["frictionless"], "slip": False}
-TWO_LAWS = {"laws": ["coulomb", "frictionless"], "fields": True}
+TWO_LAWS = {"laws": ["coulomb", "frictionless"]}
 
 
 @pytest.mark.slow
@@ -473,19 +480,14 @@ TWO_LAWS = {"laws": ["coulomb", "frictionless"], "fields": True}
             "normals only",
             {"report": FRICTIONLESS},
             5,
-            {"table-1", "slip-force", "law-cost", "slip-table", "path-states", "friction-work", "path-table"},
-            {"one-sample-f", "states"},
+            {
+                *("table-1", "slip-force", "law-cost", "slip-table", "path-states", "friction-work", "path-table"),
+                *("field-view", "displacement-fields"),
+            },
+            {"one-sample-f", "states", "fields"},
         ),
         ("one sample", {}, 1, set(), {"table-1", "one-sample-u", "measurement-table"}),
-        ("nothing varies", {"deviations": []}, 4, set(), {"table-1", "tangential-density", "measurements"}),
         ("no measurements", {"measurements": []}, 5, {"measurements", "measurement-table"}, {"table-1"}),
-        (
-            "no fields",
-            {"report": {"laws": ["coulomb"], "fields": False}},
-            5,
-            {"field-view", "displacement-fields"},
-            {"fields", "table-1"},
-        ),
     ],
 )
 def test_reports_of_bare_scenes(name, changes, samples, absent, present, lap_scene, cache, tmp_path):
@@ -493,15 +495,16 @@ def test_reports_of_bare_scenes(name, changes, samples, absent, present, lap_sce
     assert not page.ids & absent
     assert page.ids >= present
     assert "nan" not in page.words.lower().split()
-    if name == "no fields":
+    if name == "normals only":
         assert "does not request them" in page.words
 
 
 @pytest.mark.slow
-def test_report_of_a_process_without_release(lap_scene, cache, tmp_path):
+def test_report_of_a_process_without_release_in_which_nothing_varies(lap_scene, cache, tmp_path):
     stages = [stage.model_dump() for stage in lap_scene.stages if stage.kind != "release"]
-    page = _results(_changed(lap_scene, stages=stages, report=TWO_LAWS), cache, tmp_path, 5)
-    assert "1 (clamp)" in page.words and "table-1" in page.ids
+    page = _results(_changed(lap_scene, stages=stages, deviations=[], report=TWO_LAWS), cache, tmp_path, 4)
+    assert "1 (clamp)" in page.words and page.ids >= {"table-1", "tangential-density", "measurements"}
+    assert "nan" not in page.words.lower().split()
 
 
 @pytest.mark.slow
@@ -560,7 +563,7 @@ def test_numbers_for_people(value, text):
         (None, None, "–"),
     ],
 )
-def test_changes_for_people_are_never_a_bare_share(value, share, text):
+def test_formatted_changes_have_a_unit_beside_the_share(value, share, text):
     assert change(value, share) == text
 
 

@@ -106,7 +106,7 @@ def test_states_of_the_pairs_along_the_path_make_those_of_their_zone(found):
     assert found["contacts"]["path_slip"].between(0, 1).all() and found["contacts"]["path_slip"].nunique() > 2
 
 
-def test_a_resolution_tells_what_its_path_took_and_left(found, evaluation):
+def test_a_resolution_stores_steps_and_error_of_its_path(found, evaluation):
     for stage, resolution in evaluation.resolutions.items():
         rows = found["resolutions"][found["resolutions"]["stage"] == stage]
         np.testing.assert_array_equal(rows["path_error"], resolution.trace.error)
@@ -121,7 +121,7 @@ def test_every_resolution_names_the_rung_that_found_it(found, evaluation):
         assert rows["rung"].tolist() == resolution.rung.tolist()
 
 
-def test_rescued_is_what_should_have_been_followed_and_was_not(evaluation, lap_model):
+def test_rescued_marks_samples_whose_path_was_not_followed(evaluation, lap_model):
     def rescued(model, law="coulomb", **changes):
         resolutions = {name: replace(r, **changes) for name, r in evaluation.resolutions.items()}
         frame = tables(model, replace(evaluation, law=law, resolutions=resolutions))["resolutions"]
@@ -158,7 +158,7 @@ def test_every_row_of_the_contacts_names_its_sample_stage_and_pair(found, evalua
         (lambda frame: frame.astype({"rms_slip": "float32"}), "holds float32, expected float64"),
         (lambda frame: frame.astype({"sample": "int64"}), "'sample' holds int64"),
         (lambda frame: frame.astype({"zone": object}), "'zone' holds object"),
-        (lambda frame: frame.assign(more=1.0), "'more' is none of"),
+        (lambda frame: frame.assign(more=1.0), "'more' is not declared"),
         (lambda frame: frame[["stage", "sample", *frame.columns[2:]]], "'stage' is out of order"),
     ],
 )

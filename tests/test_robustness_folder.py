@@ -108,7 +108,7 @@ WHOLE = ("run.json", "model.npz")
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", [*WHOLE, "samples", "forces"])
-def test_files_cut_at_many_lengths_are_set_aside_and_computed_anew(lap_model, finished, tmp_path, name):
+def test_files_truncated_at_many_lengths_are_set_aside_and_computed_again(lap_model, finished, tmp_path, name):
     run = tmp_path / "run"
     expected = read_outcome(finished).measured("coulomb", "M1")
     path = Path(name) if name in WHOLE else sorted((finished / name).rglob("0*"))[0].relative_to(finished)
@@ -124,7 +124,7 @@ def test_files_cut_at_many_lengths_are_set_aside_and_computed_anew(lap_model, fi
         shutil.rmtree(run)
 
 
-def test_what_is_set_aside_never_takes_the_place_of_another(tmp_path):
+def test_files_set_aside_never_replace_each_other(tmp_path):
     for number in range(3):
         (tmp_path / "a.json").write_text(str(number))
         set_aside(tmp_path / "a.json")
@@ -161,7 +161,7 @@ for limit in map(int, sys.argv[3:]):
 
 
 @pytest.mark.slow
-def test_a_full_disk_ends_in_one_sentence_and_what_is_finished_stays(lap_model, finished, tmp_path):
+def test_a_full_disk_gives_one_sentence_and_finished_samples_stay(lap_model, finished, tmp_path):
     lap_model.save(tmp_path / "model.npz")
     limits = (0, 200, 5_000, 30_000)
     done = in_python(FULL, tmp_path / "model.npz", tmp_path / "run", *limits)
@@ -174,7 +174,7 @@ def test_a_full_disk_ends_in_one_sentence_and_what_is_finished_stays(lap_model, 
     assert not [path for path in (tmp_path / "run").rglob("*") if PARTIAL in path.name]
 
 
-def test_an_error_of_the_disk_leaves_the_old_file(tmp_path):
+def test_a_disk_error_preserves_the_old_file(tmp_path):
     (tmp_path / "a").write_text("old")
     with pytest.raises(StorageError, match="a: cannot be written .no space left"), replacing(tmp_path / "a") as new:
         new.write_text("half")
@@ -225,7 +225,7 @@ def test_plain_text_keeps_lines_and_letters():
     assert plain("ä 6σ\n\t[mm]") == "ä 6σ\n\t\\[mm]" and plain("\x1b[31m\x9b2J") == "�[31m�2J"
 
 
-def test_a_scene_with_a_script_is_said_to_be_a_program_before_it_runs(tmp_path, cache, monkeypatch):
+def test_a_scene_with_a_script_is_announced_as_a_program_before_it_runs(tmp_path, cache, monkeypatch):
     monkeypatch.setenv("MIC_CACHE", str(cache))
     shutil.copy(LAP / "scene.toml", tmp_path / "scene.toml")
     (tmp_path / "geometry.py").write_text("raise SystemExit")
@@ -285,13 +285,13 @@ def test_a_run_whose_results_do_not_fit_is_refused_with_the_room_there_is(lap_sc
         foretold.check(tmp_path)
 
 
-def test_a_run_of_a_day_is_foretold_and_not_refused(lap_scene, cache, tmp_path):
+def test_a_run_of_a_day_is_announced_and_not_refused(lap_scene, cache, tmp_path):
     foretold = forecast(assemble(lap_scene, cache), ["coulomb"], 10**6, cores=2)
     foretold.check(tmp_path)
     assert 60 < foretold.seconds < 86400 and 1e8 < foretold.size < 1e11
 
 
-def test_a_report_of_a_folder_without_a_run_leaves_it_as_it_is(tmp_path):
+def test_a_report_of_a_folder_without_a_run_does_not_change_it(tmp_path):
     with pytest.raises(RunError, match="holds no run"):
         conclude(tmp_path)
     assert not list(tmp_path.iterdir())

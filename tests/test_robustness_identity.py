@@ -68,7 +68,7 @@ def built(folder, cache):
 
 
 @pytest.mark.parametrize("way", READERS)
-def test_a_mesh_is_made_anew_when_a_file_that_its_script_read_has_changed(tmp_path, way):
+def test_a_mesh_is_made_again_when_a_file_read_by_its_script_changes(tmp_path, way):
     text = SCRIPT.format(read=READERS[way])
     if way == "declared":  # the last line of the text belongs to the script, not to build
         text = SCRIPT.format(read=READERS[way].splitlines()[0]) + READERS[way].splitlines()[1] + "\n"
@@ -140,7 +140,7 @@ def changes(folder):
 
 
 @pytest.mark.parametrize("what", changes(ROOT / "meshes" / "lap_joint"))
-def test_every_change_of_the_inputs_changes_the_identity(scene, cache, what):
+def test_every_change_of_inputs_changes_the_identity(scene, cache, what):
     before = identity(assemble(mic.load_scene(scene), cache), 1)
     changes(scene)[what]()
     assert identity(assemble(mic.load_scene(scene), cache), 1) != before
@@ -168,7 +168,7 @@ def test_the_mesh_of_a_fixture_belongs_to_the_identity(scene, cache):
     assert found[0]["files"]["rest.stl"] != found[1]["files"]["rest.stl"] and found[0]["scene"] == found[1]["scene"]
 
 
-def test_fewer_samples_and_laws_reuse_what_is_there_and_lose_nothing(lap_model, tmp_path):
+def test_fewer_samples_and_laws_reuse_blocks_and_lose_none(lap_model, tmp_path):
     sample_into(tmp_path / "run", lap_model, LAWS, 120, 4)
     whole = read_outcome(tmp_path / "run").measured("coulomb", "M1")
     files = {path: path.stat().st_mtime_ns for path in (tmp_path / "run").rglob("*.parquet")}
@@ -181,7 +181,7 @@ def test_fewer_samples_and_laws_reuse_what_is_there_and_lose_nothing(lap_model, 
     np.testing.assert_array_equal(read_outcome(tmp_path / "run").measured("coulomb", "M1"), whole)
 
 
-def test_more_samples_extend_a_run_to_what_they_would_have_been(lap_model, tmp_path):
+def test_an_extended_run_equals_a_run_of_all_samples(lap_model, tmp_path):
     sample_into(tmp_path / "run", lap_model, ["coulomb"], 60, 4)
     assert sample_into(tmp_path / "run", lap_model, ["coulomb"], 120, 4) == {"coulomb": 50}
     sample_into(tmp_path / "whole", lap_model, ["coulomb"], 120, 4)
@@ -207,7 +207,7 @@ def test_a_block_of_another_run_is_neither_used_nor_lost(lap_model, tmp_path):
     assert aside.read_bytes() == next((tmp_path / "other" / "samples" / "law=coulomb").glob("*.parquet")).read_bytes()
 
 
-def test_a_record_that_was_edited_relabels_nothing(lap_model, tmp_path):
+def test_an_edited_record_relabels_nothing(lap_model, tmp_path):
     sample_into(tmp_path, lap_model, ["coulomb"], 10, 4)
     record = json.loads((tmp_path / "run.json").read_text())
     (tmp_path / "run.json").write_text(json.dumps(record | {"seed": 9}))
@@ -218,7 +218,7 @@ def test_a_record_that_was_edited_relabels_nothing(lap_model, tmp_path):
     assert sample_into(tmp_path, lap_model, ["coulomb"], 10, 4) == {"coulomb": 10}
 
 
-def test_a_model_of_another_run_is_not_believed(lap_model, hat_model, tmp_path):
+def test_a_model_of_another_run_is_not_used(lap_model, hat_model, tmp_path):
     sample_into(tmp_path, lap_model, ["coulomb"], 10, 4)
     hat_model.save(tmp_path / "model.npz")
     with pytest.raises(RunError, match="model.npz: belongs to another run"):
@@ -234,7 +234,7 @@ def test_results_of_another_version_of_the_program_are_refused(lap_model, tmp_pa
 
 
 @pytest.mark.parametrize("name", ["run.json", "summary.json", "model.npz", "report.html", "paper.toml"])
-def test_a_file_of_somebody_else_under_a_name_of_ours_stays(lap_model, tmp_path, name):
+def test_a_foreign_file_under_a_name_of_the_run_stays(lap_model, tmp_path, name):
     (tmp_path / name).write_text('{"mine": 1}')
     for replace in (False, True):
         with pytest.raises(RunError, match=f"{name}.*--out"):
@@ -242,7 +242,7 @@ def test_a_file_of_somebody_else_under_a_name_of_ours_stays(lap_model, tmp_path,
     assert [path.name for path in tmp_path.iterdir()] == [name] and (tmp_path / name).read_text() == '{"mine": 1}'
 
 
-def test_replacing_removes_what_a_run_wrote_and_nothing_else(lap_model, tmp_path):
+def test_replacing_removes_only_files_of_the_run(lap_model, tmp_path):
     sample_into(tmp_path, lap_model, LAWS, 60, 4)
     conclude(tmp_path)
     foreign = [

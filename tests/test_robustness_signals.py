@@ -9,7 +9,9 @@ from pathlib import Path
 
 import pandas as pd
 import pytest
+from typer.testing import CliRunner
 
+from mic.options import app
 from mic.system.files import PARTIAL
 from mic.system.lock import LOCK
 
@@ -19,7 +21,9 @@ ROOT = Path(__file__).resolve().parents[1]
 
 
 @pytest.mark.parametrize("number, code", [(signal.SIGINT, 130), (signal.SIGKILL, -9)])
-def test_a_signal_keeps_what_is_finished_and_the_same_call_completes_it(tmp_path, cache, number, code):
+def test_an_interrupted_run_keeps_finished_blocks_and_the_same_call_completes_it(
+    tmp_path, cache, number, code, monkeypatch, no_pictures
+):
     scene = tmp_path / "scene"
     shutil.copytree(ROOT / "meshes" / "lap_joint", scene)
     text = (scene / "scene.toml").read_text()
@@ -42,8 +46,9 @@ def test_a_signal_keeps_what_is_finished_and_the_same_call_completes_it(tmp_path
     if number != signal.SIGKILL:
         told = " ".join(told.split())
         assert f"{50 * len(done)} of 200 samples are finished" in told and "run the same command again" in told
-    again = [sys.executable, "-m", "support.planted", "0", "nothing", *command[3:], "200"]  # its page without pictures
-    subprocess.run(again, check=True, capture_output=True, timeout=300, **options)
+    monkeypatch.chdir(tmp_path)
+    again = CliRunner().invoke(app, [*command[3:], "200"], env={"MIC_CACHE": str(cache)})
+    assert again.exit_code == 0, again.output
     assert all(path.stat().st_mtime_ns == written for path, written in done.items())
     assert pd.read_parquet(tmp_path / "run" / "samples")["sample"].tolist() == list(range(200))
     assert not [path for path in (tmp_path / "run").rglob("*") if PARTIAL in path.name or path.name == LOCK]
@@ -69,14 +74,16 @@ cli.main()
 
 
 @pytest.mark.parametrize("where", ["ctypes.CFUNCTYPE(None)(stop)()", "Kept()"])
-def test_a_stop_that_comes_where_nothing_can_be_raised_is_not_lost(where):
+def test_a_signal_in_code_that_cannot_raise_is_not_lost(where):
     program = LOST.format(where=where)
     told = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=20)
     assert told.returncode == 143 and "interrupted" in told.stderr and "Traceback" not in told.stderr, told.stderr
 
 
-def test_a_process_that_is_stopped_as_it_leaves_says_no_more():
+def test_a_process_stopped_at_its_exit_prints_nothing():
     program = "import os, signal; from mic import cli, options; from mic.execution import ranks\n"
-    program += "options.app = lambda: None; ranks.exit_together = lambda *_: os.kill(os.getpid(), signal.SIGTERM)\ncli.main()"
+    program += (
+        "options.app = lambda: None; ranks.exit_together = lambda *_: os.kill(os.getpid(), signal.SIGTERM)\ncli.main()"
+    )
     told = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=20)
     assert told.returncode == -signal.SIGTERM and not told.stderr, told.stderr

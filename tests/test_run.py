@@ -23,20 +23,27 @@ def read(folder, table, law="coulomb"):
     return pd.read_parquet(folder / table / f"law={law}")
 
 
-def test_run_is_complete_and_reproducible(lap_model, tmp_path):
-    for name in "ab":
-        sample_into(tmp_path / name, lap_model, LAWS, 60, 4)
+@pytest.fixture(scope="module")
+def sixty(lap_model, tmp_path_factory):
+    """Results folder of 60 samples under Coulomb friction."""
+    folder = tmp_path_factory.mktemp("sixty")
+    sample_into(folder, lap_model, ["coulomb"], 60, 4)
+    return folder
+
+
+def test_run_is_complete_and_reproducible(lap_model, sixty, tmp_path):
+    sample_into(tmp_path, lap_model, LAWS, 60, 4)
     for table in DATASETS:
-        pd.testing.assert_frame_equal(read(tmp_path / "a", table.name), read(tmp_path / "b", table.name))
-    samples, contacts = read(tmp_path / "a", "samples"), read(tmp_path / "a", "contacts")
+        pd.testing.assert_frame_equal(read(tmp_path, table.name), read(sixty, table.name))
+    samples, contacts = read(tmp_path, "samples"), read(tmp_path, "contacts")
     assert samples["sample"].tolist() == list(range(60)) and not samples["failed"].any()
     assert len(contacts) == 60 * 2 * len(lap_model.contacts)
-    assert json.loads((tmp_path / "a" / "run.json").read_text())["seed"] == 4
+    assert json.loads((tmp_path / "run.json").read_text())["seed"] == 4
 
 
-def test_interrupted_run_keeps_what_was_finished(lap_model, tmp_path):
+def test_an_interrupted_run_keeps_finished_blocks(lap_model, tmp_path):
     with pytest.raises(KeyboardInterrupt):
-        sample_into(tmp_path, lap_model, LAWS, 120, 4, listener=Heard(stop_after=1))
+        sample_into(tmp_path, lap_model, LAWS, 120, 4, progress=Heard(stop_after=1))
     blocks = {path: path.stat().st_mtime_ns for path in (tmp_path / "samples").glob("*/[!.]*.parquet")}
     done = {law: [pd.read_parquet(path)["sample"].tolist() for path in blocks if law in str(path)] for law in LAWS}
     whole = [list(range(first, min(first + 50, 120))) for first in range(0, 120, 50)]
@@ -48,16 +55,16 @@ def test_interrupted_run_keeps_what_was_finished(lap_model, tmp_path):
     pd.testing.assert_frame_equal(read(tmp_path, "measurements"), read(tmp_path / "whole", "measurements"))
 
 
-def test_another_seed_is_refused_and_replaces_only_when_told(lap_model, tmp_path):
+def test_another_seed_is_refused_and_replaces_a_run_only_on_request(lap_model, tmp_path):
     sample_into(tmp_path, lap_model, LAWS, 60, 4)
-    with pytest.raises(RunError, match=r"another run \(seed \(4 there, 5 asked for\)\).*--out.*--replace"):
+    with pytest.raises(RunError, match=r"another run \(seed: 4 in the folder, 5 requested\).*--out.*--replace"):
         sample_into(tmp_path, lap_model, LAWS, 60, 5)
     assert read_run(tmp_path).record["seed"] == 4 and read_run(tmp_path).missing == dict.fromkeys(LAWS, 0)
     assert sample_into(tmp_path, lap_model, ["coulomb"], 20, 5, replace=True) == {"coulomb": 0}
     assert len(pd.read_parquet(tmp_path / "samples")) == 20 and read_run(tmp_path).record["seed"] == 5
 
 
-def test_blocks_without_their_record_are_believed_by_their_own_identity_only(lap_model, tmp_path):
+def test_blocks_without_their_record_are_used_by_their_own_identity_only(lap_model, tmp_path):
     sample_into(tmp_path, lap_model, ["coulomb"], 20, 4)
     (tmp_path / "run.json").unlink()
     assert sample_into(tmp_path, lap_model, ["coulomb"], 20, 4) == {"coulomb": 20}
@@ -65,12 +72,12 @@ def test_blocks_without_their_record_are_believed_by_their_own_identity_only(lap
         (tmp_path / "run.json").unlink(missing_ok=True)
         if wound != "gone":
             (tmp_path / "run.json").write_text(wound)
-        with pytest.raises(RunError, match="another run .*not those asked for"):
+        with pytest.raises(RunError, match="another run .*not the requested ones"):
             sample_into(tmp_path, lap_model, ["coulomb"], 20, 5)
     assert sample_into(tmp_path, lap_model, ["coulomb"], 20, 4) == {"coulomb": 20}
 
 
-def test_a_block_of_another_run_that_appears_later_is_left_out(lap_model, tmp_path):
+def test_a_block_of_another_run_that_appears_later_is_excluded(lap_model, tmp_path):
     sample_into(tmp_path / "mine", lap_model, ["coulomb"], 10, 4)
     sample_into(tmp_path / "other", lap_model, ["coulomb"], 10, 5)
     (block,) = (tmp_path / "other" / "samples" / "law=coulomb").glob("*")
@@ -79,10 +86,19 @@ def test_a_block_of_another_run_that_appears_later_is_left_out(lap_model, tmp_pa
     assert outcome.missing == {"coulomb": 10} and "another run" in outcome.damaged[0]
 
 
-@pytest.mark.parametrize("table", ["samples", "slips", "contacts", "forces"])
-@pytest.mark.parametrize("wound", ["cut", "altered", "gone"])
-def test_a_damaged_block_is_set_aside_computed_anew_and_said(lap_model, tmp_path, table, wound):
-    sample_into(tmp_path, lap_model, ["coulomb"], 60, 4)
+@pytest.mark.parametrize(
+    "table, wound",
+    [
+        ("samples", "cut"),
+        ("samples", "gone"),
+        ("slips", "altered"),
+        ("contacts", "cut"),
+        ("contacts", "gone"),
+        ("forces", "altered"),
+    ],
+)
+def test_a_damaged_block_is_set_aside_computed_again_and_reported(lap_model, sixty, tmp_path, table, wound):
+    shutil.copytree(sixty, tmp_path, dirs_exist_ok=True)
     path = sorted((tmp_path / table / "law=coulomb").iterdir())[0]
     content = path.read_bytes()
     if wound == "cut":
@@ -95,11 +111,11 @@ def test_a_damaged_block_is_set_aside_computed_anew_and_said(lap_model, tmp_path
     else:
         path.unlink()
     heard = Heard()
-    found = sample_into(tmp_path, lap_model, ["coulomb"], 60, 4, listener=heard)
+    found = sample_into(tmp_path, lap_model, ["coulomb"], 60, 4, progress=heard)
     assert found == {"coulomb": 10} and read_run(tmp_path).missing == {"coulomb": 0}
     if (table, wound) != ("samples", "gone"):  # without its samples a block was never finished
         (sentence,) = heard.sentences
-        assert path.name in sentence and "computed anew" in sentence
+        assert path.name in sentence and "computed again" in sentence
         assert list(tmp_path.glob("*/law=coulomb/*.damaged"))
 
 
@@ -114,7 +130,7 @@ def test_files_that_no_run_wrote_stay(lap_model, tmp_path):
     assert read_run(tmp_path).missing == {"frictionless": 0}
 
 
-def test_identity_depends_on_inputs_and_not_on_what_was_computed(lap_model, lap_scene, cache):
+def test_identity_depends_on_inputs_and_not_on_computed_values(lap_model, lap_scene, cache):
     own = identity(lap_model, 4)
     assert identity(assemble(lap_scene, cache), 4) == own  # known before anything is reduced
     compliance = lap_model.compliance
@@ -155,7 +171,7 @@ def test_a_run_from_scene_to_summary(lap_scene, cache, tmp_path):
     again = conclude(tmp_path)  # other phases keep their time
     assert again.record["wall_time"]["Monte Carlo"] == before
     run(scene, tmp_path, cache, heard)
-    assert "coulomb: 8 of 8 samples found finished" in " ".join(heard.sentences)
+    assert "coulomb: 8 of 8 samples were already finished" in " ".join(heard.sentences)
 
 
 def keeping(model, contacts, **report):
@@ -178,7 +194,7 @@ def long_and_short(lap_model, tmp_path_factory):
     return place / "all", place / "few"
 
 
-def test_statistics_do_not_hang_on_how_many_samples_keep_their_pairs(long_and_short, lap_model):
+def test_statistics_do_not_depend_on_how_many_samples_store_their_pairs(long_and_short, lap_model):
     whole, few = long_and_short
     assert read(few, "contacts")["sample"].unique().tolist() == list(range(50))  # the first block, as always
     assert len(list((few / "forces").rglob("*.npz"))) == 2 and len(list((few / "condensed").rglob("*.npz"))) == 4
@@ -197,7 +213,7 @@ def test_statistics_do_not_hang_on_how_many_samples_keep_their_pairs(long_and_sh
     np.testing.assert_allclose(found["open"], state.apply(lambda own: (own == "open").mean()), rtol=1e-12)
 
 
-def test_pairs_that_are_not_kept_are_refused_in_words(long_and_short):
+def test_pairs_that_are_not_stored_are_refused_in_one_sentence(long_and_short):
     outcome = read_run(long_and_short[1])
     kept = outcome.with_pairs("coulomb")
     assert kept.tolist() == list(range(50))
@@ -219,16 +235,15 @@ def test_fewer_samples_of_a_longer_run_are_those_of_a_run_of_so_many(lap_model, 
     assert read_run(tmp_path / "again").sample_numbers("coulomb").tolist() == list(range(100))
 
 
-def test_pairs_asked_for_afterwards_are_computed(long_and_short, lap_model, tmp_path):
+def test_pairs_requested_afterwards_are_computed(long_and_short, lap_model, tmp_path):
     shutil.copytree(long_and_short[1], tmp_path / "run")
     found = sample_into(tmp_path / "run", keeping(lap_model, 60), LAWS, 120, 4)
     assert found == dict.fromkeys(LAWS, 70)
     assert read_run(tmp_path / "run").with_pairs("coulomb").tolist() == list(range(100))
 
 
-@pytest.mark.parametrize("table", ["sums", "condensed"])
-@pytest.mark.parametrize("wound", ["cut", "gone"])
-def test_a_block_without_what_stands_for_its_pairs_is_computed_anew(long_and_short, lap_model, tmp_path, table, wound):
+@pytest.mark.parametrize("table, wound", [("sums", "gone"), ("condensed", "cut")])
+def test_a_block_without_sums_of_its_pairs_is_computed_again(long_and_short, lap_model, tmp_path, table, wound):
     shutil.copytree(long_and_short[1], tmp_path / "run")
     path = sorted((tmp_path / "run" / table / "law=coulomb").iterdir())[-1]
     if wound == "cut":
@@ -236,15 +251,15 @@ def test_a_block_without_what_stands_for_its_pairs_is_computed_anew(long_and_sho
     else:
         path.unlink()
     heard = Heard()
-    assert sample_into(tmp_path / "run", keeping(lap_model, 0), LAWS, 120, 4, listener=heard)["coulomb"] == 100
-    assert "computed anew" in " ".join(heard.sentences)
+    assert sample_into(tmp_path / "run", keeping(lap_model, 0), LAWS, 120, 4, progress=heard)["coulomb"] == 100
+    assert "computed again" in " ".join(heard.sentences)
     for one, other in zip(statistics_of(long_and_short[1]), statistics_of(tmp_path / "run")):
         pd.testing.assert_frame_equal(one, other, check_exact=True)
 
 
 @pytest.mark.parametrize("long, said", [(0.0, True), (1e9, False)])
-def test_a_run_that_takes_long_says_so_after_its_first_samples(lap_model, tmp_path, monkeypatch, long, said):
+def test_a_long_run_announces_its_duration_after_its_first_samples(lap_model, tmp_path, monkeypatch, long, said):
     monkeypatch.setattr("mic.runs.LONG", long)
     heard = Heard()
-    sample_into(tmp_path, lap_model, ["frictionless"], 3, 4, listener=heard)
+    sample_into(tmp_path, lap_model, ["frictionless"], 3, 4, progress=heard)
     assert any("The remaining samples take about" in sentence for sentence in heard.sentences) == said

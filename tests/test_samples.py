@@ -101,7 +101,7 @@ def test_a_queue_names_the_measured_pieces(kind, measured, table, tmp_path):
         ({}, "row 1: there are no columns 'up.mean', 'up.1', 'up.2'; add them, with a value in each row"),
     ],
 )
-def test_a_queue_of_pieces_that_nobody_measured_is_refused(change, said, measured, table, tmp_path):
+def test_a_table_with_unknown_pieces_is_refused(change, said, measured, table, tmp_path):
     table.assign(**change).to_csv(tmp_path / "samples.csv", index=False)
     with pytest.raises(mic.SceneError, match=said):
         take_samples(of(measured, tmp_path))
@@ -114,7 +114,7 @@ def test_pieces_have_a_name_each(pieces, measured):
         ShapeDeviation(**keys)
 
 
-def test_a_run_takes_them_and_its_results_are_those_of_each_assembly(lap_scene, lap_model, table, cache, tmp_path):
+def test_a_run_of_a_table_gives_the_results_of_each_assembly(lap_scene, lap_model, table, cache, tmp_path):
     table.to_csv(tmp_path / "samples.csv", index=False)
     outcome = run(of(lap_scene, tmp_path), tmp_path / "out", cache)
     law, own = outcome.laws[0], lap_scene.measurements[0].name
@@ -295,7 +295,7 @@ def test_a_singular_correlation_is_one():
     np.testing.assert_allclose(standard[:, 0], standard[:, 1], atol=1e-12)
 
 
-def test_a_run_of_a_design_tells_the_intervals_that_hold(lap_scene, cache, tmp_path, no_pictures):
+def test_a_run_of_a_design_gives_intervals_from_its_groups(lap_scene, cache, tmp_path, no_pictures):
     """Those of key characteristics come from its groups; others, which would take independent samples, are left out."""
     asked = lap_scene.monte_carlo.model_copy(update={"design": "antithetic", "samples": 24})
     laws = lap_scene.report.model_copy(update={"laws": ["coulomb"], "fields": False})

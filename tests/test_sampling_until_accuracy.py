@@ -36,7 +36,7 @@ def test_samples_are_drawn_until_the_accuracy_is_reached_and_no_longer(lap_model
     assert found.missing == {"frictionless": 0}
 
 
-def test_what_is_asked_decides_and_plain_samples_would_have_to_be_thousands(lap_model, tmp_path):
+def test_the_requested_accuracy_decides_the_number_of_samples(lap_model, tmp_path):
     sample_into(tmp_path / "rough", asking(lap_model, accuracy=0.9), LAWS, 500, 4)
     assert drawn(tmp_path / "rough") == list(range(50))
     sample_into(tmp_path / "fine", asking(lap_model, accuracy=1e-9), LAWS, 120, 4, heard := Heard())
@@ -70,7 +70,7 @@ def test_an_interrupted_run_ends_with_the_same_samples(lap_model, tmp_path):
         ({"accuracy": 0.02, "table": "samples.csv"}, "accuracy and table exclude each other"),
     ],
 )
-def test_what_makes_no_sense_is_refused(lap_scene, keys, words):
+def test_invalid_accuracy_requests_are_refused(lap_scene, keys, words):
     table = lap_scene.model_dump(exclude={"setting"}, exclude_none=True) | {"folder": lap_scene.folder}
     table["monte_carlo"] = keys
     with pytest.raises((SceneError, ValueError), match=words):

@@ -265,7 +265,7 @@ def test_a_name_where_a_group_belongs_is_not_read_letter_by_letter(tmp_path):
 
 
 @pytest.mark.parametrize("given", ["-0.1", "true", '"sometimes"', "[1]"])
-def test_what_a_key_may_be_besides_is_told_in_one_line(given, tmp_path):
+def test_alternatives_of_a_key_are_listed_in_one_line(given, tmp_path):
     with pytest.raises(mic.SceneError, match="Input should be 'close' or 'keep', or .*; got .*, correct it") as caught:
         mic.load_scene(edited(tmp_path, r"friction = 0.27", f"friction = 0.27\nnominal_overlap = {given}"))
     assert str(caught.value).count("nominal_overlap") == 1
@@ -329,7 +329,7 @@ def test_problems_within_tables_and_between_them_are_listed_at_once_by_name(tmp_
     assert len(lines) == len(WRONG_IN_MANY_WAYS) + 1
 
 
-def test_every_problem_of_the_stages_is_told(tmp_path):
+def test_every_problem_of_the_stages_is_reported(tmp_path):
     text = (LAP / "scene.toml").read_text().replace('kind = "clamp"', 'kind = "clamp"\norder = [["C1-uper"]]')
     text = text.replace('keep = ["lower-A1",', 'keep = ["lower-A1", "W1", "lowr-A2",')
     (tmp_path / "scene.toml").write_text(text)
@@ -347,7 +347,7 @@ def test_every_problem_of_the_stages_is_told(tmp_path):
     ]
 
 
-def test_every_problem_between_tables_is_told(tmp_path):
+def test_every_problem_between_tables_is_reported(tmp_path):
     text = (LAP / "scene.toml").read_text()
     broken = text.replace('part = "upper"', 'part = "uper"').replace('target = "upper-C1"', 'target = "upper-C2"')
     (tmp_path / "scene.toml").write_text(broken)
@@ -359,7 +359,7 @@ def test_every_problem_between_tables_is_told(tmp_path):
     assert sum("(upper): its 0 locators" in line for line in lines) == 1
 
 
-def test_setting_fills_in_what_the_scene_leaves_open_and_nothing_else(tmp_path):
+def test_a_setting_fills_in_only_keys_that_the_scene_omits(tmp_path):
     text = 'setting = "draft"\n' + (LAP / "scene.toml").read_text().replace('size = "medium"\n', "", 1)
     (tmp_path / "scene.toml").write_text(text)
     scene = mic.load_scene(tmp_path)
@@ -377,7 +377,7 @@ def test_setting_fills_in_what_the_scene_leaves_open_and_nothing_else(tmp_path):
         mic.load_scene(tmp_path)
 
 
-def test_a_setting_leaves_the_path_of_a_stage_that_states_one(tmp_path):
+def test_a_setting_does_not_change_the_stated_path_of_a_stage(tmp_path):
     text = (LAP / "scene.toml").read_text().replace('kind = "clamp"', 'kind = "clamp"\nincrements = 3')
     draft, reference = (mic.Scene(**tomllib.loads(f'setting = "{name}"\n{text}')) for name in ("draft", "reference"))
     assert [stage.increments for stage in draft.stages] == [None, 3, None, None, None]
@@ -396,13 +396,13 @@ def test_shipped_scenes_are_valid(name):
     assert mic.load_scene(LAP.parent / name).parts
 
 
-def test_the_scene_reference_is_what_the_schema_says():
+def test_the_scene_reference_is_generated_from_the_schema():
     """docs/scene.md is generated: python -m mic.scene.reference > docs/scene.md."""
     assert (LAP.parents[1] / "docs" / "scene.md").read_text(encoding="utf-8") == reference()
 
 
 @pytest.mark.parametrize("table", [value for value in vars(schema).values() if hasattr(value, "model_fields")])
-def test_every_key_says_what_it_means(table):
+def test_every_key_has_a_description(table):
     tables = schema.Scene.model_fields if table is schema.Scene else {}
     own_section = {name for name, field in tables.items() if "mic.scene." in str(field.annotation)}
     for name, field in table.model_fields.items():
@@ -440,7 +440,7 @@ def test_neither_booleans_nor_texts_stand_for_numbers(key, given, tmp_path):
 
 
 @pytest.mark.parametrize("table", [value for value in vars(schema).values() if hasattr(value, "model_fields")])
-def test_no_key_of_any_table_takes_what_is_no_number_for_one(table):
+def test_no_numeric_key_accepts_another_type(table):
     """Python counts true as 1 and reads the text of a number: neither is meant in a scene."""
     for name, field in table.model_fields.items():
         takes = TypeAdapter(Annotated[field.annotation, name, *field.metadata])

@@ -257,7 +257,7 @@ def test_a_place_in_the_sheet_is_an_input(lap_model, way, change):
 
 @pytest.mark.fem
 @pytest.mark.slow
-def test_a_place_that_is_asked_for_moves_as_the_point_of_the_scene_does(lap_scene, cache):
+def test_a_requested_position_moves_like_the_point_of_the_scene(lap_scene, cache):
     """Without zones, whose pairs would go with pads and locators: a weld and a locator, put elsewhere on the meshes."""
     bare = lap_scene.model_copy(update={"zones": []})
     names = [f"welds.{bare.welds[1].name}.x", f"locators.{bare.locators[0].name}.x"]
@@ -339,7 +339,7 @@ def test_a_contact_at_rest_on_its_cone_keeps_its_slope():
     np.testing.assert_allclose(again.force.slope, first.force.slope, atol=1e-9)
 
 
-def test_reach_is_the_way_to_the_next_change_of_state(lap_model):
+def test_reach_is_the_distance_to_the_next_change_of_state(lap_model):
     """Just before it the states are those of the sample, just behind it they are not."""
     model = on_the_way(lap_model, "one-step")
     process, samples = model.process("frictionless", TIGHT), draw(model.scene, 1, 0, 6)
@@ -453,12 +453,12 @@ def test_where_a_part_is_put_down_follows_the_gaps_that_it_closes():
     assert not separating_motion_slope(gap + 1, slope, G, separating_motion(gap + 1, G)).any()
 
 
-def test_what_lies_loose_has_no_derivative():
+def test_a_loose_part_has_no_derivative():
     found = table(force=0.0, gap=0.0).sensitivities({}, "coulomb")
     assert found.failed.all() and np.isnan(found.jacobian).all()
 
 
-def test_places_of_what_a_resting_part_meets_are_refused():
+def test_positions_of_supports_of_a_resting_part_are_refused():
     model = table()
     rows = model.rows | {"position": model.rows["locator"][:1]}
     labels = model.labels | {"position": ["locators.al0.x"]}
@@ -486,7 +486,7 @@ def test_friction_that_deviates_has_the_slope_of_its_zone(lap_model):
     np.testing.assert_allclose(found.measurements, model.evaluate(samples, "coulomb").measurements, rtol=0, atol=1e-4)
 
 
-def test_a_table_tells_what_a_step_of_each_input_changes(lap_model):
+def test_a_table_shows_the_effect_of_a_step_of_each_input(lap_model):
     """A step is taken, and the key characteristics move by what the table says, to second order."""
     model = on_the_way(lap_model, "one-step")
     found = effects(model, "coulomb", 5, seed=1)
@@ -511,7 +511,7 @@ def test_the_command_prints_the_table_and_the_reach(lap_model, tmp_path):
     )
     assert done.exit_code == 0, done.output
     wanted = effects(lap_model, "coulomb", 2, lap_model.scene.monte_carlo.seed)
-    assert "What a step changes" in done.output and wanted.where in done.output
+    assert "Effect of a step of each input" in done.output and wanted.where in done.output
     assert set(wanted.table["measurement"]) == {"M1", "M2"}
     for _, own in wanted.table.groupby("measurement"):
         effect = own.set_index("input")["effect"].abs().sort_values(ascending=False)
@@ -520,7 +520,7 @@ def test_the_command_prints_the_table_and_the_reach(lap_model, tmp_path):
         assert len(effect) > 6 and f"{len(effect) - 6} others" in done.output
 
 
-def test_the_command_tells_both_sides_of_a_change(tmp_path):
+def test_the_command_prints_both_sides_of_a_change(tmp_path):
     model = pressed(0.3 * STIFFNESS)
     model.save(tmp_path / "model.npz")
     done = CliRunner().invoke(
@@ -529,7 +529,7 @@ def test_the_command_tells_both_sides_of_a_change(tmp_path):
     assert done.exit_code == 0, done.output
     # A tenth of 15 N: 1.5/50 mm below and half of that above.
     assert "-30 below, -15 above" in done.output.replace("−", "-")
-    assert "at a change of a contact (clamp: contact 0 of zone Z" in done.output
+    assert "about to change its state (clamp: contact 0 of zone Z" in done.output
     table = effects(model, "coulomb", 1).table.set_index("input").loc["clamps.C"]
     assert [table["effect_below"], table["effect_above"]] == pytest.approx([-0.03, -0.015])
 
@@ -554,7 +554,7 @@ def pressed(force, **clamp) -> ReducedModel:
 
 
 @pytest.mark.parametrize("law", ["coulomb", "frictionless", "associated"])
-def test_at_a_change_of_state_derivatives_to_either_side_are_told(law):
+def test_a_change_of_state_has_one_sided_derivatives(law):
     """The clamp's force just closes the gap: the face yields by 1/k a newton below it and by 1/2k above."""
     soft, stiff = -1 / STIFFNESS, -0.5 / STIFFNESS
     for force, sides in ((0.3 * STIFFNESS, [soft, stiff]), (0.29 * STIFFNESS, [soft] * 2), (20.0, [stiff] * 2)):

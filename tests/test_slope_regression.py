@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from mic.statistics.derivative_regression import by_slopes
+from mic.statistics.derivative_regression import estimates_with_derivatives
 
 
 def scene(p, distribution="normal", **keys):
@@ -36,7 +36,7 @@ def test_a_quadratic_is_known_but_for_nothing(distribution, kurtosis):
         turned[:, 2] += d * t[:, 1]
         return turned
 
-    found = by_slopes(scene(3, distribution), *samples(function, slope, 20, 3, 1, distribution))
+    found = estimates_with_derivatives(scene(3, distribution), *samples(function, slope, 20, 3, 1, distribution))
     assert found.kind.tolist() == ["quadratic"] and found.explained[0] == pytest.approx(1.0)
     np.testing.assert_allclose(found.mean[:, 0], c, rtol=1e-9)
     np.testing.assert_allclose(found.sigma[:, 0], np.sqrt(a @ a + c**2 * (kurtosis - 1) + d**2), rtol=1e-9)
@@ -44,18 +44,22 @@ def test_a_quadratic_is_known_but_for_nothing(distribution, kurtosis):
 
 def test_there_may_be_more_inputs_than_samples():
     a = np.random.default_rng(4).standard_normal(40)
-    found = by_slopes(scene(40), *samples(lambda t: t @ a, lambda t: np.tile(a, (len(t), 1)), 20, 40, 2))
+    found = estimates_with_derivatives(
+        scene(40), *samples(lambda t: t @ a, lambda t: np.tile(a, (len(t), 1)), 20, 40, 2)
+    )
     assert found.kind.tolist() == ["linear"]
     np.testing.assert_allclose(found.sigma[:, 0], np.linalg.norm(a), rtol=1e-9)
 
 
-def test_what_the_regression_leaves_counts_whatever_its_coefficients_are():
+def test_the_residual_of_the_regression_counts_for_any_coefficients():
     """t³ of a uniform t: variance 27/7, of which a line through values and slopes has more than its share."""
 
     def slope(t):
         return np.column_stack([3 * t[:, 0] ** 2, np.zeros(len(t))])
 
-    found = by_slopes(scene(2, "uniform"), *samples(lambda t: t[:, 0] ** 3, slope, 4000, 2, 5, "uniform"))
+    found = estimates_with_derivatives(
+        scene(2, "uniform"), *samples(lambda t: t[:, 0] ** 3, slope, 4000, 2, 5, "uniform")
+    )
     assert found.kind[0] != "plain"
     assert found.sigma[0, 0] == pytest.approx(np.sqrt(27 / 7), rel=0.03)
 
@@ -67,7 +71,7 @@ def covered(function, slope, p, n, repeated=100):
     hits, errors, alone = [], [], []
     for seed in range(repeated):
         x, y, slopes = samples(function, slope, n, p, seed)
-        found = by_slopes(scene(p), x, y, slopes)
+        found = estimates_with_derivatives(scene(p), x, y, slopes)
         alone.append(y.std(ddof=1) / truth - 1)
         if found.kind[0] != "plain":
             hits.append(found.sigma[1, 0] <= truth <= found.sigma[2, 0])
@@ -75,7 +79,7 @@ def covered(function, slope, p, n, repeated=100):
     return np.mean(hits), len(hits) / repeated, *(np.sqrt(np.mean(np.square(one))) for one in (errors, alone))
 
 
-def test_intervals_cover_where_something_is_left_to_chance():
+def test_intervals_with_a_residual_have_their_coverage():
     """A sine and a term of fourth order beside a plane: 95 %, less three standard errors of 60 repetitions."""
     a = np.array([1.0, 0.5, -0.8, 0.3])
 
@@ -93,7 +97,7 @@ def test_intervals_cover_where_something_is_left_to_chance():
     assert error < 0.4 * alone
 
 
-def test_where_a_contact_closes_in_a_third_of_the_samples_intervals_hold_as_well():
+def test_intervals_hold_where_a_contact_closes_in_a_third_of_the_samples():
     a = np.array([1.0, 0.5, -0.8])
 
     def slope(t):
@@ -106,9 +110,9 @@ def test_where_a_contact_closes_in_a_third_of_the_samples_intervals_hold_as_well
 def test_it_is_not_offered_where_it_cannot_be_known():
     a = np.ones(3)
     x, y, slopes = samples(lambda t: t @ a, lambda t: np.tile(a, (len(t), 1)), 30, 3, 3)
-    assert by_slopes(scene(3, "triang"), x, y, slopes) is None
-    assert by_slopes(scene(3), x[:19], y[:19], slopes[:19]).kind.tolist() == ["plain"]
+    assert estimates_with_derivatives(scene(3, "triang"), x, y, slopes) is None
+    assert estimates_with_derivatives(scene(3), x[:19], y[:19], slopes[:19]).kind.tolist() == ["plain"]
     slopes[:11] = np.nan
-    assert by_slopes(scene(3), x, y, slopes).kind.tolist() == ["plain"]
+    assert estimates_with_derivatives(scene(3), x, y, slopes).kind.tolist() == ["plain"]
     noise = np.random.default_rng(1).standard_normal((30, 1, 3))
-    assert by_slopes(scene(3), x, y, 5 * noise).kind.tolist() == ["plain"]
+    assert estimates_with_derivatives(scene(3), x, y, 5 * noise).kind.tolist() == ["plain"]

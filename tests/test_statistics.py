@@ -74,7 +74,7 @@ def test_clopper_pearson_agrees_with_scipy(count, n):
     assert [ours.low, ours.high] == pytest.approx([theirs.low, theirs.high], rel=1e-9)
 
 
-def test_samples_outside_are_counted_on_both_sides_and_failed_ones_are_left_out():
+def test_samples_outside_are_counted_on_both_sides_and_failed_ones_excluded():
     assert outside([-2.0, 0.0, 0.5, 3.0, np.nan], -1, 1) == 2
 
 
@@ -111,7 +111,7 @@ def test_degenerate_samples_claim_no_certainty(x):
         assert np.isnan(sigma.value) and np.isnan(cp.value) and np.isnan(cpk.value)
 
 
-def test_without_spread_cpk_tells_in_from_out():
+def test_cpk_without_spread_is_infinite_with_the_sign_of_the_margin():
     assert centred_capability([2.0, 2.0], 0, 1).value == -np.inf
     assert np.isnan(centred_capability([1.0, 1.0], 0, 1).value)
 

@@ -21,7 +21,7 @@ def alike(one, other):
 
 
 @pytest.mark.slow
-def test_the_page_runs_from_its_first_line_to_its_last_and_gives_what_it_prints(cache, monkeypatch):
+def test_the_page_runs_and_prints_the_shown_output(cache, monkeypatch):
     monkeypatch.setenv("MIC_CACHE", str(cache))
     blocks = re.findall(r"```python\n(.*?)```(?:\s*```text\n(.*?)```)?", PAGE, re.S)
     assert len(blocks) == 5 and all(printed for _, printed in blocks)
@@ -36,7 +36,7 @@ def test_the_page_runs_from_its_first_line_to_its_last_and_gives_what_it_prints(
             assert alike(word, other), said.getvalue()
 
 
-def test_every_figure_in_the_text_is_one_that_is_printed():
+def test_every_number_in_the_text_is_printed_by_the_code():
     printed = " ".join(re.findall(r"```text\n(.*?)```", PAGE, re.S)).split()
     prose = re.sub(r"```.*?```", "", PAGE, flags=re.S)
     figures = re.findall(r"\*\*(.*?)\*\*", prose)

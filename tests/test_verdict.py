@@ -66,7 +66,7 @@ def test_the_yield_is_that_of_all_characteristics_together(folder):
     assert first.startswith(f"In {100 * good:.1f} % of the assemblies (") and "all 2 key characteristics" in first
 
 
-def test_the_worst_stands_first_with_its_drivers_and_what_is_not_known_names_its_command(copied):
+def test_the_worst_characteristic_is_first_and_missing_studies_name_their_commands(copied):
     outcome = read_outcome(copied)
     found = verdict(outcome)
     cpk = [row["cpk"] for row in found.rows]
@@ -88,7 +88,7 @@ def test_the_worst_stands_first_with_its_drivers_and_what_is_not_known_names_its
     assert "A linear analysis would mislead here" in " ".join(found.sentences)
 
 
-def test_each_source_of_error_tells_what_was_measured_of_it(copied):
+def test_each_source_of_error_shows_its_estimate(copied):
     outcome = read_outcome(copied)
     table = outcome.measurement_statistics.set_index("measurement")
     budget = {one.name: one for one in error_budget(outcome, "coulomb")}
@@ -121,13 +121,13 @@ def test_each_source_of_error_tells_what_was_measured_of_it(copied):
     assert f"±{change(total).lstrip('+')} on 6σ, mostly samples." in said
 
 
-def test_samples_that_failed_are_told_beside_the_verdict(copied):
+def test_the_verdict_counts_failed_samples(copied):
     fail(copied, "coulomb", {3: ("clamp", "not converged")})
     last = verdict(read_outcome(copied)).sentences[-1]
     assert last == f"1 of {SAMPLES} samples failed or are missing and are excluded."
 
 
-def test_a_rare_miss_is_told_as_it_was_computed(copied):
+def test_the_verdict_shows_a_computed_rare_miss(copied):
     row = {"law": "coulomb", "measurement": "", "outside": 2.5e-5, "outside_low": 1e-5, "outside_high": 6e-5}
     row |= {"levels": 5, "evaluations": 5000, "failed": 0, "first_order": 2e-5, "agrees": True}
     RARE.write(copied, pd.DataFrame([row]))
@@ -139,7 +139,7 @@ def test_a_rare_miss_is_told_as_it_was_computed(copied):
     assert "The first-order estimate differs, 2.0 ppm: the limits are curved." in said
 
 
-def test_a_remedy_that_serves_is_told_and_one_that_does_not_is_not(copied):
+def test_the_verdict_shows_only_a_remedy_that_suffices(copied):
     row = {"law": "coulomb", "remedy": "together", "adjustment": "locators.A1", "change": -0.12, "value": -0.12}
     REMEDIES.write(copied, pd.DataFrame([row | {"reached": True, "rounds": 3}]))
     said = verdict(read_outcome(copied)).sentences
@@ -166,7 +166,7 @@ def test_studies_of_a_results_folder_are_stored_in_it_and_shown_in_its_report(co
     assert page.index('id="verdict"') < page.index('id="validity"')
 
 
-def test_a_folder_whose_model_is_another_s_is_refused(copied, hat_model):
+def test_a_folder_with_the_model_of_another_run_is_refused(copied, hat_model):
     hat_model.save(copied / "model.npz")
     done = CliRunner().invoke(app, ["contributors", str(copied)])
     assert done.exit_code != 0 and "belongs to another run" in str(done.exception)

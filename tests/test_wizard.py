@@ -127,7 +127,7 @@ def kept(folder):
 
 @pytest.mark.parametrize("case", SHAPES)
 @pytest.mark.slow
-def test_a_proposal_is_a_scene_that_holds_its_parts_well(proposed, case):
+def test_a_proposed_scene_locates_its_parts_well(proposed, case):
     """It loads, stands on its meshes, has the zones that there are, and no motion of a part is nearly free."""
     _, zones, welded, _ = SHAPES[case]
     folder, proposal = proposed(case)
@@ -181,7 +181,7 @@ def test_sheets_drawn_upon_each_other_are_put_side_by_side(tmp_path):
         assert parts["hat"].surface.points[:, 2].min() == pytest.approx(0.5)
 
 
-def test_what_the_drawing_does_not_tell_is_called_a_guess(tmp_path):
+def test_an_ambiguous_drawing_side_is_called_a_guess(tmp_path):
     files = [write_deck(tmp_path / f"{n}.inp", {"S": grid(80, 50, 7, x=x)}) for n, x in (("a", 0), ("b", 40))]
     _, proposal = write_scene(files, tmp_path / "scene", {None: 1.0})
     assert "guess" in proposal.sentences[0]
@@ -218,13 +218,13 @@ def test_pins_go_through_holes(proposed):
     assert len(across) == 2
 
 
-def test_sets_of_one_deck_are_parts_with_what_the_deck_tells(proposed):
+def test_sets_of_one_deck_are_parts_with_the_thickness_of_the_deck(proposed):
     folder, _ = proposed("three in one deck")
     written = tomllib.loads((folder / "scene.toml").read_text())["parts"]
     assert [(part["set"], part["thickness"]) for part in written] == [("BASE", 0.8), ("HAT", 1.2), ("CAP", 1.0)]
 
 
-def test_metres_are_said_and_stated(proposed):
+def test_metres_are_detected_and_written_into_the_scene(proposed):
     folder, proposal = proposed("in metres")
     scene = load_scene(folder)
     assert "taken for metres" in proposal.sentences[0]
@@ -232,7 +232,7 @@ def test_metres_are_said_and_stated(proposed):
     assert scene.measurements[0].point != (0, 0, 0) and np.abs(scene.measurements[0].point).max() > 10
 
 
-def test_a_part_that_touches_nothing_is_told_in_one_sentence_and_stays_held(proposed):
+def test_a_part_that_touches_nothing_is_reported_and_stays_located(proposed):
     folder, proposal = proposed("one that touches nothing")
     assert [sentence for sentence in proposal.sentences if "far" in sentence] == [
         "far has no lap with another part; the nearest is b, 170 mm away"
@@ -261,7 +261,7 @@ def test_every_key_is_explained_where_it_first_stands(proposed, case):
     assert len(seen) > 40
 
 
-def test_a_missing_thickness_is_asked_for_in_one_sentence(tmp_path):
+def test_a_missing_thickness_is_refused_with_the_option_to_give(tmp_path):
     files = [write_deck(tmp_path / f"{n}.inp", {"S": grid(80, 50, 7, z=z)}) for n, z in (("a", 0), ("b", 1))]
     with pytest.raises(mic.SceneError, match=r"thickness of a, b: give it in mm, --thickness 1.5 for all, or .*a=1.5"):
         write_scene(files, tmp_path / "scene")
@@ -280,7 +280,7 @@ def test_a_part_in_pieces_that_nothing_names_is_refused(tmp_path):
         write_scene([file], tmp_path / "scene", {None: 1.0})
 
 
-def test_a_scene_that_stands_there_is_left_alone(tmp_path):
+def test_an_existing_scene_is_not_overwritten(tmp_path):
     folder, _ = propose("one part alone", tmp_path)
     (folder / "scene.toml").write_text("mine")
     with pytest.raises(mic.RunError, match="contains a scene already"):
@@ -324,7 +324,7 @@ def test_a_list_may_have_decimal_commas_where_commas_do_not_separate_its_cells(t
         write_scene(laid(tmp_path), tmp_path / "scene", {None: 1.0}, tmp_path / "q.csv")
 
 
-def test_what_comes_next_can_be_copied_where_a_folder_has_blanks(tmp_path):
+def test_the_next_command_quotes_a_folder_with_blanks(tmp_path):
     done = CliRunner().invoke(
         app, ["init", *map(str, laid(tmp_path)), "--thickness", "1", "--out", str(tmp_path / "my scene")]
     )
@@ -340,7 +340,7 @@ def test_no_tong_presses_on_a_weld(tmp_path):
     assert len(scene.welds) == 1 and scene.clamps == []
 
 
-def test_all_bad_rows_of_the_lists_are_told_at_once(tmp_path):
+def test_all_invalid_rows_of_the_lists_are_reported_together(tmp_path):
     (tmp_path / "w.csv").write_text("x,y,z\n65,15,0.5\n5,15,0\nsixty,15,0\n")
     with pytest.raises(mic.SceneError) as told:
         write_scene(laid(tmp_path), tmp_path / "scene", {None: 1.0}, tmp_path / "w.csv")
@@ -409,7 +409,7 @@ def test_a_large_lap_begins_with_fewer_pairs(tmp_path, proposed):
     assert load_scene(folder).zones[0].spacing is None
 
 
-def test_what_no_three_two_one_holds_is_held_by_six_of_any_kind(tmp_path):
+def test_a_part_without_a_3_2_1_scheme_gets_six_other_locators(tmp_path):
     """A narrow half pipe: what looks one way is a strip, too narrow for three locators."""
     file = write_deck(tmp_path / "pipe.inp", {"P": extruded(arc(9, 0, 180, 3), 0, 160, 5)})
     folder, proposal = write_scene([file], tmp_path / "scene", {None: 1.0})
@@ -418,7 +418,7 @@ def test_what_no_three_two_one_holds_is_held_by_six_of_any_kind(tmp_path):
     assert proposal.conditioned["pipe"] > 0.05
 
 
-def test_the_command_says_what_it_proposes_and_what_comes_next(tmp_path):
+def test_the_command_prints_its_proposal_and_the_next_command(tmp_path):
     files = laid(tmp_path)
     out = tmp_path / "new"
     result = CliRunner().invoke(
@@ -440,7 +440,7 @@ def test_the_command_says_what_it_proposes_and_what_comes_next(tmp_path):
         (["a.inp", "--thickness", "1"], "a.inp: this mesh file does not exist"),
     ],
 )
-def test_the_command_refuses_what_it_cannot_do(tmp_path, monkeypatch, arguments, words):
+def test_the_command_refuses_invalid_arguments(tmp_path, monkeypatch, arguments, words):
     monkeypatch.chdir(tmp_path)
     error = CliRunner().invoke(app, ["init", *arguments]).exception
     assert isinstance(error, mic.errors.MicError) and words in str(error)

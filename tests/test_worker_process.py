@@ -34,7 +34,7 @@ def test_results_come_in_order_and_two_processes_did_them():
     assert [who for _, who in run_on_two_cores([partial(done, 0)])] == [os.getpid()]
 
 
-def test_a_copy_works_before_it_is_asked_and_is_gone_once_let_go():
+def test_a_worker_starts_at_once_and_ends_when_stopped():
     copy = WorkerProcess([partial(done, number) for number in range(6)])
     time.sleep(1.0)
     found = copy.results()
@@ -55,7 +55,7 @@ def test_each_result_comes_as_it_is_done_and_none_is_lost():
     assert 0 < sum(who == own for _, who in found.values()) < 300
 
 
-def test_of_each_what_the_copy_takes_and_fails_at_is_done_here_and_what_fails_is_raised():
+def test_tasks_of_a_failed_worker_are_done_here_one_by_one_and_errors_are_raised():
     own = os.getpid()
 
     def fatal(number):
@@ -73,7 +73,7 @@ def test_of_each_what_the_copy_takes_and_fails_at_is_done_here_and_what_fails_is
         list(copy.completed())
 
 
-def test_a_copy_that_is_let_go_as_it_hands_in_much_holds_up_nobody():
+def test_stopping_a_worker_that_sends_much_data_does_not_block():
     """In a process of its own, which is to end."""
     program = "from mic.execution import worker_process; worker_process.has_spare_core = lambda: True\n"
     program += "copy = worker_process.WorkerProcess([lambda: bytes(10**8)] * 1000)\n"
@@ -87,7 +87,7 @@ def test_without_a_second_core_no_copy_is_made(monkeypatch):
 
 
 @pytest.mark.parametrize("sign", [signal.SIGKILL, signal.SIGTERM])
-def test_what_a_copy_that_dies_has_taken_is_done_here(sign):
+def test_tasks_of_a_killed_worker_are_done_here(sign):
     own = os.getpid()
 
     def fatal(number):
@@ -98,7 +98,7 @@ def test_what_a_copy_that_dies_has_taken_is_done_here(sign):
     assert run_on_two_cores([partial(fatal, number) for number in range(6)]) == [(number, own) for number in range(6)]
 
 
-def test_what_fails_in_the_copy_alone_is_done_here_and_what_fails_is_raised(capfd):
+def test_tasks_that_fail_in_the_worker_are_done_here_and_errors_are_raised(capfd):
     own = os.getpid()
 
     def there(number):
@@ -125,7 +125,7 @@ def interruptible():
 
 
 @pytest.mark.usefixtures("interruptible")
-def test_an_interrupt_is_raised_once_and_leaves_no_process(capfd):
+def test_an_interrupt_is_raised_once_and_ends_the_worker(capfd):
     def interrupted(number, own):
         if os.getpid() != own or number > 1:
             os.kill(os.getpid(), signal.SIGINT)  # as both hear it from a terminal

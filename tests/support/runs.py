@@ -43,8 +43,10 @@ class NoPictures:
 def skip_pictures(replace):
     """Write reports without pictures; `replace` is ``setattr`` or that of a monkeypatch."""
     from mic.commands import run  # imports matplotlib, which most tests do without
-    from mic.report import page
+    from mic.report import comparison_page, explanation_page, page
 
+    replace(comparison_page, "comparison_pictures", lambda *_: [])
+    replace(explanation_page, "explanation_pictures", lambda *_: [])
     replace(page, "draw_all", lambda *_: {})
     replace(run, "BackgroundPictures", NoPictures)
 
