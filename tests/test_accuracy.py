@@ -1,4 +1,4 @@
-"""The error that a part's mesh leaves: the estimate against what a much finer mesh tells."""
+"""Estimated mesh error of a part against the error relative to a much finer mesh."""
 
 import numpy as np
 import pandas as pd
@@ -44,10 +44,9 @@ def estimates(accuracy):
     return np.array([[one.set_down, one.located] for one in accuracy.estimates])
 
 
-@pytest.mark.parametrize("source", ["script", "file"])
-@pytest.mark.parametrize("size", [10.0, 5.0])
+@pytest.mark.parametrize("source, size", [("script", 10.0), ("file", 5.0)])
 def test_the_estimate_is_the_error_within_a_third(size, source, tmp_path, cache, limit):
-    """A script is run again at half the size; a mesh from a file is divided on the curvature that it tells of."""
+    """A script is run again at half the size; a mesh from a file is divided with the curvature estimated from it."""
     how = {"size": size} if source == "script" else {"mesh": mesh_of(size)}
     assembly = curved_assembly(tmp_path, cache, **how)
     true = errors(compliance(assembly, cache), limit)
@@ -59,7 +58,7 @@ def test_the_estimate_is_the_error_within_a_third(size, source, tmp_path, cache,
     assert (0.7 < effectivity).all() and (effectivity < 1.4).all()
 
 
-def test_the_estimate_sees_places_that_a_script_leaves_as_they_are(tmp_path, cache, limit):
+def test_the_estimate_includes_places_whose_size_the_script_fixes(tmp_path, cache, limit):
     """Lines at 10 mm under the clamp, the force and most locators, whatever the size; they are divided."""
     scene, size = curved_scene(tmp_path, size=10.0), 10.0
     text = (tmp_path / "panel.py").read_text()
@@ -78,7 +77,7 @@ def test_the_estimate_sees_places_that_a_script_leaves_as_they_are(tmp_path, cac
 
 
 def test_a_finer_mesh_costs_more_and_is_measured(tmp_path, cache):
-    (found,) = estimate_accuracy(curved_assembly(tmp_path, cache, size=4.0), cache)
+    (found,) = estimate_accuracy(curved_assembly(tmp_path, cache, size=5.0), cache)
     assert found.finer.nodes > 3.5 * found.mesh.nodes
     assert np.sqrt(found.finer.triangles / found.mesh.triangles) == pytest.approx(2, rel=0.01)
     assert found.finer.seconds > found.mesh.seconds > 0 and found.finer.memory > 3 * found.mesh.memory > 0
@@ -87,7 +86,7 @@ def test_a_finer_mesh_costs_more_and_is_measured(tmp_path, cache):
     assert reached.memory == pytest.approx(found.finer.memory, rel=0.1)
 
 
-def test_an_estimate_is_kept_and_made_anew_where_the_part_changes(tmp_path, cache, monkeypatch):
+def test_an_estimate_is_cached_and_recomputed_when_the_part_changes(tmp_path, cache, monkeypatch):
     assembly = curved_assembly(tmp_path, cache, size=10.0)
     first = estimate_accuracy(assembly, cache)
     told = []
@@ -102,23 +101,23 @@ def test_an_estimate_is_kept_and_made_anew_where_the_part_changes(tmp_path, cach
         estimate_accuracy(curved_assembly(tmp_path, cache, size=8.0), cache)
 
 
-def test_a_script_that_takes_no_notice_of_the_size_is_found_out(tmp_path, cache):
+def test_a_script_that_ignores_the_size_is_refused(tmp_path, cache):
     scene = curved_scene(tmp_path, size=10.0)
     (tmp_path / "panel.py").write_text((tmp_path / "panel.py").read_text().replace("/ size", "/ 10"))
     with pytest.raises(SceneError, match="'sheet': geometry: .*half the size"):
         estimate_accuracy(assemble(scene, cache), cache)
 
 
-def test_a_part_that_states_an_accuracy_gets_a_mesh_that_reaches_it(tmp_path, cache, limit):
-    assembly = curved_assembly(tmp_path, cache, accuracy=0.01)
+def test_a_part_with_a_stated_accuracy_gets_a_mesh_that_reaches_it(tmp_path, cache, limit):
+    assembly = curved_assembly(tmp_path, cache, accuracy=0.03)
     true = errors(compliance(assembly, cache), limit)
-    assert true.max() < 0.01 and true.max() > 0.002  # reached, and not by far too fine a mesh
+    assert true.max() < 0.03 and true.max() > 0.006  # reached, and not by far too fine a mesh
     assert set(assembly.sizes) == {"sheet"} and 1 < assembly.sizes["sheet"] < 10
     (found,) = estimate_accuracy(assembly, cache)
-    assert found.worst <= 0.01 and found.mesh.nodes == len(assembly.parts[0].surface.points)
+    assert found.worst <= 0.03 and found.mesh.nodes == len(assembly.parts[0].surface.points)
 
 
-def test_the_size_that_was_found_is_kept(tmp_path, cache, monkeypatch):
+def test_the_element_size_found_for_an_accuracy_is_cached(tmp_path, cache, monkeypatch):
     first = curved_assembly(tmp_path, cache, accuracy=0.03)
     monkeypatch.setattr("mic.model.element_sizes.estimate_accuracy", lambda *arguments: pytest.fail("estimated again"))
     again = curved_assembly(tmp_path, cache, accuracy=0.03)
@@ -128,7 +127,7 @@ def test_the_size_that_was_found_is_kept(tmp_path, cache, monkeypatch):
         assemble(mic.load_scene(tmp_path), cache)
 
 
-def test_an_accuracy_out_of_reach_is_refused_before_a_mesh_that_large_is_solved(tmp_path, cache):
+def test_an_unreachable_accuracy_is_refused_before_its_mesh_is_solved(tmp_path, cache):
     with pytest.raises(SceneError, match="part 'sheet': accuracy: 1e-06 is not reached: .* state a"):
         curved_assembly(tmp_path, cache, accuracy=1e-6)
 
@@ -136,7 +135,7 @@ def test_an_accuracy_out_of_reach_is_refused_before_a_mesh_that_large_is_solved(
 FREED = '[[stages]]\nkind = "release"\nkeep = []\n\n[[stages]]\nkind = "measure"'
 
 
-def test_a_process_that_cannot_be_is_told_before_a_part_is_solved_for_its_accuracy(tmp_path, cache, monkeypatch):
+def test_an_impossible_process_is_refused_before_the_accuracy_is_estimated(tmp_path, cache, monkeypatch):
     monkeypatch.setattr("mic.model.element_sizes.estimate_accuracy", lambda *arguments: pytest.fail("solved"))
     curved_scene(tmp_path, accuracy=0.01)
     text = (tmp_path / "scene.toml").read_text()
@@ -149,7 +148,7 @@ def test_a_process_that_cannot_be_is_told_before_a_part_is_solved_for_its_accura
     assert isinstance(done.exception, SceneError) and "rigid-body motions are free" in str(done.exception)
 
 
-def test_what_is_wrong_with_the_other_parts_is_told_with_a_script_that_builds_nothing(tmp_path, cache):
+def test_one_message_reports_errors_of_all_parts(tmp_path, cache):
     text = '[[parts]]\nname = "other"\nmesh = "other.inp"\nthickness = 1\nrests = true\n\n'
     text += '[[zones]]\nname = "Z"\nparts = ["sheet", "other"]\n'
     scene = curved_scene(tmp_path, accuracy=0.01, keys=text)
@@ -167,7 +166,7 @@ def test_what_is_wrong_with_the_other_parts_is_told_with_a_script_that_builds_no
         ("", "needs size: .* or accuracy"),
     ],
 )
-def test_an_accuracy_stands_in_place_of_a_size(tmp_path, keys, words):
+def test_a_part_needs_either_a_size_or_an_accuracy(tmp_path, keys, words):
     curved_scene(tmp_path, size=10.0)
     text = (tmp_path / "scene.toml").read_text()
     (tmp_path / "scene.toml").write_text(text.replace("size = 10.0", keys))
@@ -175,14 +174,14 @@ def test_an_accuracy_stands_in_place_of_a_size(tmp_path, keys, words):
         mic.load_scene(tmp_path)
 
 
-def test_a_setting_leaves_an_accuracy_alone(tmp_path):
+def test_a_setting_does_not_change_a_stated_accuracy(tmp_path):
     scene = curved_scene(tmp_path, accuracy=0.02, keys="")
     text = (tmp_path / "scene.toml").read_text()
     (tmp_path / "scene.toml").write_text('setting = "standard"\n' + text)
     assert mic.load_scene(tmp_path).parts == scene.parts
 
 
-def test_a_run_that_is_asked_for_it_keeps_the_estimate_and_reports_it(tmp_path, cache):
+def test_a_run_with_report_accuracy_stores_and_reports_the_estimate(tmp_path, cache):
     from mic.report.page import write_report
 
     scene = curved_scene(tmp_path, size=10.0, keys="[monte_carlo]\nsamples = 3\n[report]\naccuracy = true\n")
@@ -195,7 +194,7 @@ def test_a_run_that_is_asked_for_it_keeps_the_estimate_and_reports_it(tmp_path, 
         assert f"{100 * value:.1f} %" in table
 
 
-def test_a_run_that_is_not_asked_for_it_neither_computes_nor_shows_it(tmp_path, cache, monkeypatch):
+def test_a_run_without_report_accuracy_neither_computes_nor_shows_the_estimate(tmp_path, cache, monkeypatch):
     from mic.report.page import write_report
 
     monkeypatch.setattr("mic.runs.estimate_accuracy", lambda *arguments: pytest.fail("estimated"))

@@ -58,7 +58,7 @@ def test_the_full_solve_reads_the_same(table, cache):
     assert np.abs(reduced).min() > 1e-3 and len(np.unique(reduced.round(6))) == len(KINDS)
 
 
-def test_a_run_tells_what_each_point_reads_and_judges_one_side(table, cache, tmp_path, monkeypatch):
+def test_a_run_reports_every_point_and_judges_one_sided_limits(table, cache, tmp_path, monkeypatch):
     monkeypatch.setenv("MIC_CACHE", str(cache))
     folder = tmp_path / "run"
     mic.run(read_table(table, LAP), folder, cache)

@@ -75,8 +75,7 @@ def difference(full, reduced):
     return max(np.abs(a - b).max() / np.abs(b).max() for a, b in pairs)
 
 
-@pytest.mark.parametrize("law", ["coulomb", "frictionless"])
-@pytest.mark.parametrize("name", ["lap", "bracket"])
+@pytest.mark.parametrize("name, law", [("bracket", "coulomb"), ("lap", "frictionless")])
 @pytest.mark.slow
 def test_augmented_agrees_with_the_reduced_model_in_all_stages(name, law, request):
     model, assembly = request.getfixturevalue(f"{name}_model"), request.getfixturevalue(name)
@@ -87,12 +86,12 @@ def test_augmented_agrees_with_the_reduced_model_in_all_stages(name, law, reques
             np.testing.assert_array_equal(resolution.state, model.evaluate(sample, law).resolutions[stage].state[0])
 
 
-@pytest.mark.parametrize("law", ["coulomb", "frictionless"])
-def test_penalty_error_falls_at_first_order(lap, lap_model, law):
+@pytest.mark.slow
+def test_penalty_error_falls_at_first_order(lap, lap_model):
     sample = draw(lap_model.scene, 5, 1, 1)[0]
-    reduced = lap_model.evaluate(sample, law)
+    reduced = lap_model.evaluate(sample)
     penalty = 10.0 ** np.arange(1, 5)
-    error = [difference(FullModel(lap, penalty=p, augmented=False).evaluate(sample, law), reduced) for p in penalty]
+    error = [difference(FullModel(lap, penalty=p, augmented=False).evaluate(sample), reduced) for p in penalty]
     order = -np.diff(np.log10(error))
     assert (np.abs(order - 1) < 0.1).all(), f"observed orders {order}, errors {error}"
     assert error[-1] < 1e-4
@@ -120,7 +119,7 @@ STAGES = [
 
 
 @pytest.mark.slow
-def test_every_kind_of_deviation_and_of_stage_means_the_same_to_both(scene, cache):
+def test_both_models_agree_on_every_kind_of_deviation_and_stage(scene, cache):
     assert set(DEVIATIONS) == set(SOURCES) and {stage["kind"] for stage in STAGES} == set(STAGE_MOVES)
     deviations = [{"name": kind, "kind": kind, "sigma": 0.0} | keys for kind, keys in DEVIATIONS.items()]
     table = scene.model_dump()
@@ -154,8 +153,8 @@ def test_agreement_holds_on_every_path(scene, cache, path, increments):
 
 
 @pytest.mark.slow
-def test_the_agreement_tells_mutations_apart(lap, lap_model, monkeypatch):
-    """What `difference` must not overlook: friction ignored, shape deviations of the wrong sign, gaps forgotten."""
+def test_the_comparison_detects_planted_errors(lap, lap_model, monkeypatch):
+    """`difference` detects omitted friction, shape deviations of the wrong sign and omitted gaps."""
     sample = draw(lap_model.scene, 5, 0, 1)[0]
     reduced = lap_model.evaluate(sample, "coulomb")
     assert difference(FullModel(lap).evaluate(sample, "frictionless"), reduced) > 1e-3
@@ -192,12 +191,12 @@ def test_newton_converges_quadratically(scene, cache, monkeypatch):
 
 @pytest.mark.slow
 def test_two_processes_give_the_solution_of_one(tmp_path):
-    lap, result, path = ROOT / "meshes" / "lap_joint", tmp_path / "result.npz", "increments"
-    done = on_processes(2, "-m", "support.shared", lap, tmp_path / "ours", result, path)
+    lap, result = ROOT / "meshes" / "lap_joint", tmp_path / "result.npz"
+    done = on_processes(2, "-m", "support.shared", lap, tmp_path / "ours", result)
     assert done.returncode == 0, done.stdout + done.stderr
     with np.load(result) as data:
         found = [data[name] for name in data.files]
-    serial = solved(lap, tmp_path / "theirs", path)
+    serial = solved(lap, tmp_path / "theirs")
     assert len(found) == len(serial)
     for ours, theirs in zip(found, serial):
         assert np.abs(ours - theirs).max() <= 1e-8 * np.abs(theirs).max()
@@ -229,7 +228,7 @@ def test_cutting_an_increment_does_not_change_the_answer(lap, scene, monkeypatch
         )
 
 
-def test_where_no_forces_are_found_on_the_condensed_system_the_whole_one_answers(lap, scene, monkeypatch):
+def test_the_full_system_is_solved_when_the_condensed_one_fails(lap, scene, monkeypatch):
     sample = draw(scene, 5, 0, 1)[0]
     condensed = FullModel(lap).evaluate(sample)
     monkeypatch.setattr(equilibrium, "contact_forces", lambda *given: (None, []))
@@ -320,7 +319,7 @@ def test_deviated_frames_turn_with_the_surface(lap, scene):
 
 
 @pytest.mark.parametrize("order", [1, -1])
-def test_a_pair_with_a_fixture_opens_by_what_its_part_leaves_it(bracket, cache, order):
+def test_a_pair_with_a_fixture_opens_as_its_part_moves_away(bracket, cache, order):
     """The base tilted about a point of the rest's face, far from the origin: with R n the turned normal and the fixture
     standing at x_f, level with c, the gap grows by R n · (c − x_f), or less it where n points at the fixture."""
     zones = [
@@ -345,7 +344,7 @@ def test_a_pair_with_a_fixture_opens_by_what_its_part_leaves_it(bracket, cache, 
     assert np.ptp(expected) > 0.1
 
 
-def test_how_an_averaged_weld_tilts_on_deviated_meshes_is_what_the_shape_reads(scene, cache):
+def test_the_tilt_of_an_averaged_weld_on_deviated_meshes_is_that_of_the_shape(scene, cache):
     welds = [weld.model_copy(update={"fused": False}) for weld in scene.welds]
     lap = assemble(scene.model_copy(update={"welds": welds}), cache)
     read = 1.0 + np.arange(lap.rows["weld"].shape[0])
@@ -391,22 +390,20 @@ def laid(scene, pinned):
     )
 
 
-@pytest.mark.parametrize(
-    "increments, law, pinned", [(1, "coulomb", False), (3, "coulomb", False), (1, "frictionless", True)]
-)
+@pytest.mark.parametrize("increments, law, pinned", [(3, "coulomb", False), (1, "frictionless", True)])
 @pytest.mark.slow
-def test_a_part_that_rests_lies_and_carries_the_same_to_both(scene, cache, increments, law, pinned):
+def test_both_models_agree_on_a_resting_part(scene, cache, increments, law, pinned):
     """Springs about another place, of another stiffness, and Newton's method for the whole: the same equilibrium."""
     resting = laid(going(scene, "increments", increments), pinned)
     resting = resting.model_copy(update={"welds": [one.model_copy(update={"fused": False}) for one in resting.welds]})
     model = mic.reduce(resting, cache)
-    for sample in draw(resting, 5, 0, 2):
+    for sample in draw(resting, 5, 0, 1):
         full, reduced = FullModel(assemble(resting, cache)).evaluate(sample, law), model.evaluate(sample, law)
         assert not reduced.failed.any() and difference(full, reduced) < 1e-6
         np.testing.assert_allclose(reduced.resolutions["clamp"].force[0, :, 0].sum(), 60.0, rtol=1e-8)
 
 
-def test_a_part_that_is_pushed_off_is_told_by_the_full_solve_too(scene, cache):
+def test_the_full_solve_reports_a_part_that_is_pushed_off(scene, cache):
     """Friction holds 0.27 times the 60 N that press; twice that pull along x."""
     resting = laid(scene, pinned=False)
     pull = resting.clamps[0].model_copy(update={"name": "pull", "direction": (1.0, 0.0, 0.0), "force": 0.0})
@@ -422,7 +419,9 @@ def test_a_part_that_is_pushed_off_is_told_by_the_full_solve_too(scene, cache):
     )
     assembly = assemble(more, cache)
     FullModel(assembly).evaluate(np.array([10.0]))
-    with pytest.raises(ContactFailure, match=r"stage 'clamp', step 3 .* pushed off by .* N, over 10 mm, and not held"):
+    with pytest.raises(
+        ContactFailure, match=r"stage 'clamp', step 3 .* moved more than 10 mm under .* N without finding support"
+    ):
         FullModel(assembly).evaluate(np.array([32.0]))
     np.testing.assert_array_equal(mic.reduce(more, cache).evaluate(np.array([[10.0], [32.0]])).failed, [False, True])
 
@@ -441,7 +440,7 @@ scene = few(mic.load_scene(sys.argv[1]))
 scene = scene.model_copy(update={"parts": [part.model_copy(update={"size": "coarse"}) for part in scene.parts]})
 stages = [stage.model_copy(update={"path": "increments", "increments": 1}) for stage in scene.stages]
 assembly = assemble(scene.model_copy(update={"stages": stages}), Path(sys.argv[2]))
-for _ in range(6):
+for _ in range(5):
     FullModel(assembly, comm=MPI.COMM_SELF).evaluate(draw(scene, 5, 0, 1)[0])
     gc.collect()
     print(int(Path("/proc/self/statm").read_text().split()[1]) * 4096 / 1e6)

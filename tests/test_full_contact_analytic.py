@@ -60,7 +60,7 @@ def dragged():
     return found
 
 
-def test_the_condensed_system_finds_what_the_whole_one_finds():
+def test_the_condensed_system_has_the_solution_of_the_full_one():
     """Each load from where the one before has left the contacts."""
     seen = set()
     for state, iterations, condensed, states, found in dragged():
@@ -74,7 +74,7 @@ def test_the_condensed_system_finds_what_the_whole_one_finds():
 
 
 @pytest.mark.parametrize("spoilt", ["none", "none that hold", "no numbers"])
-def test_what_does_not_solve_the_whole_system_is_refused(monkeypatch, spoilt):
+def test_a_result_that_does_not_solve_the_full_system_is_refused(monkeypatch, spoilt):
     """Forces that were not found, that leave the contacts penetrating, or are none."""
     given = {"none": None, "none that hold": 0.0, "no numbers": np.nan}[spoilt]
     forces = lambda S, δ, at, law, start: (None if given is None else np.full_like(start, given), [])

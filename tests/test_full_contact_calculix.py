@@ -1,4 +1,4 @@
-"""Frictional contact against CalculiX: leaves pressed over half their length, friction that gives way little by
+"""Frictional contact against CalculiX: strips pressed over half their length, friction that gives way little by
 little."""
 
 import numpy as np

@@ -59,7 +59,7 @@ def test_forces_obey_coulombs_law(friction):
             assert breach(S, δ, f, 1.1 * friction) > 1e-6  # the law of another coefficient is broken
 
 
-def test_where_newtons_method_fails_proximal_points_answer(monkeypatch):
+def test_proximal_points_solve_what_newtons_method_does_not(monkeypatch):
     problems = [sheets(20, seed) for seed in SEEDS]
     assert all(solved(*problem, 0.8) is not None for problem in problems)
     monkeypatch.setattr(coulomb, "PROXIMAL", 0)
@@ -91,7 +91,7 @@ def held():
 
 
 @pytest.mark.parametrize("yielding", [False, True])
-def test_a_step_held_otherwise_is_condensed_exactly(held, yielding):
+def test_a_step_with_other_supports_is_condensed_exactly(held, yielding):
     """The strip let go at the end at which it was factorised, and held at the other and under its middle: dense
     algebra of the whole system says the same."""
     K, base, rows, other = held
@@ -112,7 +112,7 @@ def test_a_step_held_otherwise_is_condensed_exactly(held, yielding):
     assert np.abs(base.readings(C) - S).max() > 0.1 * np.abs(S).max()  # what the first rows alone would say
 
 
-def test_rows_are_solved_for_once_and_steps_form_their_own_compliance(held):
+def test_rows_are_solved_once_and_each_step_has_its_own_compliance(held):
     K, base, rows, other = held
     first, second = Condensation(base, other, None, rows[:6]), Condensation(base, base.D, None, rows[:6])
     asked = first.compliance().copy()
@@ -123,8 +123,8 @@ def test_rows_are_solved_for_once_and_steps_form_their_own_compliance(held):
     assert base.solved == solved > 0
 
 
-def test_where_memory_runs_out_it_is_said_what_to_change(held, monkeypatch):
-    """Of held parts, and of a part where MUMPS cannot be called but through PETSc."""
+def test_an_error_for_lack_of_memory_names_the_remedy(held, monkeypatch):
+    """For supported parts, and for a part where MUMPS can be called only through PETSc."""
     K, base, _, _ = held
     petsc = MagicMock(IntType=np.int32)
     petsc.PC().create().getFactorMatrix().getMumpsInfog.return_value = -9

@@ -47,7 +47,7 @@ def test_schur_complement_and_sweeps_against_dense_algebra():
     assert factors.memory > 0
 
 
-def test_what_stands_below_the_diagonal_is_not_read():
+def test_entries_below_the_diagonal_are_not_read():
     K, L = spd()
     exact = L @ np.linalg.solve(K.toarray(), L.T.toarray())
     for given in (sp.triu(K, format="csr"), (sp.triu(K) + 7 * sp.tril(K, -1)).tocsr()):
@@ -55,8 +55,8 @@ def test_what_stands_below_the_diagonal_is_not_read():
         assert abs(H - exact).max() < 1e-12 * abs(exact).max()
 
 
-def test_the_values_of_the_stiffness_are_not_kept_twice(monkeypatch):
-    """What MUMPS reads is what the stiffness has, before, at and after its factorisation."""
+def test_the_values_of_the_stiffness_are_stored_once(monkeypatch):
+    """MUMPS reads the values of the stiffness in place; the factorisation does not change them."""
     K, L = spd()
     K, given = factorisation.upper_triangle(K), []
     before, give = K.copy(), mumps.Instance.give
@@ -70,7 +70,7 @@ def test_the_values_of_the_stiffness_are_not_kept_twice(monkeypatch):
 
 
 def test_the_order_is_a_permutation_that_dissects():
-    """Of a grid of 40 × 40 nodes with three freedoms each: little fill, and a node's freedoms one after another."""
+    """A grid of 40 × 40 nodes: little fill, and the three degrees of freedom of a node stay together."""
     grid = sp.diags([np.ones(39), np.full(40, 4.0), np.ones(39)], [-1, 0, 1])
     K = sp.kron(sp.kron(grid, grid), np.ones((3, 3))).tocsr()
     places = nested_dissection(upper_triangle(K))
@@ -134,7 +134,7 @@ def test_the_layout_of_mumps_is_its_header_s(tmp_path):
         (HEADER.format(version="5.9.0", more=""), "#   define MUMPS_INTSIZE64", "64-bit integers"),
     ],
 )
-def test_a_header_that_is_not_understood_is_told(header, integers, says, tmp_path):
+def test_an_unknown_header_is_reported(header, integers, says, tmp_path):
     (tmp_path / "dmumps_c.h").write_text(header, encoding="utf-8")
     (tmp_path / "mumps_int_def.h").write_text(integers, encoding="utf-8")
     with pytest.raises(mumps.Unavailable, match=says):
@@ -175,8 +175,8 @@ def test_falls_back_to_sweeps_where_there_is_no_schur_complement(reason, monkeyp
     assert abs(H - exact).max() < 1e-12 * abs(exact).max() and (H == H.T).all()
 
 
-def test_mumps_s_own_words_for_want_of_memory(monkeypatch):
-    """A limit of 1 MB on what MUMPS may take (ICNTL(23)) is told as that, and as nothing else."""
+def test_mumps_errors_for_lack_of_memory_are_translated(monkeypatch):
+    """A limit of 1 MB on what MUMPS may take (ICNTL(23)) is reported as lack of memory."""
     K, L = spd(m=1000)
     run = mumps.Instance.run
     monkeypatch.setattr(mumps.Instance, "run", lambda self, job: (self.control(23, 1), run(self, job)))
@@ -185,7 +185,7 @@ def test_mumps_s_own_words_for_want_of_memory(monkeypatch):
 
 
 def test_other_failures_are_not_swallowed(monkeypatch):
-    """Whatever the text says: only the kind of the error lets the coefficients be computed in another way."""
+    """Only the type of the error, not its text, starts the other computation of coefficients."""
     K, L = spd()
 
     class Broken(Factorisation):
@@ -307,7 +307,7 @@ def test_three_processes_give_the_coefficients_of_one(tmp_path):
             assert abs(parallel[f"{name} G"] - G).max() < 1e-10 * abs(G).max()
 
 
-def test_the_number_of_threads_moves_no_digit():
+def test_the_number_of_threads_does_not_change_a_bit():
     K, L = spd(m=1500, n=500)
     right = np.random.default_rng(2).normal(size=(K.shape[0], BLOCK))
 

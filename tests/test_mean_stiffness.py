@@ -82,7 +82,7 @@ def test_parts_without_a_mean_shape_have_the_nominal_stiffness(built):
 
 
 @pytest.mark.fem
-def test_a_model_is_not_made_of_nominal_coefficients_where_others_are_asked_for(built):
+def test_nominal_coefficients_are_refused_for_the_stiffness_of_the_mean_shape(built):
     cache, models = built
     assembly = models["mean"][1]
     with pytest.raises(SceneError, match="stiffness"):
@@ -100,6 +100,6 @@ def test_a_model_is_not_made_of_nominal_coefficients_where_others_are_asked_for(
         ({"stiffness": "own"}, "stiffness"),
     ],
 )
-def test_what_the_stiffness_of_the_mean_shape_cannot_be_of_is_refused(keys, said):
+def test_scenes_without_the_stiffness_of_the_mean_shape_are_refused(keys, said):
     with pytest.raises(SceneError, match=said):
         read(lap("mean") | keys)

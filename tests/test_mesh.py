@@ -24,7 +24,7 @@ def consistent(triangles):
     return len(np.unique(directed, axis=0)) == len(directed)
 
 
-def test_a_sound_mesh_is_left_alone():
+def test_a_sound_mesh_is_not_changed():
     points, quadrilaterals = grid()
     triangles = triangles_of(quadrilaterals)
     new_points, new_triangles, report = repair(points, triangles)
@@ -192,6 +192,6 @@ def test_a_one_sided_strip_is_refused():
         ([[0, 0], [1, 0], [0, 1]], [[0, 1, 2]], r"\(n, 3\)"),
     ],
 )
-def test_what_is_no_mesh_is_refused(points, triangles, message):
+def test_invalid_meshes_are_refused(points, triangles, message):
     with pytest.raises(ValueError, match=message):
         repair(points, triangles)

@@ -1,4 +1,4 @@
-"""Mesh files: what every format gives, written by hand or by gmsh, and what each bad file ends in: one sentence."""
+"""Mesh files of every format, written by hand or by gmsh; each bad file is refused in one sentence."""
 
 import re
 
@@ -46,7 +46,7 @@ def test_a_file_of_each_format_is_read(tmp_path, name):
 @pytest.mark.parametrize(
     "kinds", [("S4", "S3R"), ("R3D4", "R3D3"), ("s4t", "dS3"), ("M3D4R", "M3D3"), ("CPS4I", "CPE3")]
 )
-def test_no_sheet_element_of_a_deck_is_passed_over(tmp_path, kinds):
+def test_every_shell_element_of_a_deck_is_read(tmp_path, kinds):
     (tmp_path / "a.inp").write_text(ABAQUS.replace("S4R", kinds[0]).replace("S3", kinds[1]))
     assert len(read_mesh(tmp_path / "a.inp")[0].triangles) == 3
 

@@ -9,7 +9,9 @@ from recorded.record import FOLDER, INCREMENTS, SCENES, drawn, outcome, platform
 TOLERANCE = 1e-10  # of the largest value of the array, where finite elements and BLAS are those of the recording
 ELSEWHERE = 1e-7  # the wheelhouse's compliance is conditioned such that others move its forces by 2e-8
 AT_HOME = ("motion",)  # counts from where the finite elements hold a free part; others may hold it elsewhere
-DEAR = [pytest.mark.slow, pytest.mark.fem]
+MARKS = {"wheelhouse": [pytest.mark.slow, pytest.mark.fem]} | dict.fromkeys(
+    ("hat_on_plate", "bracket"), [pytest.mark.slow]
+)
 EXACT = ("state", "failed")
 ROUNDING = {"gap": 1e-13}  # a difference of coordinates of hundreds of mm: what is less is nothing, on any machine
 
@@ -47,7 +49,7 @@ def model(cache):
 
 
 @pytest.mark.parametrize("increments", INCREMENTS)
-@pytest.mark.parametrize("name", [pytest.param(name, marks=DEAR if name == "wheelhouse" else []) for name in SCENES])
+@pytest.mark.parametrize("name", [pytest.param(name, marks=MARKS.get(name, [])) for name in SCENES])
 def test_the_same_scene_gives_the_same_numbers(name, increments, model):
     with np.load(FOLDER / f"{name}.npz") as file:
         held = [key for key in file.files if key.startswith("pairs/") or f"/{increments}/" in key]
@@ -63,7 +65,7 @@ def test_the_same_scene_gives_the_same_numbers(name, increments, model):
     assert not differences, "\n".join([heading, *differences])
 
 
-def test_a_difference_is_told_with_its_size():
+def test_a_difference_is_reported_with_its_size():
     recorded = np.array([1.0, -4.0])
     assert moved("coulomb/3/clamp/force", recorded * (1 + 1e-12), recorded) is None
     words = moved("coulomb/3/clamp/force", recorded * (1 + 1e-6), recorded)

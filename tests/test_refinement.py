@@ -157,7 +157,7 @@ def test_no_triangle_becomes_needle_shaped():
     assert shape(Surface(found.points, found.triangles)) > 0.4 * shape(Surface(points, triangles))
 
 
-def test_what_is_fine_enough_stays_as_it_is():
+def test_triangles_that_are_fine_enough_are_not_divided():
     points, triangles, normals = jittered()
     found = divided(points, triangles, normals, PLACES, REACHES, np.array([40.0, 40.0]))
     assert (found.triangles == triangles).all() and len(found.points) == len(points)

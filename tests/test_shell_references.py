@@ -31,7 +31,7 @@ def test_two_codes_and_three_elements_agree_within_their_own_errors(name):
 
 
 @pytest.mark.parametrize("name", KEPT)
-def test_the_reference_s_own_shells_give_what_is_kept(name):
+def test_shells_of_the_reference_reproduce_the_stored_values(name):
     for size, kept in list(zip(KEPT[name]["sizes"], KEPT[name]["methods"]["p2-cr"]["off"]))[:2]:
         assert off(references.by_shells(references.CASES[name], size, "p2-cr"), name) == pytest.approx(kept, rel=1e-2)
 
@@ -72,7 +72,7 @@ def test_quadrilaterals_are_split_so_that_little_is_lost():
 
 @needs_ccx
 @pytest.mark.parametrize("corners, method", [(3, "S6"), (4, "S8R")])
-def test_calculix_gives_what_is_kept(corners, method):
+def test_calculix_reproduces_the_stored_values(corners, method):
     case, kept = references.CASES["angle section"], KEPT["angle section"]
     H = references.by_calculix(case, case.sizes[0], corners)
     assert abs(H - H.T).max() < 1e-4 * abs(H).max()

@@ -50,7 +50,7 @@ def test_elements_at_a_nugget_are_no_larger_than_half_its_radius(assembly):
         assert len(part.surface.points) < len(drawn.points) + 2 * 250
 
 
-def test_everything_reads_where_it_did(assembly):
+def test_functionals_read_the_same_places_after_refinement(assembly):
     """Each functional has the place, the size and the first moment that it has on the mesh as it is drawn."""
     scene = lap_joint(5.0, fused=True)
     with pytest.MonkeyPatch.context() as patch:
@@ -61,7 +61,7 @@ def test_everything_reads_where_it_did(assembly):
         assert places(part) == pytest.approx(places(before), abs=1e-9)
 
 
-def test_averaged_welds_superelements_and_fine_meshes_are_left_as_they_are(assembly, cache):
+def test_averaged_welds_superelements_and_fine_meshes_are_not_refined(assembly, cache):
     part, scene = assembly.parts[0], assembly.scene
     assert refined_part(part, scene, *NONE) is part  # what has been divided is fine
     drawn: Part = replace(part, surface=assembly.surfaces[part.name], functionals=replace(part.functionals, patches=()))

@@ -130,7 +130,7 @@ def mesh_of(size, height=CROWN):
 
 
 def held_compliance(model):
-    """What force, clamp and measurement rows read of each other's forces, on the first six locators and on all."""
+    """Compliance of force, clamp and measurement rows, held by the first six locators and by all."""
     from scipy.sparse import csr_matrix, vstack
 
     from mic.compliance.elimination import eliminate

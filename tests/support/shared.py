@@ -1,6 +1,6 @@
-"""A full contact solve that processes share: ``python -m support.shared SCENE FOLDER RESULT PATH``.
+"""A full contact solve that processes share: ``python -m support.shared SCENE FOLDER RESULT``.
 
-PATH is ``followed`` or ``increments``; below FOLDER each process has a cache of its own.
+Below FOLDER each process has its own cache.
 """
 
 import sys
@@ -16,22 +16,21 @@ from mic.statistics.draw import draw
 from verification.scenes import few
 
 
-def solved(file, folder: Path, path: str) -> list[np.ndarray]:
-    """Measurements, fields, and what stages resolve, of one sample; the same in every process."""
+def solved(file, folder: Path) -> list[np.ndarray]:
+    """Measurements, fields and contact results of one sample; the same in every process."""
     scene = few(mic.load_scene(file))
-    pairs = 4 if path == "increments" else 2  # a followed path has hundreds of solves with four
-    steps = {"path": "increments", "increments": 2 if path == "increments" else 1}
-    asked = ("clamp", "release") if path == "increments" else ("release",)  # one stage is followed then
+    steps = {"path": "increments", "increments": 2}
+    loaded = ("clamp", "weld", "release")
     scene = scene.model_copy(
         update={
             "parts": [part.model_copy(update={"size": "coarse"}) for part in scene.parts],
-            "zones": [zone.model_copy(update={"pairs": pairs}) for zone in scene.zones],
+            "zones": [zone.model_copy(update={"pairs": 4}) for zone in scene.zones],
             "welds": [weld.model_copy(update={"fused": False}) for weld in scene.welds],
-            "stages": [stage.model_copy(update=steps) if stage.kind in asked else stage for stage in scene.stages],
+            "stages": [stage.model_copy(update=steps) if stage.kind in loaded else stage for stage in scene.stages],
         }
     )
     assembly = assemble(scene, folder / str(MPI.COMM_WORLD.rank))
-    full = FullModel(assembly, path_tolerance=2e-1).evaluate(draw(scene, 5, 0, 1)[0])
+    full = FullModel(assembly).evaluate(draw(scene, 5, 0, 1)[0])
     values = [full.measurements, *full.field("release").values()]
     values += [a for r in full.resolutions.values() for a in (r.force, r.displacement, r.reaction, r.trace.slip)]
     assert all(np.array_equal(a, b) for a, b in zip(values, MPI.COMM_WORLD.bcast(values)))
@@ -39,7 +38,7 @@ def solved(file, folder: Path, path: str) -> list[np.ndarray]:
 
 
 if __name__ == "__main__":
-    file, folder, result, path = sys.argv[1:]
-    values = solved(file, Path(folder), path)
+    file, folder, result = sys.argv[1:]
+    values = solved(file, Path(folder))
     if MPI.COMM_WORLD.rank == 0:
         np.savez(result, *values)
