@@ -74,7 +74,7 @@ class DeviationKeys(Table):
 class ForceDeviation(OnPart, DeviationKeys):
     """``kind = "force"``: shapes a part as a corrective force would.
 
-    Meanwhile a statically determinate choice of its first locators holds the part.
+    The part is held by a statically determinate choice of its first locators.
     """
 
     kind: Literal["force"] = Field(description='`"force"`')
@@ -261,7 +261,7 @@ class MeasuredDeviation(DeviationKeys):
         "mid-surface; ignored with a deviation",
     )
     align: Flag = Field(True, description="whether points are first aligned to the nominal part by a rigid best fit")
-    within: Positive = Field(5.0, description="points farther off the part, mm, are omitted, and counted")
+    within: Positive = Field(5.0, description="points farther from the part, mm, are omitted and counted")
     spacing: Positive | None = Field(
         None,
         description="distance of the points of the shape, each fitted to the measured points around it, mm; "

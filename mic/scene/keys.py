@@ -119,5 +119,6 @@ class OnPart(OnSheet):
     """An item on a part, or in a hole of it."""
 
     hole: Vector | None = Field(
-        None, description="or a point near the centre of a hole: its rim is read, as a pin does, at the hole's centre"
+        None,
+        description="or a point near the centre of a hole: the item is at its centre and reads its rim, as a pin",
     )

@@ -20,10 +20,10 @@ __all__ = [
     "ShimChoice",
     "check_optimisation",
     "jaws",
-    "mover",
-    "pushing",
+    "locator_or_clamp",
+    "clamps_with_force",
     "reachable_force",
-    "standing",
+    "named_items",
 ]
 
 ORDERED = ("clamp", "weld", "release")  # kinds of stages with an order
@@ -113,7 +113,7 @@ class Constraint(Table):
 
 
 class Optimisation(Table):
-    """What `mic optimise` may change, and its objective, evaluated over the variation of the inputs."""
+    """Objective and variables of `mic optimise`, evaluated over the variation of the inputs."""
 
     objective: Literal["cpk", "yield", "largest-six-sigma", "six-sigma", "cost"] = Field(
         "cpk",
@@ -141,7 +141,7 @@ class Optimisation(Table):
                 "the cost is lowest without any change; give reject, the cost of an assembly outside its limits, or "
                 "constraints"
             )
-        if self.objective != "cost" and (self.reject or any(one.cost for one in (*self.forces, *self.shims))):
+        if self.objective != "cost" and (self.reject or any(change.cost for change in (*self.forces, *self.shims))):
             raise ValueError(f"costs apply to the objective cost only, and it is {self.objective}: remove them")
         if self.weights and "six-sigma" not in self.objective:
             raise ValueError(f"weights apply to 6σ, and the objective is {self.objective}: remove them")
@@ -151,20 +151,21 @@ class Optimisation(Table):
 def jaws(scene, name: str) -> list[Any]:
     """The clamps of a name: one, or the jaws of a tong."""
     parts = {f"{name}-{part.name}" for part in scene.parts}
-    return [one for one in scene.clamps if one.name == name] or [one for one in scene.clamps if one.name in parts]
+    clamp = [clamp for clamp in scene.clamps if clamp.name == name]
+    return clamp or [clamp for clamp in scene.clamps if clamp.name in parts]
 
 
-def mover(scene, name: str) -> Any:
+def locator_or_clamp(scene, name: str) -> Any:
     """The locator or clamp of a name; None if there is none."""
-    return next((one for one in (*scene.locators, *scene.clamps) if one.name == name), None)
+    return next((item for item in (*scene.locators, *scene.clamps) if item.name == name), None)
 
 
-def standing(scene, item: str) -> list[Any]:
+def named_items(scene, item: str) -> list[Any]:
     """The item ``TABLE.NAME``, or the jaws of a tong; empty if there is none."""
     table, _, name = item.partition(".")
     if table == "clamps":
         return jaws(scene, name)
-    return [one for one in getattr(scene, table) if one.name == name] if table in MOVED else []
+    return [entry for entry in getattr(scene, table) if entry.name == name] if table in MOVED else []
 
 
 def check_optimisation(scene) -> None:
@@ -175,173 +176,177 @@ def check_optimisation(scene) -> None:
     ValueError
         One line per error, with the key and the remedy.
     """
-    asked = scene.optimise
-    if asked is None:
+    settings = scene.optimise
+    if settings is None:
         return
     raise_errors(
         line
         for check in (_measured, _forces, _shims, _orders, _places, _constraints)
-        for line in error_lines(check, scene, asked)
+        for line in error_lines(check, scene, settings)
     )
 
 
-def _measured(scene, asked) -> None:
-    names = [one.name for one in scene.measurements]
+def _measured(scene, settings) -> None:
+    names = [item.name for item in scene.measurements]
     if not names:
         raise ValueError(
-            f"optimise.objective: {asked.objective} needs measurements with a tolerance, and there are none; "
+            f"optimise.objective: {settings.objective} needs measurements with a tolerance, and there are none; "
             "add [[measurements]]"
         )
     raise_errors(
         line
-        for key, given in (("of", asked.of), ("weights", asked.weights))
+        for key, given in (("of", settings.of), ("weights", settings.weights))
         for name in given
         for line in error_lines(check_known, f"optimise.{key}", name, names, "measurement")
     )
 
 
-def _forces(scene, asked) -> None:
-    names, found, seen = [one.name for one in scene.clamps], [], set()
-    for i, choice in enumerate(asked.forces):
-        at, stated, twice = f"optimise.forces[{i}]", set(), ""
+def _forces(scene, settings) -> None:
+    names, errors, seen = [clamp.name for clamp in scene.clamps], [], set()
+    for i, choice in enumerate(settings.forces):
+        at, stated, repeated = f"optimise.forces[{i}]", set(), ""
         for name in choice.clamps:
-            own = jaws(scene, name)
-            if not own:
-                found += error_lines(check_known, f"{at}.clamps", name, names, "clamp")
-            for clamp in own:
+            clamps = jaws(scene, name)
+            if not clamps:
+                errors += error_lines(check_known, f"{at}.clamps", name, names, "clamp")
+            for clamp in clamps:
                 if clamp.force is None:
-                    found.append(f"{at}.clamps: {clamp.name!r} has a stroke and no force; name it in optimise.shims")
+                    errors.append(f"{at}.clamps: {clamp.name!r} has a stroke and no force; name it in optimise.shims")
                     continue
                 stated.add(clamp.force)
-                twice = twice or (clamp.name if clamp.name in seen else "")
+                repeated = repeated or (clamp.name if clamp.name in seen else "")
                 seen.add(clamp.name)
-        if twice:
-            found.append(f"{at}.clamps: {twice!r} is given twice; name it once")
+        if repeated:
+            errors.append(f"{at}.clamps: {repeated!r} is given twice; name it once")
         if len(stated) > 1:
-            found.append(f"{at}.clamps: their forces differ in this scene; give each clamp a table of its own")
+            errors.append(f"{at}.clamps: their forces differ in this scene; give each clamp a table of its own")
         low, high = choice.between
-        found += [
+        errors += [
             f"{at}.between: the scene states {force:g} N, which is outside {low:g} to {high:g}; correct either"
             for force in stated
             if not low <= force <= high
         ]
-    raise_errors(found)
+    raise_errors(errors)
 
 
-def _shims(scene, asked) -> None:
-    names = [one.name for one in (*scene.locators, *scene.clamps)]
-    found, seen = [], set()
-    for i, choice in enumerate(asked.shims):
+def _shims(scene, settings) -> None:
+    names = [item.name for item in (*scene.locators, *scene.clamps)]
+    errors, seen = [], set()
+    for i, choice in enumerate(settings.shims):
         at, kinds = f"optimise.shims[{i}].of", set()
         for name in choice.of:
-            own = mover(scene, name)
-            if own is None:
-                found += error_lines(check_known, at, name, names, "locator or clamp")
+            item = locator_or_clamp(scene, name)
+            if item is None:
+                errors += error_lines(check_known, at, name, names, "locator or clamp")
                 continue
-            kinds.add(type(own).__name__)
-            if getattr(own, "force", None) is not None:
-                found.append(f"{at}: {name!r} pushes with a force and has no position; name it in optimise.forces")
-            if getattr(own, "parts", None) is not None:
-                found.append(f"{at}: {name!r} is a tong, whose jaws would move alike; remove it")
+            kinds.add(type(item).__name__)
+            if getattr(item, "force", None) is not None:
+                errors.append(f"{at}: {name!r} pushes with a force and has no position; name it in optimise.forces")
+            if getattr(item, "parts", None) is not None:
+                errors.append(f"{at}: {name!r} is a tong, whose jaws would move alike; remove it")
             if name in seen:
-                found.append(f"{at}: {name!r} is given twice; name it once")
+                errors.append(f"{at}: {name!r} is given twice; name it once")
             seen.add(name)
         if len(kinds) > 1:
-            found.append(f"{at}: locators and clamps cannot share a table; give each a table of its own")
-    raise_errors(found)
+            errors.append(f"{at}: locators and clamps cannot share a table; give each a table of its own")
+    raise_errors(errors)
 
 
-def _orders(scene, asked) -> None:
+def _orders(scene, settings) -> None:
     stages = {str(stage.name): stage for stage in scene.stages}
-    found, seen = [], set()
-    for i, choice in enumerate(asked.orders):
+    errors, seen = [], set()
+    for i, choice in enumerate(settings.orders):
         at = f"optimise.orders[{i}]"
         stage = stages.get(choice.stage)
         if stage is None or stage.kind not in ORDERED:
-            able = [name for name, one in stages.items() if one.kind in ORDERED]
-            found += error_lines(check_known, f"{at}.stage", choice.stage, able, "stage that closes or opens anything")
+            ordered = [name for name, stage in stages.items() if stage.kind in ORDERED]
+            errors += error_lines(
+                check_known, f"{at}.stage", choice.stage, ordered, "stage that closes or opens anything"
+            )
             continue
         if choice.stage in seen:
-            found.append(f"{at}.stage: {choice.stage!r} is given twice; name it once")
+            errors.append(f"{at}.stage: {choice.stage!r} is given twice; name it once")
         seen.add(choice.stage)
         if choice.groups is not None and stage.kind != "release":
-            found += error_lines(_grouped, scene, f"{at}.groups", stage, choice.groups)
-    raise_errors(found)
+            errors += error_lines(_grouped, scene, f"{at}.groups", stage, choice.groups)
+    raise_errors(errors)
 
 
 def _grouped(scene, key: str, stage, groups) -> None:
-    own = [one.name for table in CLOSING for one in getattr(scene, table) if one.stage == stage.name]
-    given = [one for name in (name for group in groups for name in group) for one in _called(scene, name)]
-    strange = [name for name in given if name not in own]
-    twice = [name for name in given if given.count(name) > 1]
-    missing = [name for name in own if name not in given]
-    if strange:
-        check_known(key, strange[0], own, f"item of stage {stage.name!r}")
-    if twice:
-        raise ValueError(f"{key}: {twice[0]!r} is given twice; name it in one group")
+    names = [item.name for table in CLOSING for item in getattr(scene, table) if item.stage == stage.name]
+    given = [item for group in groups for name in group for item in _called(scene, name)]
+    unknown = [name for name in given if name not in names]
+    repeated = [name for name in given if given.count(name) > 1]
+    missing = [name for name in names if name not in given]
+    if unknown:
+        check_known(key, unknown[0], names, f"item of stage {stage.name!r}")
+    if repeated:
+        raise ValueError(f"{key}: {repeated[0]!r} is given twice; name it in one group")
     if missing:
         raise ValueError(f"{key}: the stage closes {missing[0]!r} too; add it to a group")
 
 
 def _called(scene, name: str) -> list[str]:
     """The names of the items of a name: itself, or the jaws of a tong."""
-    return [one.name for one in jaws(scene, name)] or [name]
+    return [clamp.name for clamp in jaws(scene, name)] or [name]
 
 
-def _places(scene, asked) -> None:
-    found, seen = [], set()
-    for i, choice in enumerate(asked.places):
+def _places(scene, settings) -> None:
+    errors, seen = [], set()
+    for i, choice in enumerate(settings.places):
         at = f"optimise.places[{i}].item"
-        items = standing(scene, choice.item)
+        items = named_items(scene, choice.item)
         if not items:
-            names = [f"{key}.{one.name}" for key in MOVED for one in getattr(scene, key)]
-            found += error_lines(check_known, at, choice.item, names, "item")
-        elif any(getattr(one, "hole", None) is not None for one in items):
-            found.append(f"{at}: {choice.item!r} is in a hole and cannot move by itself; remove it")
+            names = [f"{key}.{item.name}" for key in MOVED for item in getattr(scene, key)]
+            errors += error_lines(check_known, at, choice.item, names, "item")
+        elif any(getattr(item, "hole", None) is not None for item in items):
+            errors.append(f"{at}: {choice.item!r} is in a hole and cannot move by itself; remove it")
         if choice.item in seen:
-            found.append(f"{at}: {choice.item!r} is given twice; put all its points into one table")
+            errors.append(f"{at}: {choice.item!r} is given twice; put all its points into one table")
         seen.add(choice.item)
-    raise_errors(found)
+    raise_errors(errors)
 
 
-def _constraints(scene, asked) -> None:
-    found: list[str] = []
-    for i, one in enumerate(asked.constraints):
+def _constraints(scene, settings) -> None:
+    errors: list[str] = []
+    for i, constraint in enumerate(settings.constraints):
         at = f"optimise.constraints[{i}]"
-        if one.quantity != "force":
+        if constraint.quantity != "force":
             names = [item.name for item in scene.measurements]
-            found += [
-                line for name in one.of for line in error_lines(check_known, f"{at}.of", name, names, "measurement")
+            errors += [
+                line
+                for name in constraint.of
+                for line in error_lines(check_known, f"{at}.of", name, names, "measurement")
             ]
             continue
-        unknown = [name for name in one.of if not any(clamp.force is not None for clamp in jaws(scene, name))]
+        unknown = [name for name in constraint.of if not any(clamp.force is not None for clamp in jaws(scene, name))]
         if unknown:
-            found += error_lines(check_known, f"{at}.of", unknown[0], [], "clamp with a force") or [at]
+            errors += error_lines(check_known, f"{at}.of", unknown[0], [], "clamp with a force") or [at]
             continue
-        low, high = reachable_force(scene, asked, one)
-        if one.at_least is not None and high < one.at_least:
-            found.append(
-                f"{at}: the forces cannot reach {one.at_least:g} N together, {one.at_least - high:g} N are missing at "
-                f"their largest; widen their bounds, or require {high:g} N"
+        low, high = reachable_force(scene, settings, constraint)
+        if constraint.at_least is not None and high < constraint.at_least:
+            errors.append(
+                f"{at}: the forces cannot reach {constraint.at_least:g} N together, {constraint.at_least - high:g} N "
+                f"are missing at their largest; widen their bounds, or require {high:g} N"
             )
-        if one.at_most is not None and low > one.at_most:
-            found.append(
-                f"{at}: the forces cannot stay below {one.at_most:g} N together, they are {low - one.at_most:g} N "
-                f"above at their least; widen their bounds, or allow {low:g} N"
+        if constraint.at_most is not None and low > constraint.at_most:
+            errors.append(
+                f"{at}: the forces cannot stay below {constraint.at_most:g} N together, they are "
+                f"{low - constraint.at_most:g} N above at their least; widen their bounds, or allow {low:g} N"
             )
-    raise_errors(found)
+    raise_errors(errors)
 
 
-def pushing(scene, one: Constraint) -> list[Any]:
+def clamps_with_force(scene, constraint: Constraint) -> list[Any]:
     """The clamps with a force of a constraint."""
-    named = [clamp for name in one.of for clamp in jaws(scene, name)] if one.of else scene.clamps
+    named = [clamp for name in constraint.of for clamp in jaws(scene, name)] if constraint.of else scene.clamps
     return [clamp for clamp in named if clamp.force is not None]
 
 
-def reachable_force(scene, asked, one: Constraint) -> tuple[float, float]:
+def reachable_force(scene, settings, constraint: Constraint) -> tuple[float, float]:
     """The least and the largest sum of the forces of a constraint, N."""
-    bounds = {clamp.name: choice.between for choice in asked.forces for clamp in _every_jaw(scene, choice.clamps)}
-    ends = [bounds.get(clamp.name, (clamp.force, clamp.force)) for clamp in pushing(scene, one)]
+    bounds = {clamp.name: choice.between for choice in settings.forces for clamp in _every_jaw(scene, choice.clamps)}
+    ends = [bounds.get(clamp.name, (clamp.force, clamp.force)) for clamp in clamps_with_force(scene, constraint)]
     return sum(low for low, _ in ends), sum(high for _, high in ends)
 
 

@@ -44,7 +44,9 @@ class Report(Table):
     """Requested results; others are not computed."""
 
     laws: Annotated[list[str], Field(min_length=1)] = Field(
-        ["coulomb"], description="contact laws: " + ", ".join(f"`{law.name}` ({law.title})" for law in LAWS.values())
+        ["coulomb"],
+        description="contact laws: "
+        + ", ".join(f"`{law.name}` ({law.title.removesuffix('.')})" for law in LAWS.values()),
     )
     slip: Flag = Field(
         False,
