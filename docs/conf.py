@@ -1,4 +1,4 @@
-"""Sphinx: the documentation is these pages, what the code says of itself, and a gallery that is run (script/docs)."""
+"""Sphinx configuration: written pages, pages generated from the code, and a gallery that is run (script/docs)."""
 
 from __future__ import annotations
 
@@ -26,12 +26,12 @@ extensions = [
     "sphinx_gallery.gen_gallery",
 ]
 exclude_patterns = ["gallery/*", "images/*.py"]
-suppress_warnings = ["config.cache"]  # the gallery's order is a function, which no cache can hold
+suppress_warnings = ["config.cache"]  # the gallery's order is a function, which cannot be pickled
 
 default_role = "literal"  # single backquotes name an argument or attribute
-autodoc_default_options = {"exclude-members": "model_config"}  # how pydantic keeps its settings
+autodoc_default_options = {"exclude-members": "model_config"}  # pydantic's settings
 autodoc_member_order = "bysource"
-autodoc_typehints = "none"  # the numpydoc sections say more: shapes, units, signs
+autodoc_typehints = "none"  # the numpydoc sections have shapes, units and signs
 numpydoc_show_class_members = False
 
 myst_enable_extensions = ["dollarmath", "colon_fence"]
@@ -53,7 +53,7 @@ html_title = "mic-contact"
 html_show_sourcelink = False
 html_static_path = ["site.css"]
 html_css_files = ["site.css"]
-html_math_renderer = "mathml"  # browsers typeset it themselves: no script, nothing fetched from elsewhere
+html_math_renderer = "mathml"  # typeset by browsers, without scripts or downloads
 html_theme_options = {
     "header_links_before_dropdown": 6,
     "navigation_with_keys": False,
@@ -65,20 +65,20 @@ html_theme_options = {
 
 
 def mathml(display):
-    """How an equation enters a page."""
+    """A renderer of equations as MathML."""
 
     def visit(self, node):
         text = convert(node.astext(), display=display)
-        self.body.append(text.replace("<mo>&#x0005E;", '<mo stretchy="false">&#x0005E;'))  # a hat, not a roof
+        self.body.append(text.replace("<mo>&#x0005E;", '<mo stretchy="false">&#x0005E;'))  # a hat, not a wide accent
         raise nodes.SkipNode
 
     return visit, None
 
 
 def equations(app, what, name, obj, options, lines):
-    """Indented paragraphs of a docstring are equations: they keep their lines and columns.
+    """Make indented paragraphs of a docstring, which are equations, literal blocks.
 
-    What numpydoc reads by sections is left to it, from the first underlined heading on.
+    The numpydoc sections, from the first underlined heading on, are unchanged.
     """
     end = next((i - 1 for i, line in enumerate(lines) if i and re.fullmatch(r"\s*-{3,}", line)), len(lines))
     done, base, literal = [], 0, False
@@ -91,18 +91,19 @@ def equations(app, what, name, obj, options, lines):
             elif indent < base + 4:
                 item = re.match(r"\s*([-*]|\d+\.) +", line)
                 base, literal = len(item[0]) if item else indent, False
-        done.append(re.sub(r" {6,}(\(\d+\))$", r"      \1", line) if literal else line)  # its number within sight
+        # the number of an equation closer to it
+        done.append(re.sub(r" {6,}(\(\d+\))$", r"      \1", line) if literal else line)
     lines[:] = done + lines[end:]
 
 
 def _marked(done):
-    """Whether the paragraph before says by itself what follows: a literal block, or a directive."""
-    said = next((line.strip() for line in reversed(done) if line.strip()), "")
-    return said.endswith("::") or said.startswith("..")
+    """Whether the last line introduces a literal block or is a directive."""
+    last = next((line.strip() for line in reversed(done) if line.strip()), "")
+    return last.endswith("::") or last.startswith("..")
 
 
 def references(app, what, name, obj, options, lines):
-    """A module numbers its references once, for all its functions; numpydoc would want them in each docstring."""
+    """References are numbered once per module; numpydoc expects them in each docstring."""
     text = "\n".join(lines)
     if what == "module":
         text = re.sub(r"^(\w[^\n]*)\n-{3,}$", r".. rubric:: \1\n", text, flags=re.MULTILINE)

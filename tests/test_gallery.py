@@ -8,7 +8,7 @@ import matplotlib.pyplot as plt
 import pytest
 
 from mic.report.picture import Picture
-from mic.report.study_pictures import SHOWN
+from mic.report.study_pictures import STUDIES
 
 FOLDER = Path(__file__).resolve().parents[1] / "docs" / "gallery"
 #: By page: names of the pictures of the report that it leaves, and words that it prints.
@@ -29,11 +29,11 @@ BESIDE = {"order": "contributors", "run": "wheelhouse"}
 
 
 def test_every_function_that_has_pictures_has_a_page_that_shows_them():
-    for one in SHOWN:
-        page = (FOLDER / f"{BESIDE.get(one.command, one.command)}.py").read_text(encoding="utf-8")
-        assert f"mic.{one.command}(" in page or f"runs.{one.command}(" in page, one.command
-        assert "from mic.report" in page, one.command
-    assert {one.command for one in SHOWN} == {*PAGES, *BESIDE}
+    for study in STUDIES:
+        page = (FOLDER / f"{BESIDE.get(study.command, study.command)}.py").read_text(encoding="utf-8")
+        assert f"mic.{study.command}(" in page or f"runs.{study.command}(" in page, study.command
+        assert "from mic.report" in page, study.command
+    assert {study.command for study in STUDIES} == {*PAGES, *BESIDE}
 
 
 @pytest.mark.slow

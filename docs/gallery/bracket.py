@@ -2,7 +2,8 @@
 Bracket
 =======
 
-Three sheets of three materials, joined in two steps. What does each step leave in the key characteristics?
+Three sheets of three materials, joined in two steps: the effect of friction on the key characteristics, and the forces
+that the contact zones transmit.
 """
 
 import matplotlib.pyplot as plt
@@ -16,12 +17,12 @@ scene = mic.load_scene(examples.folder("bracket"))
 model = mic.reduce(scene)
 
 # %%
-# Ten assemblies under Coulomb's law, and the same ten without friction.
+# The same ten assemblies with Coulomb friction and without friction.
 deviations = draw(scene, seed=1, first=0, count=10)
 measured = {law: model.evaluate(deviations, law).measurements for law in ("coulomb", "frictionless")}
 
 # %%
-# What friction changes of each key characteristic, one dot an assembly.
+# Change of each key characteristic by friction; one dot per assembly.
 figure, axis = plt.subplots(figsize=(7, 3.2), layout="constrained")
 change = 1e3 * (measured["coulomb"] - measured["frictionless"])
 for k in range(len(scene.measurements)):
@@ -36,9 +37,9 @@ axis.invert_yaxis()
 plt.show()
 
 # %%
-# The forces that each zone carries while the assembly is clamped and after it was released, N in the mean.
+# Mean normal force of each zone in N, clamped and released.
 evaluation = model.evaluate(deviations, "coulomb")
 for stage, resolution in evaluation.resolutions.items():
     normal = resolution.force[..., 0]
-    of_zone = [normal[:, model.contacts.zone == k].sum(axis=1).mean() for k in range(len(scene.zones))]
-    print(stage, dict(zip([zone.name for zone in scene.zones], np.round(of_zone, 1).tolist())))
+    zone_force = [normal[:, model.contacts.zone == k].sum(axis=1).mean() for k in range(len(scene.zones))]
+    print(stage, dict(zip([zone.name for zone in scene.zones], np.round(zone_force, 1).tolist())))

@@ -1,10 +1,9 @@
 """
-Find what drives a characteristic
-=================================
+Contributors to the variance
+============================
 
-Which source makes the key characteristics of the lap joint scatter, and does the order matter in which the process
-closes? ``mic contributors`` gives shares of the variance, interactions included; ``mic order`` the changes under other
-orders.
+``mic contributors`` computes the share of each source in the variance of the key characteristics of the lap joint,
+interactions included. ``mic order`` computes the changes under other orders of clamps and welds.
 """
 
 import mic
@@ -12,19 +11,19 @@ from mic import examples
 from mic.report import pictures
 
 model = mic.reduce(mic.load_scene(examples.folder("lap_joint")))
-found = mic.contributors(model, "coulomb", samples=32, seed=1)
+contributors = mic.contributors(model, "coulomb", samples=32, seed=1)
 
 # %%
-# Sobol's indices: the share of the variance that a source makes alone and with others, and what a linear analysis says.
-(shares,) = pictures(found)
+# Sobol indices: the share of each source alone and including interactions, and the share by a linear analysis.
+(shares,) = pictures(contributors)
 shares
 
 # %%
-# The same samples under other orders of the process: changes of mean and 6σ, µm.
-told = mic.order(model, law="coulomb", samples=8)
-measured = told[told["tolerance"].notna()].set_index(["order", "quantity"])
+# Changes of mean and 6σ under other orders of the process, with the same samples, µm.
+orders = mic.order(model, law="coulomb", samples=8)
+measured = orders[orders["tolerance"].notna()].set_index(["order", "quantity"])
 print((1e3 * measured[["mean_change", "six_sigma_change"]]).round(2).to_string())
 
 # %%
-(changes,) = pictures(told)
+(changes,) = pictures(orders)
 changes

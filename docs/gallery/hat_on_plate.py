@@ -2,7 +2,7 @@
 Hat on plate
 ============
 
-A hat profile welded to a plate along its two flanges. Where do the flanges slip while the clamps close?
+A hat profile welded to a plate along its two flanges: slip of the flanges in each stage.
 """
 
 import matplotlib.pyplot as plt
@@ -16,11 +16,11 @@ scene = mic.load_scene(examples.folder("hat_on_plate"))
 model = mic.reduce(scene)
 
 # %%
-# Twenty assemblies, drawn as a Monte Carlo would draw them: by seed and number.
+# The first twenty samples of a Monte Carlo with seed 1.
 evaluation = model.evaluate(draw(scene, seed=1, first=0, count=20), "coulomb")
 
 # %%
-# Slip is what each contact pair slid under load, in each stage that resolves contact.
+# RMS slip of each contact pair, by stage.
 stages = list(evaluation.resolutions)
 figure, axes = plt.subplots(1, len(stages), figsize=(9, 3.2), sharey=True, layout="constrained")
 for axis, stage in zip(np.atleast_1d(axes), stages):

@@ -2,8 +2,9 @@
 Lap joint
 =========
 
-Two strips, clamped and welded in their overlap: the smallest assembly with every ingredient. How much of the
-contact carries load, and how far do the sheets move on each other when the upper strip's shape deviates?
+Two strips, clamped and welded in their overlap: the smallest example with locators, clamps, welds and frictional
+contact. The plots show the relative motion of the sheets over the shape deviation of the upper strip, and the contact
+forces.
 """
 
 import matplotlib.pyplot as plt
@@ -16,18 +17,18 @@ scene = mic.load_scene(examples.folder("lap_joint"))
 model = mic.reduce(scene)
 
 # %%
-# The corrective force F1 shapes the upper strip. All other deviations stay at their means.
+# The corrective force F1 sets the shape of the upper strip. All other deviations have their means.
 force = np.linspace(-12.0, 4.0, 33)
 deviations = np.tile([deviation.mean for deviation in scene.deviations], (len(force), 1))
 deviations[:, model.parameters.index("F1")] = force
 result = {law: model.evaluate(deviations, law) for law in scene.report.laws}
 
 # %%
-# How far the sheets move on each other depends on the contact law; contacts that are open count too.
+# The relative tangential displacement depends on the contact law. Open contacts are included.
 figure, (left, right) = plt.subplots(1, 2, figsize=(9, 3.5), layout="constrained")
 for law, evaluation in result.items():
-    moved = evaluation.resolutions["clamp"].displacement[:, :, 1:]
-    left.plot(force, 1e3 * np.sqrt((moved**2).sum(axis=2).mean(axis=1)), label=law)
+    tangential = evaluation.resolutions["clamp"].displacement[:, :, 1:]
+    left.plot(force, 1e3 * np.sqrt((tangential**2).sum(axis=2).mean(axis=1)), label=law)
 left.set(xlabel="F1 (N)", ylabel="RMS tangential displacement (µm)")
 left.legend()
 

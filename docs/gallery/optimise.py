@@ -1,9 +1,9 @@
 """
-An optimum
-==========
+Optimise clamp forces and shims
+===============================
 
-Which force of the clamp, and which shims, bring most lap joints within their limits? Not the nominal one: all that the
-parts' deviations make of them. What is found is judged on samples that had no part in finding it.
+``mic optimise`` finds the clamp force and the shim with the largest Cpk under all deviations of the parts. It evaluates
+the result on fresh samples, which were not used in the search.
 """
 
 import mic
@@ -12,20 +12,21 @@ from mic.report import pictures
 from mic.scene import Scene
 
 lap = mic.load_scene(examples.folder("lap_joint"))
-asked = {
+settings = {
     "objective": "cpk",
     "forces": [{"clamps": ["C1-upper", "C1-lower"], "between": [30.0, 120.0]}],
     "shims": [{"of": ["upper-A3"], "between": [-0.5, 0.5]}],
 }
-model = mic.reduce(Scene(**lap.model_dump() | {"optimise": asked, "folder": lap.folder}))
-found = mic.optimise(model, "coulomb", samples=40, fresh=100, budget=1500)
-for change in found.changes:
+model = mic.reduce(Scene(**lap.model_dump() | {"optimise": settings, "folder": lap.folder}))
+optimum = mic.optimise(model, "coulomb", samples=40, fresh=100, budget=1500)
+for change in optimum.changes:
     print(change)
-print(f"least Cpk {found.before:.2f} → {found.after:.2f}, gain between {found.gain.low:.2f} and {found.gain.high:.2f}")
+gain = optimum.gain
+print(f"least Cpk {optimum.before:.2f} → {optimum.after:.2f}, gain between {gain.low:.2f} and {gain.high:.2f}")
 
 # %%
-# What that does to every characteristic, of samples that had no part in the search, and how the search went.
-changes, search = pictures(found)
+# The effect on each key characteristic on fresh samples, and the history of the search.
+changes, search = pictures(optimum)
 changes
 
 # %%

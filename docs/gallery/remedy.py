@@ -1,10 +1,9 @@
 """
-Find a remedy
-=============
+Find corrective actions
+=======================
 
-The drawing asks for M1 of the lap joint to be above -0.78 mm, but the upper strips of a batch come in with too large
-a force. Which locator would bring the assemblies back, and how far? ``mic remedy`` proposes changes by exact
-derivatives and evaluates them on fresh samples.
+The lower limit of M1 of the lap joint is -0.78 mm, and a batch of upper strips has a shifted mean shape. ``mic remedy``
+proposes locator adjustments by exact derivatives and evaluates them on fresh samples.
 """
 
 import mic
@@ -20,17 +19,17 @@ deviations = [
 ]  # fmt: skip
 limits = [item.model_copy(update={"lower": -0.78}) if item.name == "M1" else item for item in scene.measurements]
 model = mic.reduce(scene.model_copy(update={"deviations": deviations, "measurements": limits}))
-found = mic.remedy(model, "coulomb", samples=8, names=["upper-A1"], capability=0.3)
+remedies = mic.remedy(model, "coulomb", samples=8, names=["upper-A1"], capability=0.3)
 
 # %%
-# What to set, and what that does: on the samples that it was found by, and on fresh ones.
-print(found.table[["remedy", "adjustment", "change", "reached"]].to_string(index=False))
-effects = found.effects[(found.effects["measurement"] == "M1") & found.effects["fresh"]]
+# The proposed adjustments, and their effect on fresh samples.
+print(remedies.table[["remedy", "adjustment", "change", "reached"]].to_string(index=False))
+effects = remedies.effects[(remedies.effects["measurement"] == "M1") & remedies.effects["fresh"]]
 print(
     effects[["remedy", "mean_before", "mean", "outside_before", "outside", "gain_low"]].round(3).to_string(index=False)
 )
 
 # %%
-# The picture that a report shows of it: each characteristic with three standard deviations to either side.
-(done,) = pictures(found, model.scene)
-done
+# The picture of the report: each characteristic with its ±3σ range.
+(effect,) = pictures(remedies, model.scene)
+effect

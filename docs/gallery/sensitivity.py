@@ -1,10 +1,9 @@
 """
-What a step of each input changes
-=================================
+Sensitivities
+=============
 
-A locator that stands a tenth of a millimetre off, a clamp that pushes a tenth harder, a force by its standard
-deviation: by how much do the key characteristics of the lap joint move? ``mic sensitivity`` answers by exact
-derivatives, contact and friction included.
+``mic sensitivity`` computes the change of the key characteristics per step of each input, such as 0.1 mm of a locator,
+10 % of a clamp force or one standard deviation of a source, by exact derivatives, contact and friction included.
 """
 
 import mic
@@ -12,17 +11,21 @@ from mic import examples
 from mic.report import pictures
 
 model = mic.reduce(mic.load_scene(examples.folder("lap_joint")))
-found = mic.sensitivity(model, "coulomb", samples=10)
+sensitivities = mic.sensitivity(model, "coulomb", samples=10)
 
 # %%
-# About the mean assembly, and the range over ten others, µm; and how far the mean assembly is from where a contact
-# changes its state, beyond which the derivatives are others.
-largest = found.table.assign(size=found.table["effect"].abs()).nlargest(6, "size")
-told = largest[["measurement", "input", "step", "effect", "effect_low", "effect_high"]]
-print(told.assign(**{name: 1e3 * told[name] for name in told if "effect" in name}).round(2).to_string(index=False))
-print(f"The mean assembly is {found.reach:.2g} σ from the next change: {found.where}")
+# Effects at the mean assembly and their range over ten samples, µm; and the distance of the mean assembly from the
+# nearest change of a contact state, beyond which the derivatives change.
+largest = sensitivities.table.assign(size=sensitivities.table["effect"].abs()).nlargest(6, "size")
+effects = largest[["measurement", "input", "step", "effect", "effect_low", "effect_high"]]
+print(
+    effects.assign(**{name: 1e3 * effects[name] for name in effects if "effect" in name})
+    .round(2)
+    .to_string(index=False)
+)
+print(f"The mean assembly is {sensitivities.reach:.2g} σ from the next change: {sensitivities.where}")
 
 # %%
-# The picture that a report shows of it.
-(steps,) = pictures(found)
+# The picture of the report.
+(steps,) = pictures(sensitivities)
 steps

@@ -2,8 +2,8 @@
 Wheelhouse
 ==========
 
-Inner and outer wheelhouse with three contact zones along the arch: a synthetic assembly of the paper's kind, here on
-a coarse mesh.
+Inner and outer wheelhouse with three contact zones along the arch: a synthetic assembly similar to the paper's, on a
+coarse mesh.
 """
 
 import tempfile
@@ -27,8 +27,8 @@ scene = scene.model_copy(
 )
 
 # %%
-# Fifty assemblies into a results folder, as ``mic run`` would do it, and a picture that the report draws from it: how
-# far the surfaces scatter after release, the contact pairs, the welds.
+# Fifty assemblies, written into a results folder as by ``mic run``, and the overview of the report: scatter of the
+# surfaces after release, contact pairs and welds.
 with tempfile.TemporaryDirectory() as folder:
     outcome = runs.run(scene, Path(folder), mic.cache_folder())
     picture = draw("overview", outcome, read_context(outcome))
@@ -39,7 +39,7 @@ axis.set_axis_off()
 plt.show()
 
 # %%
-# Contact forces of one assembly after clamping: few of the candidate pairs carry load.
+# Contact forces of the nominal assembly after clamping: few of the candidate pairs transmit force.
 model = outcome.model
 evaluation = model.evaluate(dict.fromkeys(model.parameters, 0.0))
 force = evaluation.resolutions["clamp"].force[0, :, 0]

@@ -22,7 +22,7 @@ def main(folder: Path) -> int:
     missing = [name for name, picture in drawn.items() if picture is None]
     if missing:
         print(
-            f"{folder}: holds nothing to draw of {', '.join(missing)}; run the scene with its fields", file=sys.stderr
+            f"{folder}: has no data for {', '.join(missing)}; run the scene with report.fields = true", file=sys.stderr
         )
         return 1
     for name, picture in drawn.items():

@@ -1,7 +1,7 @@
-"""Two small decks to try `mic init` on: ``python make_decks.py`` writes panel.inp and channel.inp where it is called.
+"""Write two small decks for trying `mic init`, panel.inp and channel.inp, into the working directory.
 
-A panel, 200 × 100 mm, with two round holes, whose deck tells that it is 0.8 mm thick; and a hat channel that stands on
-it, whose deck tells nothing but the mesh. Both are drawn on the skins that touch, at z = 0, as exporters often do.
+The panel, 200 × 100 mm, has two round holes; its deck states the thickness 0.8 mm. The deck of the hat channel on it
+has only the mesh. Both meshes are on the skins that touch, at z = 0, as exporters often write them.
 """
 
 from pathlib import Path
@@ -10,14 +10,14 @@ import numpy as np
 
 from mic.geometry.structured import extrude
 
-AROUND, RINGS = 24, 4  # elements about a hole, and from it outwards
+AROUND, RINGS = 24, 4  # elements around a hole and in radial direction
 
 
 def panel():
     """Points (n, 3), mm, and quadrilaterals (k, 4): two squares, each with a hole of 10 mm in its middle."""
     angle = 2 * np.pi * np.arange(AROUND) / AROUND
     circle = np.column_stack([np.cos(angle), np.sin(angle)])
-    square = circle / np.abs(circle).max(axis=1, keepdims=True)  # 24 rays: four of them end in the corners
+    square = circle / np.abs(circle).max(axis=1, keepdims=True)  # 24 rays; four end in the corners
     points, quadrilaterals = [], []
     for centre in ([50, 50], [150, 50]):
         first = len(points)

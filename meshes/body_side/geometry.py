@@ -15,10 +15,10 @@ THICKNESS = 1.0  # mm, all parts
 WEB = 100.0  # mm, of a channel
 LIP = 20.0  # mm
 HAT_TOP, HAT_HEIGHT, HAT_DRAFT, FLANGE = 30.0, 40.0, 5.0, 25.0  # mm
-FOOT = HAT_TOP / 2 + HAT_DRAFT  # mm, where a hat's flange begins, from its middle
+FOOT = HAT_TOP / 2 + HAT_DRAFT  # mm from the middle of a hat to the start of its flange
 RAILS = {"rocker": 0.0, "waist": 450.0, "roof": 900.0}  # y of the middle
 PILLARS = {"a": 60.0, "b": 750.0, "c": 1440.0}  # x of the middle
-RAIL, PILLAR = (0.0, 1500.0), (-50.0, 950.0)  # from, to
+RAIL, PILLAR = (0.0, 1500.0), (-50.0, 950.0)  # mm, start and end
 
 PARTS = tuple(f"{member}-{sheet}" for member in (*RAILS, *PILLARS) for sheet in ("channel", "hat"))
 SIZES = {"coarse": 14.0, "medium": 8.0}  # mm

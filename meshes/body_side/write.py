@@ -1,4 +1,4 @@
-"""Writes the scene of the body side: locators, clamps, welds and zones stand where the geometry has its joints.
+"""Write the scene of the body side, with locators, clamps, welds and zones at the joints of its geometry.
 
 python meshes/body_side/write.py > meshes/body_side/body_side.toml
 """
@@ -25,20 +25,20 @@ laws = ["coulomb"]
 
 
 class Member:
-    """A rail or a pillar: where its points stand."""
+    """A rail or a pillar, and the coordinates of its points."""
 
     def __init__(self, name: str):
         self.name, self.rail = name, name in RAILS
         self.start, self.end = RAIL if self.rail else PILLAR
 
     def at(self, along: float, across: float, height: float = 0.0) -> list[float]:
-        """A point by its place along the member, across it, and above its channel's web."""
+        """Coordinates of a point, from those along the member, across it, and above its channel's web."""
         if self.rail:
             return [along, RAILS[self.name] + across, height]
         return [PILLARS[self.name] + across, along, -THICKNESS - height]
 
     def share(self, share: float) -> float:
-        """Where a share of its length is."""
+        """Coordinate along the member at a share of its length."""
         return self.start + share * (self.end - self.start)
 
 

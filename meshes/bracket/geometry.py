@@ -1,8 +1,8 @@
 """A bracket of three sheets: x along it, y across, z up; all lengths in mm.
 
-An angle stands with its foot on a base, and a cap lies on the foot; nominally the sheets touch. They differ in
-thickness, and the surfaces drawn here, their middles, lie apart by half the sum of two. Normals of the base, the foot
-and the cap point along +z, those of the upright along -y.
+The foot of an angle is on a base, and a cap is on the foot; nominally the sheets touch. Their thicknesses differ; the
+distance of two mid-surfaces is the mean of the two thicknesses. Normals of the base, the foot and the cap point along
++z, those of the upright along -y.
 """
 
 from __future__ import annotations
@@ -12,14 +12,14 @@ from mic.geometry.structured import extrude
 BASE, ANGLE, CAP = 1.5, 1.0, 1.2  # mm, thicknesses
 BASE_LENGTH, BASE_WIDTH = 120.0, 60.0  # mm
 ANGLE_BEGIN, ANGLE_LENGTH = 25.0, 70.0  # mm
-FOOT, UPRIGHT, LEAN = 36.0, 24.0, 2.0  # mm: width of the foot, height of the upright, and by how much it leans outwards
+FOOT, UPRIGHT, LEAN = 36.0, 24.0, 2.0  # mm: width of the foot, height of the upright, and outward lean
 CAP_BEGIN, CAP_LENGTH, CAP_WIDTH = 40.0, 75.0, 22.0  # mm
 FOOT_HEIGHT = (BASE + ANGLE) / 2
 CAP_HEIGHT = FOOT_HEIGHT + (ANGLE + CAP) / 2
 
 PARTS = ("base", "angle", "cap")
 SIZES = {"coarse": 8.0, "medium": 4.0, "fine": 2.0}  # mm
-FINER = {"base": 1.0, "angle": 1.1, "cap": 1.25}  # by which elements are smaller, so that no two meshes match
+FINER = {"base": 1.0, "angle": 1.1, "cap": 1.25}  # factors of smaller elements, so that the meshes do not match
 
 
 def build(part: str, size: float):

@@ -1,8 +1,8 @@
 """A hat section on a plate: x along the hat, y across, z up; all lengths in mm.
 
 The plate's mid-surface lies at z = 0, those of the hat's two flanges at z = THICKNESS; nominally the sheets touch. Both
-parts are centred on y = 0 and reach from x = 0 to x = LENGTH. Normals of the plate, and of the hat's flanges and top,
-point along +z; on the flanges that is from the plate to the hat.
+parts are centred on y = 0 and extend from x = 0 to x = LENGTH. Normals of the plate, and of the hat's flanges and top,
+point along +z, on the flanges from the plate to the hat.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ LENGTH = 160.0  # mm, both parts
 PLATE_WIDTH = 120.0  # mm
 FLANGE_WIDTH = 20.0  # mm, each
 WEB_HEIGHT = 30.0  # mm
-WEB_DRAFT = 5.0  # mm, by which a web leans inwards
+WEB_DRAFT = 5.0  # mm, inward lean of a web
 TOP_WIDTH = 40.0  # mm
 THICKNESS = 1.0  # mm, both parts
 

@@ -33,10 +33,10 @@ THICKNESS = 0.7  # mm, both sheets
 # The arch that both parts follow
 ARCH_START, ARCH_END = -95.0, 100.0  # degrees: front foot, rear foot
 ARCH_RADIUS = 340.0  # mm, wheel axis to the flange's root corner, before forming
-ARCH_SHIFT = 10.0  # mm, the arch's centre lies this far behind the axis
-ARCH_OVAL = 8.0  # mm, the arch is this much lower at the top and wider at the feet
-FLANGE_LEAN = 14.0  # mm, the arch leans inboard by this much at the top
-FLANGE_SKEW = 5.0  # mm, and outboard by this much at the rear foot
+ARCH_SHIFT = 10.0  # mm from the axis back to the arch's centre
+ARCH_OVAL = 8.0  # mm, lower at the top and wider at the feet by this
+FLANGE_LEAN = 14.0  # mm, inboard displacement of the arch at the top
+FLANGE_SKEW = 5.0  # mm, outboard displacement at the rear foot
 
 # The mating flange
 FLANGE_WIDTH = 24.0  # mm, from the end of the root bend to the free edge
@@ -44,7 +44,7 @@ FLANGE_TILT = 8.0  # degrees, against the radial direction, outboard
 ROOT_SETBACK = 5.0  # mm, from the root corner to where the bend begins
 
 # Profiles: (name of the straight region that ends at this corner, r in mm, y in mm, setback of the bend there in mm).
-# A setback is the length that a bend takes off each of its legs. The flange is common to both and comes first.
+# A setback is the length by which a bend shortens each of its legs. The flange is common to both and comes first.
 _ROOT = ("flange", ARCH_RADIUS, 0.0, ROOT_SETBACK)
 PROFILES = {
     "inner": (_ROOT, ("tread", 324.0, -215.0, 52.0), ("face", 200.0, -230.0, 8.0), ("hem", 196.0, -254.0, 0.0)),
@@ -60,7 +60,7 @@ PARTS = tuple(PROFILES)
 
 # Forming of the regions (heights in mm)
 CROWNS = {"inner": {"tread": 7.0}, "outer": {"panel": 2.0, "brim": 2.5}}  # radial bulge, largest in the middle
-INNER_NARROWING = 0.12  # the inner part is deeper by this share at the rear foot, shallower at the front foot
+INNER_NARROWING = 0.12  # share, deeper at the rear foot, shallower at the front foot
 
 
 class Pressing(NamedTuple):
@@ -104,7 +104,7 @@ PRESSINGS = (
 SIZES = {"coarse": 17.5, "medium": 8.0, "fine": 5.0}  # mm
 FLANGE_REFINEMENT = {"inner": 2.4, "outer": 2.7}  # size / size on the flange; they differ so that meshes do not match
 BEND_REFINEMENT = 1.6  # size / size along a bend
-PRESSING_REFINEMENT = 2.0  # size / size on what is pressed into a panel: there the sheet is curved most
+PRESSING_REFINEMENT = 2.0  # size / size on domes, beads and pads, where the sheet is curved most
 PAD = 4.0  # mm, radius of a locator's pad; elements there are no larger, and no larger than half of those elsewhere
 GROWTH = 0.3  # mm of size per mm of distance
 

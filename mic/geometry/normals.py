@@ -18,9 +18,9 @@ There is one normal for the triangles around a point that are connected by smoot
 edge, and b the largest dihedral angle of the sheet on its sides, an edge is
 
 ======  =============================================================================================================
-smooth  if d is small, or at most three times b fold    otherwise: both sides are flat, or d is larger than in any bend;
-also edges whose two triangles have inconsistent
-        orientation, and edges of more than two triangles
+smooth  if d is small, or at most three times b
+fold    otherwise: both sides are flat, or d is larger than in any bend; also edges whose two triangles have
+        inconsistent orientation, and edges of more than two triangles
 ======  =============================================================================================================
 
 On each side b is the largest dihedral angle of the edges at the opposite corner of the triangle and of those of its
