@@ -36,6 +36,7 @@ def checked(tmp_path, cache, *edits, page=None):
     return html, unpacked(data.group(1)) if data else None, done.output
 
 
+@pytest.mark.slow
 def test_all_that_the_scene_places_is_drawn_with_its_name(tmp_path, cache):
     html, data, output = checked(tmp_path, cache)
     assert "page: results/lap-joint/check.html" in output and "The scene is valid. </b>" not in html
@@ -53,6 +54,7 @@ def test_all_that_the_scene_places_is_drawn_with_its_name(tmp_path, cache):
     assert not re.search(r"(src|href)=[\"'](?!#)(?!data:)", html.split("<script>")[0]), "it needs another file"
 
 
+@pytest.mark.slow
 def test_gaps_are_a_map_in_mm_and_overlap_lies_below_zero(tmp_path, cache):
     """Sheets of 0.8 and 1.1 mm whose mid-surfaces are 1 mm apart: 0.05 mm of gap."""
     _, data, _ = checked(tmp_path, cache, ("thickness = 1\nyoung = 210000", "thickness = 0.9\nyoung = 210000"))
@@ -61,6 +63,7 @@ def test_gaps_are_a_map_in_mm_and_overlap_lies_below_zero(tmp_path, cache):
     assert data["map"] == {"scale": "viridis", "low": 0.0, "high": pytest.approx(0.1), "title": "gap (mm)"}
 
 
+@pytest.mark.slow
 def test_overlaps_and_gaps_have_different_signs(tmp_path, cache):
     _, data, _ = checked(tmp_path, cache, ("thickness = 1\nyoung = 210000", "thickness = 1.2\nyoung = 210000"))
     (group,) = [group for group in data["points"] if "values" in group]
@@ -68,6 +71,7 @@ def test_overlaps_and_gaps_have_different_signs(tmp_path, cache):
     assert data["map"]["low"] == pytest.approx(-0.2) and data["map"]["scale"] == "RdBu_r"
 
 
+@pytest.mark.slow
 def test_warnings_stand_beside_the_view_and_are_numbered_in_it(tmp_path, cache):
     edits = (("force = 60", "force = 60000"), ("young = 210000", "young = 210"))
     html, data, _ = checked(tmp_path, cache, *edits, page=tmp_path / "here.html")
@@ -108,6 +112,7 @@ name = "lower-A1"
 """
 
 
+@pytest.mark.slow
 def test_fixtures_are_drawn_unless_their_mesh_is_missing(tmp_path, cache):
     """A block from a file; a pad that is set against a part, and hence only where that is meshed; neither, if not."""
     edit = ('[[locators]]\nname = "lower-A1"\n', PAD)

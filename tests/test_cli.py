@@ -91,6 +91,7 @@ def test_run_check_report(command, here, tmp_path, no_pictures):
     assert old.returncode == 2 and len(old.stderr.strip().splitlines()) == 1 and "an older version" in old.stderr
 
 
+@pytest.mark.slow
 def test_check_shows_what_a_frictionless_run_omits(cache, tmp_path):
     text = (LAP / "scene.toml").read_text().replace("fields = true", "")
     text = re.sub(r'\[\[stages\]\]\nkind = "release".*?\n\n', "", text, flags=re.S)
@@ -103,6 +104,7 @@ def test_check_shows_what_a_frictionless_run_omits(cache, tmp_path):
     assert "no field solves" in lean
 
 
+@pytest.mark.slow
 def test_check_shows_sources_of_normals_and_draws_them(cache, tmp_path):
     """A geometry that leaves normals out: a bend of two rows by 100°, and flats."""
     script = """
@@ -146,6 +148,7 @@ def lap_with(tmp_path, *edits):
     return str(tmp_path)
 
 
+@pytest.mark.slow
 def test_check_prints_the_process_step_by_step_with_notes(cache, tmp_path, lap_model):
     """With coefficients at hand (those of the model) a few samples say where friction hardly matters."""
     scene = lap_with(
@@ -179,6 +182,7 @@ def test_check_prints_the_process_step_by_step_with_notes(cache, tmp_path, lap_m
     assert "note:" not in told and "Effect of the process order: not computed. Run mic order." in told
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("order", ["check", "run", "order"])
 def test_a_process_that_frees_a_part_is_refused_before_long_work(order, tmp_path, monkeypatch):
     scene = lap_with(tmp_path, ('keep = ["lower-A1", "lower-A2",', "keep = ["))
@@ -194,6 +198,7 @@ def test_a_process_that_frees_a_part_is_refused_before_long_work(order, tmp_path
     assert "stages (release): 2 rigid-body motions are free once lower-A1, lower-A2, upper-A1" in str(done.exception)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "arguments, words",
     [
@@ -248,6 +253,7 @@ def test_help_imports_no_numerical_library():
     assert told.returncode == 0 and "--samples" in told.stdout, told.stderr
 
 
+@pytest.mark.slow
 def test_production_path_imports_no_finite_elements():
     script = (
         "import sys, mic, mic.commands.run, mic.model.assembly, mic.runs, mic.report.page\n"
@@ -258,6 +264,7 @@ def test_production_path_imports_no_finite_elements():
     subprocess.run([sys.executable, "-c", script], check=True, timeout=60)
 
 
+@pytest.mark.slow
 def test_readme_snippet_runs(cache, tmp_path):
     readme = (ROOT / "README.md").read_text()
     snippet = re.search(r"```python\n(.*?)```", readme, re.S).group(1)

@@ -96,6 +96,7 @@ def test_yield_and_share_outside_are_counted_in_pairs(before):
     assert sentences(found)[0].startswith(f"{100 * (1 - b.mean()):.1f} % of the assemblies are within all limits")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("n", [20, 100])
 def test_intervals_have_their_stated_coverage(n):
     """1000 repetitions of correlated normals: 95 %, less three standard errors of that."""
@@ -142,7 +143,7 @@ def test_runs_without_common_characteristics_are_refused(before):
     scene = mic.Scene(**before.scene.model_dump(mode="json") | {"measurements": [items[0] | {"name": "other"}]})
     nothing = []
     for changes, words in (
-        (scene, r"no key characteristic in common \(M; other\): give two scenes of one assembly"),
+        (scene, r"no key characteristic in common \(M; other\): compare two scenes of one assembly"),
         (scene.model_copy(update={"parts": []}), r"'springs' and 'springs' have no part in common \(b, t; none\)"),
         (before.scene.model_copy(update={"stages": before.scene.stages[:2]}), r"key characteristic .* \(M; none\)"),
     ):

@@ -52,6 +52,7 @@ ISHIGAMI = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("linear", [False, True])
 def test_indices_of_a_function_in_closed_form(linear):
     found = picked(ishigami, 3, 20_000, 1, linear)
@@ -149,6 +150,7 @@ def dragged():
     )
 
 
+@pytest.mark.slow
 def test_two_deviations_that_matter_only_together_are_found(dragged):
     found = contributors(dragged, "coulomb", 500, seed=3)
     own = found.table.set_index("contributor")
@@ -163,6 +165,7 @@ def test_two_deviations_that_matter_only_together_are_found(dragged):
     np.testing.assert_allclose(other, [0.0, 0.0, -one.measurements[0, 0]], atol=1e-9)
 
 
+@pytest.mark.slow
 def test_a_warning_states_that_a_linear_analysis_misses_them(dragged):
     found = contributors(dragged, "coulomb", 500, seed=3)
     told = found.linearity.iloc[0]
@@ -192,6 +195,7 @@ def closing():
     )
 
 
+@pytest.mark.slow
 def test_differences_at_the_mean_miss_contributors_behind_a_gap_that_seldom_closes(closing):
     found = contributors(closing, "frictionless", 1000, seed=5)
     own, told = found.table.set_index("contributor"), found.linearity.iloc[0]
@@ -208,6 +212,7 @@ def test_differences_at_the_mean_miss_contributors_behind_a_gap_that_seldom_clos
     assert "drives it, and the differences at the mean would have named B1" in said and not told["linear"]
 
 
+@pytest.mark.slow
 def test_a_nearly_linear_assembly_is_called_so_and_all_rankings_agree(lap_model):
     found = contributors(lap_model, "coulomb", 32, seed=1)
     CONTRIBUTORS.check(found.table, "memory", "mend it")
@@ -233,6 +238,7 @@ def many():
     return sheets("ba", [90.0], ["ba"], items, friction=0.0, measured=("b", 0, 0, 1))
 
 
+@pytest.mark.slow
 def test_many_small_contributors_count_as_one_and_their_bounds_hold(many):
     found = contributors(many, "frictionless", 64, seed=1)
     CONTRIBUTORS.check(found.table, "memory", "mend it")
@@ -250,6 +256,7 @@ def test_many_small_contributors_count_as_one_and_their_bounds_hold(many):
     assert named(found.table, "total").startswith("L 55 %, N 31 %, K 14 %")
 
 
+@pytest.mark.slow
 def test_bounds_hold_for_a_nonlinear_assembly(closing):
     """Where the gap closes in a fifth of the samples."""
     own = groups(closing.scene)
@@ -295,6 +302,7 @@ def test_the_joint_ranking_weighs_each_characteristic_by_how_much_of_its_toleran
     assert named(ranked, "total") == "B 73 %, A 27 %"
 
 
+@pytest.mark.slow
 def test_the_command_takes_a_saved_model_and_prints_its_results(lap_model, tmp_path):
     lap_model.save(tmp_path / "model.npz")
     done = CliRunner().invoke(

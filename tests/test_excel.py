@@ -52,6 +52,7 @@ def sheets(path):
     return found
 
 
+@pytest.mark.slow
 def test_every_table_is_a_sheet_with_its_units_and_numbers(folder, tmp_path):
     pytest.importorskip("xlsxwriter")
     found = sheets(write_excel(folder, tmp_path / "tables.xlsx"))
@@ -68,6 +69,7 @@ def test_every_table_is_a_sheet_with_its_units_and_numbers(folder, tmp_path):
     assert meanings["measurements", "cpk"].startswith("Cpk = min(")
 
 
+@pytest.mark.slow
 def test_the_report_writes_it_into_the_results_folder(folder):
     pytest.importorskip("xlsxwriter")
     done = CliRunner().invoke(app, ["report", str(folder), "--excel"])

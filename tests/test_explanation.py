@@ -110,6 +110,7 @@ def touching():
     )
 
 
+@pytest.mark.slow
 def test_the_credible_region_covers_the_truth_where_contacts_change_state():
     """30 made assemblies of which only the upper part was measured: 95 %, less and more three standard errors."""
     model, draws, cases = touching(), np.random.default_rng(11), 30

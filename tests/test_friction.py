@@ -45,6 +45,7 @@ def effects(dragged):
     return friction_effects(dragged, "coulomb", 30, seed=2)
 
 
+@pytest.mark.slow
 def test_changes_agree_with_the_closed_form(dragged, effects):
     """The drag, and with it mean and 6σ, goes as μ of the zone above; the zone below never touches."""
     FRICTION_EFFECTS.check(effects, "memory", "mend it")
@@ -74,6 +75,7 @@ def test_the_zone_that_decides_and_how_well_its_friction_must_be_known(effects):
     assert "without friction its mean would be" in said and "above decides" in said
 
 
+@pytest.mark.slow
 def test_friction_that_varies_is_scaled_with_its_mean(dragged):
     """μ of every sample goes by the factor, so the drag of every sample does."""
     rough = {"name": "R", "kind": "friction", "target": "above", "sigma": 0.05}
@@ -108,6 +110,7 @@ def test_friction_by_pressure_is_scaled_with_the_rest(lap_model):
     assert with_scaled_friction(model, np.array([]), 2.0).contacts.pressure[0, 0, 1] == 0.2
 
 
+@pytest.mark.slow
 def test_the_command_prints_effects_and_refuses_a_frictionless_law(dragged, tmp_path):
     dragged.save(tmp_path / "model.npz")
     arguments = ["friction", str(tmp_path / "model.npz"), "--samples", "10"]

@@ -37,6 +37,7 @@ def calls(tmp_path):
     return (tmp_path / "geometry.py.calls").read_text().splitlines()
 
 
+@pytest.mark.slow
 def test_a_script_runs_once_and_its_mesh_is_cached(tmp_path):
     first, second = script(tmp_path, STRIP), script(tmp_path, STRIP)
     assert calls(tmp_path) == ["sheet 2.0"]
@@ -55,6 +56,7 @@ def test_normals_returned_by_a_script_are_cached_with_its_mesh(tmp_path):
     assert len(calls(tmp_path)) == 1
 
 
+@pytest.mark.slow
 def test_a_damaged_cached_mesh_is_generated_again(tmp_path):
     first = script(tmp_path, STRIP)
     (kept,) = (tmp_path / "cache" / "meshes").iterdir()

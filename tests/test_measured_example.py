@@ -15,7 +15,7 @@ import mic
 from mic.model.assembly import assemble
 from mic.model.shape import datum_rows
 from mic.options import app
-from verification.scenes import few
+from verification.scenes import with_stated_pairs
 
 ROOT = Path(__file__).resolve().parents[1]
 FOLDER = ROOT / "meshes" / "hat_on_plate"
@@ -42,7 +42,7 @@ def test_the_page_shows_tables_of_the_scene():
 
 @pytest.fixture(scope="module")
 def model(cache):
-    scene = few(mic.load_scene(FOLDER / "measured.toml"))
+    scene = with_stated_pairs(mic.load_scene(FOLDER / "measured.toml"))
     return assemble(scene, cache), mic.reduce(scene, cache)
 
 
@@ -91,7 +91,7 @@ def test_the_planted_shape_is_found(model):
 def test_the_commands_of_the_page_run(cache, tmp_path, monkeypatch, no_pictures):
     monkeypatch.chdir(tmp_path)
     for name in ("check", "run"):
-        monkeypatch.setattr(f"mic.commands.{name}.load_scene", lambda path: few(mic.load_scene(path)))
+        monkeypatch.setattr(f"mic.commands.{name}.load_scene", lambda path: with_stated_pairs(mic.load_scene(path)))
     monkeypatch.setenv("MIC_CACHE", str(cache))
     commands = re.findall(r"```sh\n(.*?)```", SECTION, re.S)[0].strip().splitlines()
     assert len(commands) == 3

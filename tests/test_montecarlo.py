@@ -122,6 +122,7 @@ def output(values):
     return a + 0.5 * b - 0.3 * c + 0.2 * a**2 + 0.2 * b * c
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("design", DESIGNS)
 def test_intervals_of_a_design_have_their_coverage_and_designs_reduce_the_error(lap_scene, design):
     """Over 160 repetitions of 640 or 600 samples; of the mean and of σ."""
@@ -154,6 +155,7 @@ def test_every_sample_reaches_the_sink_once(lap_model):
     assert reused == {"coulomb": 0, "frictionless": 0}
 
 
+@pytest.mark.slow
 def test_a_worker_process_evaluates_some_blocks_to_the_same_bits(lap_model, monkeypatch):
     """Ten blocks; what both processes found is handed over here, and all samples are told of."""
 

@@ -31,6 +31,7 @@ def test_the_page_is_made_from_the_list():
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "right, wrong, word",
     [

@@ -31,7 +31,7 @@ from mic.studies.optimisation.moved_items import RelocatedModels
 from mic.studies.optimisation.objective import Objective
 from mic.studies.optimisation.scene_changes import scene_text_with_changes
 from mic.studies.optimisation.search import all_designs, local_search, random_design
-from verification.scenes import few
+from verification.scenes import with_stated_pairs
 
 ROOT = Path(__file__).resolve().parents[1]
 FORCE = {"clamps": ["C"], "between": [10, 100]}
@@ -132,6 +132,7 @@ def test_the_cheaper_way_to_meet_a_constraint_is_used_as_far_as_needed():
     assert found.gained and found.relief.low > 0 > found.gain.high, "it costs, and keeps what was missed"
 
 
+@pytest.mark.slow
 def test_a_constraint_violated_on_fresh_samples_is_tightened():
     """Of seeds the first by whose twenty samples 0.33 mm are enough, where all take 0.4."""
     asked = {
@@ -154,6 +155,7 @@ def test_a_cost_is_spent_while_it_saves_more_in_rejects():
     assert 25 < changes(found)["C",] < 31 and found.after < 12 < found.before
 
 
+@pytest.mark.slow
 def test_a_force_limit_is_met_and_an_infeasible_constraint_is_reported():
     limit = {"quantity": "force", "at_most": 40}
     found = optimise(pushed({"forces": [FORCE], "constraints": [limit]}), "frictionless")
@@ -221,6 +223,7 @@ def test_derivatives_of_all_figures_are_those_of_samples_that_move_along_their_s
 # --------------------------------------------------------------------------------------------------------- orders
 
 
+@pytest.mark.slow
 def test_the_best_of_all_orders_is_found():
     found = optimise(
         rubbing({"objective": "largest-six-sigma", "orders": [{"stage": "clamp"}]}), "coulomb", fresh=100, seed=1
@@ -305,7 +308,7 @@ def test_orders_of_thirty_come_near_the_best_that_is_known_and_random_ones_of_eq
 
 
 def placed(asked, **changes):
-    lap = few(mic.load_scene(mic.examples.folder("lap_joint")))
+    lap = with_stated_pairs(mic.load_scene(mic.examples.folder("lap_joint")))
     parts = [part.model_copy(update={"size": "coarse"}) for part in lap.parts]
     report = lap.report.model_copy(update={"fields": False})
     table = lap.model_copy(update={"parts": parts, "report": report} | changes).model_dump()
@@ -364,6 +367,7 @@ def test_the_best_of_all_places_is_found(cache):
     assert chosen == wanted and found.found == pytest.approx(spread[best], rel=1e-9)
 
 
+@pytest.mark.slow
 @pytest.mark.fem
 def test_a_candidate_off_its_part_is_refused_by_name_before_anything_is_solved(cache, monkeypatch):
     monkeypatch.setattr(sites_module, "influence_coefficients", None)
@@ -479,6 +483,7 @@ def test_the_jackknife_of_a_mean_is_students_interval():
     assert [own.value, own.low, own.high] == pytest.approx([known.value, known.low, known.high])
 
 
+@pytest.mark.slow
 def test_a_killed_search_continues_without_repeating_evaluations(tmp_path):
     ledger, counts = tmp_path / "evaluated.jsonl", []
     asked = {"objective": "largest-six-sigma", "orders": [{"stage": "clamp"}], "forces": [

@@ -100,6 +100,7 @@ def test_the_report_of_a_run_shows_its_optimum(tmp_path, monkeypatch):
         assert len(OPTIMA.read(folder, "")) == len(COMPARISON.read(folder, "")) - 1 == 1
 
 
+@pytest.mark.slow
 @pytest.mark.fem
 def test_check_refuses_a_candidate_off_its_part(tmp_path):
     """With its page, before anything is reduced."""

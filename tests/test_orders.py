@@ -34,6 +34,7 @@ def closing(order):
     return next(stage.order for stage in order.scene.stages if stage.kind == "clamp")
 
 
+@pytest.mark.slow
 def test_orders_are_scenes_that_a_user_could_write_and_no_two_are_one(found):
     others, _ = found
     for order in others:
@@ -70,6 +71,7 @@ stages.clamp = { order = [], path = "one-step" }
 """
 
 
+@pytest.mark.slow
 def test_a_file_of_variants_changes_the_keys_of_the_stages_that_it_names(hat_model, tmp_path):
     (tmp_path / "orders.toml").write_text(CHANGED)
     base = next(order for order in orders(hat_model.scene, 0) if order.name == "reverse").scene
@@ -102,6 +104,7 @@ BROKEN = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("case", BROKEN)
 def test_a_file_of_variants_that_cannot_be_is_one_sentence(case, hat_model, tmp_path):
     text, words = BROKEN[case]
@@ -121,6 +124,7 @@ def test_the_wheelhouse_has_variants_of_the_order_that_it_states():
     assert len(clamps) == 4 and all("-A" in name for name in clamps[-1]) and len(found) == 8
 
 
+@pytest.mark.slow
 def test_changes_are_caused_by_the_order_alone(found, hat_model):
     """The same samples: nothing differs from itself, and an order by hand gives what its row says."""
     others, table = found
@@ -141,6 +145,7 @@ def test_changes_are_caused_by_the_order_alone(found, hat_model):
     assert rows["mean_change"].abs().max() > 0.005  # mm
 
 
+@pytest.mark.slow
 def test_orders_are_sorted_by_their_share_of_a_tolerance(found):
     _, table = found
     change = table[["mean_change", "six_sigma_change"]].abs().max(axis=1) / table["tolerance"]
@@ -149,6 +154,7 @@ def test_orders_are_sorted_by_their_share_of_a_tolerance(found):
     assert largest.iloc[1] > 3 * largest.iloc[-1]
 
 
+@pytest.mark.slow
 def test_a_stage_in_which_friction_hardly_matters_is_named_and_no_other(lap_model, hat_model):
     """The strips of the lap joint settle first; one pair of tongs then presses them, and they hardly slide."""
     assert [doubt.split(":")[0] for doubt in doubts(lap_model)] == ["stage clamp", "stage release"]
@@ -174,6 +180,7 @@ def test_dependence_on_how_parts_are_set_down_is_reported(lap_model):
     )
 
 
+@pytest.mark.slow
 def test_the_order_command_writes_the_printed_table(hat_model, tmp_path):
     hat_model.save(tmp_path / "model.npz")
     arguments = ["order", str(tmp_path / "model.npz"), "--samples", "3", "--permutations", "0"]

@@ -48,6 +48,7 @@ def evaluation(lap_model):
     return {law: Evaluation.join([lap_model.process(law).evaluate(block) for block in blocks]) for law in LAWS}
 
 
+@pytest.mark.slow
 def test_contact_arrays_are_those_of_the_evaluation(folder, evaluation):
     outcome = read_outcome(folder)
     for law in LAWS:
@@ -68,6 +69,7 @@ def test_contact_arrays_are_those_of_the_evaluation(folder, evaluation):
     )  # friction is there to be compared
 
 
+@pytest.mark.slow
 def test_statistics_of_zones_and_measurements_agree_with_numpy(folder, evaluation):
     outcome = read_outcome(folder)
     summary = outcome.summary()
@@ -94,6 +96,7 @@ def test_statistics_of_zones_and_measurements_agree_with_numpy(folder, evaluatio
         assert found["cpk"] == pytest.approx(min(1 - x.mean(), x.mean() + 1) / (3 * x.std(ddof=1)), rel=1e-6)
 
 
+@pytest.mark.slow
 def test_normal_forces_are_summed_over_all_pairs_and_over_pairs_clear_of_welds(folder, lap_model):
     outcome, contacts = read_outcome(folder), lap_model.contacts
     welds = lap_model.scene.welds
@@ -121,6 +124,7 @@ def test_shares_of_states_add_up(folder):
     assert table["open"].nunique() > 1
 
 
+@pytest.mark.slow
 def test_failed_samples_are_named_and_enter_no_statistic(folder, evaluation):
     fail(folder, "coulomb", {3: ("clamp", "not converged"), BLOCK + 1: ("release", "overflow in a product")})
     outcome = read_outcome(folder)
@@ -152,6 +156,7 @@ def test_tables_that_were_just_written_are_those_that_would_be_read(lap_model, e
         pd.testing.assert_frame_equal(written[name], frame, check_exact=True)
 
 
+@pytest.mark.slow
 def test_blocks_just_written_are_cached_up_to_a_limit(folder, lap_model):
     store = RunFolder(folder)
     whose, expected = store.record()["identity"], read_outcome(folder)
@@ -171,6 +176,7 @@ def test_blocks_just_written_are_cached_up_to_a_limit(folder, lap_model):
     assert len(read_outcome(folder, lap_model, full).damaged) == len(every) - 1
 
 
+@pytest.mark.slow
 def test_an_interrupted_run_is_read_with_its_missing_samples(folder, evaluation):
     (last,) = (folder / "samples" / "law=frictionless").glob(f"{BLOCK:06d}-*")
     last.unlink()  # its contacts are there already: the block was cut off before it was done
@@ -189,6 +195,7 @@ def test_a_run_without_any_finished_block_is_read(folder):
     assert summary["laws"] == {} and summary["missing_samples"] == dict.fromkeys(LAWS, SAMPLES)
 
 
+@pytest.mark.slow
 def test_summary_and_tables_on_disk(folder):
     record = json.loads((folder / "run.json").read_text()) | {"wall_time": {"Monte Carlo": 1.5}}
     (folder / "run.json").write_text(json.dumps(record))
@@ -206,6 +213,7 @@ def test_summary_and_tables_on_disk(folder):
     assert zones["mean_rms_slip"].notna().tolist() == [law == "coulomb" for law in zones["law"]]
 
 
+@pytest.mark.slow
 def test_stored_parts_are_the_parts(folder, lap_scene, cache):
     assembly = assemble(lap_scene, cache)
     assert read_outcome(folder).parts == ()
@@ -282,6 +290,7 @@ def test_a_run_of_an_older_version_is_one_sentence(folder):
     assert str(caught.value).count("\n") == 0
 
 
+@pytest.mark.slow
 def test_the_study_of_friction_is_solved_once_and_read_back(lap_model, tmp_path):
     stages = [
         stage.model_copy(update={"path": "one-step"}) if stage.kind == "clamp" else stage
@@ -299,6 +308,7 @@ def test_the_study_of_friction_is_solved_once_and_read_back(lap_model, tmp_path)
     assert at_scene["normal_force"].iloc[0] == pytest.approx(stored[0].sum(), rel=1e-6)
 
 
+@pytest.mark.slow
 def test_a_study_that_no_longer_applies_goes(lap_model, tmp_path):
     sample_into(tmp_path, lap_model, ["coulomb", "associated"], 3, SEED)
     write_tables(read_outcome(tmp_path))
@@ -307,6 +317,7 @@ def test_a_study_that_no_longer_applies_goes(lap_model, tmp_path):
     assert read_outcome(tmp_path).friction_study is None
 
 
+@pytest.mark.slow
 def test_statistics_block_by_block_are_those_of_all_samples_at_once(folder):
     fail(folder, "coulomb", {3: ("clamp", "not converged")})
     outcome = read_outcome(folder)
@@ -344,6 +355,7 @@ def test_statistics_block_by_block_are_those_of_all_samples_at_once(folder):
         assert outcome.worst_residual(law) == max(outcome.residual(law, stage).max() for stage in outcome.stages)
 
 
+@pytest.mark.slow
 def test_samples_are_read_by_number(folder, monkeypatch):
     fail(folder, "coulomb", {3: ("clamp", "not converged")})
     whole, few = read_outcome(folder), (2, 7, BLOCK + 4)

@@ -59,6 +59,7 @@ def test_a_tighter_path_is_of_the_same_kind():
     assert tighter(Followed(1e-3, 0.2)) == Followed(1e-3 / 16, 0.2)
 
 
+@pytest.mark.slow
 def test_the_first_samples_stand_beside_themselves_on_the_tighter_path(folder, on_both, lap_model):
     study = read_outcome(folder).path_study
     assert {law: study.repeated(law) for law in ("coulomb", "associated", "frictionless")} == {

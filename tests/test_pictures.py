@@ -52,6 +52,7 @@ def upright(ax, colour):
     return [line.get_xdata()[0] for line in ax.lines if to_hex(line.get_color()) == colour]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("stay", [True, False])
 def test_labels_that_are_measured_once_have_the_room_that_a_layout_gives_them(stay, monkeypatch):
     """To less than the 3 points that a layout leaves free beside labels, so that none is cut; where ticks stay

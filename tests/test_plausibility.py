@@ -699,7 +699,7 @@ def test_there_are_thirty_plausible_cases():
     "name", ["lap_joint", "hat_on_plate", "bracket", pytest.param("wheelhouse", marks=pytest.mark.fem)]
 )
 def test_shipped_scenes_have_no_warning(name, cache):
-    scene = few(mic.load_scene(MESHES_FOLDER / name))
+    scene = with_stated_pairs(mic.load_scene(MESHES_FOLDER / name))
     assert find_warnings(scene, assemble(scene, cache)) == ()
     watched = mic.load_scene(MESHES_FOLDER / "wheelhouse" / "watched.toml")
     assert find_warnings(watched) == ()  # else it is the wheelhouse
@@ -888,6 +888,7 @@ def nonsense(tmp_path):
     return str(tmp_path)
 
 
+@pytest.mark.slow
 def test_check_prints_and_counts_warnings_and_strict_makes_them_errors(cache, tmp_path):
     environment = {"MIC_CACHE": str(cache), "COLUMNS": "200"}
     done = CliRunner().invoke(app, ["check", nonsense(tmp_path)], env=environment)

@@ -150,6 +150,7 @@ def direct(deviations, correlations=(), lower=-9.0, upper=1.0):
     )
 
 
+@pytest.mark.slow
 def test_correlated_and_other_distributions_are_seen_through():
     """A1 + A2 of correlation 0.8 has the variance 3.6 σ²; a uniform one reaches 0.99 of its end at Φ⁻¹(0.995)."""
     two = [{"sigma": 0.3}, {"sigma": 0.3}]

@@ -63,6 +63,7 @@ def test_with_too_few_samples_none_is_offered():
     assert np.isnan(of(*next(repeated(3 * P + 9, 1))).sigma).all()
 
 
+@pytest.mark.slow
 def test_where_nothing_is_explained_it_is_not_taken():
     """Of pure noise the plain interval is as narrow: what chance explains is not offered as gain beyond its noise."""
     rng, taken = np.random.default_rng(2), []
@@ -84,6 +85,7 @@ def test_results_do_not_depend_on_blocks_and_failed_samples_are_excluded():
     np.testing.assert_allclose(own.estimates().sigma, one.sigma, rtol=1e-9)
 
 
+@pytest.mark.slow
 def test_a_mean_is_that_of_the_population_and_not_of_the_draw():
     errors = np.array([of(x, y).mean[0, 0] for x, y in repeated(100, 100)]) - 0.1 * (1 + np.sqrt(2 / np.pi))
     assert np.sqrt((errors**2).mean()) < 0.1 * TRUTH / np.sqrt(100)

@@ -145,6 +145,7 @@ def given_pictures(monkeypatch):
     return pictures
 
 
+@pytest.mark.slow
 def test_the_page_loads_nothing(page):
     assert page.loads
     for target in page.loads:
@@ -153,6 +154,7 @@ def test_the_page_loads_nothing(page):
     assert len(page.source) < 3e6
 
 
+@pytest.mark.slow
 @pytest.mark.fem
 def test_every_figure_is_there(page):
     assert page.ids >= {
@@ -175,6 +177,7 @@ def test_every_figure_is_there(page):
         assert len(raw) > 3000
 
 
+@pytest.mark.slow
 @pytest.mark.fem
 def test_the_viewer_has_the_surfaces_and_fields(page, folder):
     data = unpacked(page.scripts["viewer-data"])
@@ -220,10 +223,12 @@ def test_a_thinned_surface_keeps_its_outline_and_its_area():
     assert len(same) == len(sheet.points) and triangles_of_all is sheet.triangles
 
 
+@pytest.mark.slow
 def test_text_of_the_scene_is_escaped(page):
     assert "<b>strips</b>" not in page.source and "Two <b>strips</b> & a weld" in page.words
 
 
+@pytest.mark.slow
 def test_figures_in_the_text_are_those_of_the_summary(page, folder):
     summary = json.loads((folder / "summary.json").read_text())
     zone = summary["laws"]["coulomb"]["zones"]["lap"]
@@ -240,6 +245,7 @@ def test_figures_in_the_text_are_those_of_the_summary(page, folder):
     assert cost.sentence in page.words and cost.gaps.max() > 0
 
 
+@pytest.mark.slow
 def test_pictures_of_samples_stand_in_their_sections(page):
     assert {entry.name for entry in PICTURES if entry.section not in ("fields", "still")} <= page.ids
 
@@ -254,6 +260,7 @@ def test_every_picture_stands_once_in_the_page_of_a_full_run(page, folder, every
     assert pictures(read_outcome(folder)) == [*every_picture.values()]
 
 
+@pytest.mark.slow
 def test_pictures_of_returned_studies_are_those_of_the_page(page, folder):
     outcome = read_outcome(folder)
     found = left_by_studies(outcome.model.scene)[1]
@@ -264,12 +271,14 @@ def test_pictures_of_returned_studies_are_those_of_the_page(page, folder):
         assert page.loads.count(picture.uri) == 1, picture.title
 
 
+@pytest.mark.slow
 def test_the_page_shows_the_optimum(page):
     assert "On 400 fresh samples the least Cpk 1.250 → 1.500: gain 0.250 (0.125 to 0.375)" in page.words
     assert "On the 60 samples of the search: 1.625, after 1234 evaluations." in page.words
     assert "force C1 60 75" in page.words and {"optimum-table", "orders", "misses", "optimum"} <= page.ids
 
 
+@pytest.mark.slow
 def test_the_page_shows_path_errors_and_rescued_samples(folder, page, given_pictures, tmp_path):
     """Nothing is known of the placeholder's errors; so they are written into a copy."""
     copy = shutil.copytree(folder, tmp_path / "copy")
@@ -299,6 +308,7 @@ def test_the_page_shows_path_errors_and_rescued_samples(folder, page, given_pict
     assert picture.caption in words
 
 
+@pytest.mark.slow
 def test_captions_state_work_and_contact_states_along_the_path(folder, page):
     outcome = read_outcome(folder)
     context, table = read_context(outcome), outcome.zone_statistics.set_index(["law", "stage"])
@@ -327,6 +337,7 @@ def test_a_picture_of_no_section_is_refused():
         Entry("lost", "nowhere", lambda outcome, context: None)
 
 
+@pytest.mark.slow
 def test_a_picture_is_the_same_whatever_the_users_style(page, folder):
     import matplotlib
 
@@ -359,6 +370,7 @@ def test_of_many_samples_the_first_are_drawn_and_the_captions_say_so(folder, mon
     assert len(law_cost(outcome, context.stage).coulomb) == 7
 
 
+@pytest.mark.slow
 def test_laws_under_scaled_friction_are_drawn_from_the_stored_study(page, folder, tmp_path):
     copy = shutil.copytree(folder, tmp_path / "copy")
     outcome = read_outcome(copy)
@@ -373,6 +385,7 @@ def test_laws_under_scaled_friction_are_drawn_from_the_stored_study(page, folder
     assert without is None
 
 
+@pytest.mark.slow
 def test_writing_a_report_solves_nothing_and_changes_no_other_file(page, folder, tmp_path, monkeypatch):
     def refuse(*_, **__):
         raise AssertionError("drawing solves")
@@ -414,6 +427,7 @@ def test_pictures_begun_before_tables_and_fields_are_written_are_those_of_the_pa
     assert all(picture == every_picture[name] for name, picture in found.items() if picture)
 
 
+@pytest.mark.slow
 def test_a_law_has_one_colour_in_pictures_and_tables(page, folder):
     outcome = read_outcome(folder)
     for law in outcome.laws:

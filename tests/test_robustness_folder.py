@@ -207,6 +207,7 @@ def test_without_a_home_the_cache_must_be_named(monkeypatch):
 # ---------------------------------------------- what a user writes
 
 
+@pytest.mark.slow
 def test_text_of_a_user_reaches_the_terminal_as_text(tmp_path, cache, monkeypatch):
     monkeypatch.setenv("MIC_CACHE", str(cache))
     for name in ("scene.toml", "geometry.py"):
@@ -225,6 +226,7 @@ def test_plain_text_keeps_lines_and_letters():
     assert plain("ä 6σ\n\t[mm]") == "ä 6σ\n\t\\[mm]" and plain("\x1b[31m\x9b2J") == "�[31m�2J"
 
 
+@pytest.mark.slow
 def test_a_scene_with_a_script_is_announced_as_a_program_before_it_runs(tmp_path, cache, monkeypatch):
     monkeypatch.setenv("MIC_CACHE", str(cache))
     shutil.copy(LAP / "scene.toml", tmp_path / "scene.toml")

@@ -139,6 +139,7 @@ def changes(folder):
     }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("what", changes(ROOT / "meshes" / "lap_joint"))
 def test_every_change_of_inputs_changes_the_identity(scene, cache, what):
     before = identity(assemble(mic.load_scene(scene), cache), 1)
@@ -168,6 +169,7 @@ def test_the_mesh_of_a_fixture_belongs_to_the_identity(scene, cache):
     assert found[0]["files"]["rest.stl"] != found[1]["files"]["rest.stl"] and found[0]["scene"] == found[1]["scene"]
 
 
+@pytest.mark.slow
 def test_fewer_samples_and_laws_reuse_blocks_and_lose_none(lap_model, tmp_path):
     sample_into(tmp_path / "run", lap_model, LAWS, 120, 4)
     whole = read_outcome(tmp_path / "run").measured("coulomb", "M1")
@@ -181,6 +183,7 @@ def test_fewer_samples_and_laws_reuse_blocks_and_lose_none(lap_model, tmp_path):
     np.testing.assert_array_equal(read_outcome(tmp_path / "run").measured("coulomb", "M1"), whole)
 
 
+@pytest.mark.slow
 def test_an_extended_run_equals_a_run_of_all_samples(lap_model, tmp_path):
     sample_into(tmp_path / "run", lap_model, ["coulomb"], 60, 4)
     assert sample_into(tmp_path / "run", lap_model, ["coulomb"], 120, 4) == {"coulomb": 50}

@@ -28,7 +28,9 @@ def test_an_interrupted_run_keeps_finished_blocks_and_the_same_call_completes_it
     shutil.copytree(ROOT / "meshes" / "lap_joint", scene)
     text = (scene / "scene.toml").read_text()
     (scene / "scene.toml").write_text(
-        text.replace("fields = true", "").replace("friction = 0.27", "friction = 0.27\npairs = 6")
+        text.replace("fields = true", "")
+        .replace("medium", "coarse")
+        .replace("friction = 0.27", "friction = 0.27\npairs = 6")
     )
     command = [sys.executable, "-m", "mic.cli", "run", str(scene), "--law", "coulomb", "--out", "run", "--samples"]
     options = {"cwd": tmp_path, "text": True, "env": os.environ | {"MIC_CACHE": str(cache)}}

@@ -31,6 +31,7 @@ def sixty(lap_model, tmp_path_factory):
     return folder
 
 
+@pytest.mark.slow
 def test_run_is_complete_and_reproducible(lap_model, sixty, tmp_path):
     sample_into(tmp_path, lap_model, LAWS, 60, 4)
     for table in DATASETS:
@@ -41,6 +42,7 @@ def test_run_is_complete_and_reproducible(lap_model, sixty, tmp_path):
     assert json.loads((tmp_path / "run.json").read_text())["seed"] == 4
 
 
+@pytest.mark.slow
 def test_an_interrupted_run_keeps_finished_blocks(lap_model, tmp_path):
     with pytest.raises(KeyboardInterrupt):
         sample_into(tmp_path, lap_model, LAWS, 120, 4, progress=Heard(stop_after=1))
@@ -55,6 +57,7 @@ def test_an_interrupted_run_keeps_finished_blocks(lap_model, tmp_path):
     pd.testing.assert_frame_equal(read(tmp_path, "measurements"), read(tmp_path / "whole", "measurements"))
 
 
+@pytest.mark.slow
 def test_another_seed_is_refused_and_replaces_a_run_only_on_request(lap_model, tmp_path):
     sample_into(tmp_path, lap_model, LAWS, 60, 4)
     with pytest.raises(RunError, match=r"another run \(seed: 4 in the folder, 5 requested\).*--out.*--replace"):
@@ -153,6 +156,7 @@ def test_how_exactly_the_path_is_followed_belongs_to_the_identity(lap_model, mon
     assert identity(lap_model, 4) != own
 
 
+@pytest.mark.slow
 def test_a_run_from_scene_to_summary(lap_scene, cache, tmp_path):
     scene = lap_scene.model_copy(
         update={
@@ -194,6 +198,7 @@ def long_and_short(lap_model, tmp_path_factory):
     return place / "all", place / "few"
 
 
+@pytest.mark.slow
 def test_statistics_do_not_depend_on_how_many_samples_store_their_pairs(long_and_short, lap_model):
     whole, few = long_and_short
     assert read(few, "contacts")["sample"].unique().tolist() == list(range(50))  # the first block, as always
@@ -223,6 +228,7 @@ def test_pairs_that_are_not_stored_are_refused_in_one_sentence(long_and_short):
             outcome.contact("coulomb", "clamp", "f_n", samples)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("contacts", [0, 2000])
 def test_fewer_samples_of_a_longer_run_are_those_of_a_run_of_so_many(lap_model, tmp_path, contacts):
     model = keeping(lap_model, contacts)
@@ -235,6 +241,7 @@ def test_fewer_samples_of_a_longer_run_are_those_of_a_run_of_so_many(lap_model, 
     assert read_run(tmp_path / "again").sample_numbers("coulomb").tolist() == list(range(100))
 
 
+@pytest.mark.slow
 def test_pairs_requested_afterwards_are_computed(long_and_short, lap_model, tmp_path):
     shutil.copytree(long_and_short[1], tmp_path / "run")
     found = sample_into(tmp_path / "run", keeping(lap_model, 60), LAWS, 120, 4)
@@ -242,6 +249,7 @@ def test_pairs_requested_afterwards_are_computed(long_and_short, lap_model, tmp_
     assert read_run(tmp_path / "run").with_pairs("coulomb").tolist() == list(range(100))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("table, wound", [("sums", "gone"), ("condensed", "cut")])
 def test_a_block_without_sums_of_its_pairs_is_computed_again(long_and_short, lap_model, tmp_path, table, wound):
     shutil.copytree(long_and_short[1], tmp_path / "run")

@@ -114,6 +114,7 @@ def test_pieces_have_a_name_each(pieces, measured):
         ShapeDeviation(**keys)
 
 
+@pytest.mark.slow
 def test_a_run_of_a_table_gives_the_results_of_each_assembly(lap_scene, lap_model, table, cache, tmp_path):
     table.to_csv(tmp_path / "samples.csv", index=False)
     outcome = run(of(lap_scene, tmp_path), tmp_path / "out", cache)
@@ -205,6 +206,7 @@ def test_a_design_takes_whole_groups_of_samples(lap_scene, design, samples, inst
         take_samples(lap_scene.model_copy(update={"monte_carlo": asked}))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("what", ["nothing", "twice", "narrow"])
 def test_rows_that_stand_there_twice_and_columns_that_hardly_vary_are_warned_of(
     what, lap_scene, table, cache, tmp_path
@@ -295,6 +297,7 @@ def test_a_singular_correlation_is_one():
     np.testing.assert_allclose(standard[:, 0], standard[:, 1], atol=1e-12)
 
 
+@pytest.mark.slow
 def test_a_run_of_a_design_gives_intervals_from_its_groups(lap_scene, cache, tmp_path, no_pictures):
     """Those of key characteristics come from its groups; others, which would take independent samples, are left out."""
     asked = lap_scene.monte_carlo.model_copy(update={"design": "antithetic", "samples": 24})

@@ -44,6 +44,7 @@ def test_the_requested_accuracy_decides_the_number_of_samples(lap_model, tmp_pat
     assert heard.sentences[-1].endswith("increase --samples")
 
 
+@pytest.mark.slow
 def test_an_interrupted_run_ends_with_the_same_samples(lap_model, tmp_path):
     model = asking(lap_model, accuracy=2e-4)
     sample_into(tmp_path / "whole", model, LAWS, 300, 4)

@@ -283,6 +283,7 @@ def test_bad_scene(tmp_path, case):
         assert word in message
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("case", BROKEN_ON_MESH)
 def test_bad_scene_found_on_the_mesh(tmp_path, cache, case):
     pattern, replacement, words = BROKEN_ON_MESH[case]

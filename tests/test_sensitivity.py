@@ -229,6 +229,7 @@ def displaced(model, rows, step) -> ReducedModel:
     return replace(model, rows=changed, weld_gap=gap)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("way", "change"), [("one-step", {}), (8, {}), ("followed", {}), (3, {"close": True})])
 def test_a_place_in_the_sheet_is_an_input(lap_model, way, change):
     """What the row reads elsewhere counts, what it pushes with there, and the weld's gap."""

@@ -79,6 +79,7 @@ def covered(function, slope, p, n, repeated=100):
     return np.mean(hits), len(hits) / repeated, *(np.sqrt(np.mean(np.square(one))) for one in (errors, alone))
 
 
+@pytest.mark.slow
 def test_intervals_with_a_residual_have_their_coverage():
     """A sine and a term of fourth order beside a plane: 95 %, less three standard errors of 60 repetitions."""
     a = np.array([1.0, 0.5, -0.8, 0.3])
@@ -97,6 +98,7 @@ def test_intervals_with_a_residual_have_their_coverage():
     assert error < 0.4 * alone
 
 
+@pytest.mark.slow
 def test_intervals_hold_where_a_contact_closes_in_a_third_of_the_samples():
     a = np.array([1.0, 0.5, -0.8])
 

@@ -53,6 +53,7 @@ def beyond(outcome):
     return (x < [item.lower for item in items]) | (x > [item.upper for item in items])
 
 
+@pytest.mark.slow
 def test_the_yield_is_that_of_all_characteristics_together(folder):
     outcome = read_outcome(folder)
     out = beyond(outcome)

@@ -295,6 +295,7 @@ def laid(tmp_path):
     ]
 
 
+@pytest.mark.slow
 def test_listed_welds_and_points_are_taken_and_find_their_parts(tmp_path):
     (tmp_path / "w.csv").write_text("name;x;y;z\nS1;65;15;0.5\nS2;65;35;0.5\n")
     (tmp_path / "p.csv").write_text("x,y,z,direction,upper\n5,25,0,,\n125,25,1,0 0 1,0.8\n")
@@ -365,6 +366,7 @@ def test_a_weld_of_three_sheets_is_two(tmp_path):
     ] or [set(weld.parts) for weld in load_scene(folder).welds] == [{"s1", "s2"}, {"s0", "s1"}]
 
 
+@pytest.mark.slow
 def test_sheets_with_another_between_them_have_no_zone(tmp_path):
     """However they are drawn: apart by their thicknesses, or all three upon each other."""
     for name, rise in (("apart", 1.0), ("upon", 0.0)):

@@ -73,6 +73,7 @@ def test_tasks_of_a_failed_worker_are_done_here_one_by_one_and_errors_are_raised
         list(copy.completed())
 
 
+@pytest.mark.slow
 def test_stopping_a_worker_that_sends_much_data_does_not_block():
     """In a process of its own, which is to end."""
     program = "from mic.execution import worker_process; worker_process.has_spare_core = lambda: True\n"
