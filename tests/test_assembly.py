@@ -12,7 +12,6 @@ ROOT = Path(__file__).resolve().parents[1]
 SHEETS = ((0.8, 70e3, 0.33), (1.3, 206e3, 0.28))
 
 
-@pytest.mark.slow
 @pytest.fixture(scope="module")
 def unlike(cache):
     """The lap joint of two unlike sheets."""
@@ -24,6 +23,7 @@ def unlike(cache):
     return assemble(scene.model_copy(update={"parts": changed}), cache)
 
 
+@pytest.mark.slow
 def test_each_part_has_its_own_thickness_and_material(unlike):
     assert tuple((part.thickness, part.young, part.poisson) for part in unlike.parts) == SHEETS
 

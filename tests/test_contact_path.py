@@ -213,13 +213,13 @@ def sheets(contacts, samples, seed):
     return ContactSolver(S, 0.3), b.reshape(samples, 2, -1)
 
 
-@pytest.mark.slow
 @pytest.fixture(scope="module")
 def followed_sheets():
     solver, b = sheets(30, 60, seed=5)
     return solver, b, solver.follow(b), solver.follow(b, path=Increments(1024))
 
 
+@pytest.mark.slow
 def test_the_estimate_covers_the_error_of_nearly_every_sample(followed_sheets):
     _, _, found, fine = followed_sheets
     error = np.sqrt(((found.anchor - fine.anchor) ** 2).sum(-1).mean(1))

@@ -101,7 +101,6 @@ def test_the_answer_does_not_depend_on_units():
     np.testing.assert_allclose(other.force / force, here.force, atol=1e-9 * np.abs(here.force).max())
 
 
-@pytest.mark.slow
 @CASES
 def test_all_samples_converge_on_batch_rungs(pieces, mu):
     problem = slip_dominated(60, 60, np.random.default_rng(7))
@@ -110,6 +109,7 @@ def test_all_samples_converge_on_batch_rungs(pieces, mu):
     assert not {*solution.rung} & {rung.name for rung in ladder.PATIENT}
 
 
+@pytest.mark.slow
 def test_every_patient_rung_updates_the_frozen_friction(monkeypatch):
     """The rungs start from zero and converge to the requested law, not to Coulomb's."""
     monkeypatch.setattr(ladder, "BUDGET", 1e6)

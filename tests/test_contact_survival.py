@@ -312,7 +312,6 @@ def test_newton_for_forces_and_for_displacements_agree(law):
             np.testing.assert_allclose(y * scaling, force, atol=1e-9)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("condition, near", [(10.0, True), (1e6, False)])
 def test_a_large_newton_step_is_solved_iteratively_or_by_factorisation(condition, near):
     """Contacts that all stick: the forces that take their displacements back."""
@@ -324,6 +323,7 @@ def test_a_large_newton_step_is_solved_iteratively_or_by_factorisation(condition
     np.testing.assert_allclose(W @ x, -z, atol=1e-7 * np.abs(z).max())
 
 
+@pytest.mark.slow
 def test_many_sticking_contacts_do_not_depend_on_their_batch():
     m = kernels.LARGE // 3 + 5
     rng = np.random.default_rng(6)

@@ -30,7 +30,6 @@ def readings(model, evaluation):
     return compliance.displace(evaluation.functional_force) + compliance.carry(evaluation.motion)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("name", ["lap_model", "hat_model"])
 @pytest.mark.parametrize("law", ["coulomb", "frictionless"])
 def test_forces_balance_and_reproduce_the_measurements(name, law, request):
@@ -45,6 +44,7 @@ def test_forces_balance_and_reproduce_the_measurements(name, law, request):
     assert np.abs(evaluation.measurements).max() > 1e-3
 
 
+@pytest.mark.slow
 def test_forces_requested_later_belong_to_the_samples(lap_model):
     deviations = draw(lap_model.scene, 3, 0, 3)
     process, own = lap_model.process("coulomb"), deviations.copy()

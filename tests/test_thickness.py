@@ -91,7 +91,6 @@ def assembled(cache):
     return assemble(read(lap([T])), cache)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     "part, skin, change",
     [("upper", 0, -0.5), ("lower", 0, -0.5), ("upper", 1, -1), ("upper", -1, 0), ("lower", 1, 0), ("lower", -1, -1)],
@@ -110,6 +109,7 @@ def test_gaps_change_with_the_faces(assembled, part, skin, change):
         assert not (rows[kind] @ faces).any()
 
 
+@pytest.mark.slow
 def test_the_compliance_through_the_sheets_follows_their_thickness(cache):
     """It is ``(t_a + t_b)/2 / (E A)`` for candidates; nothing else of the contacts changes."""
     table = lap([T])
@@ -275,8 +275,6 @@ def test_two_thickness_deviations_of_one_sheet_and_fields_are_refused(cache):
         assemble(read(table), cache)
 
 
-@pytest.mark.slow
-@pytest.mark.slow
 @pytest.mark.parametrize("key", ["stiffness", "compliance"])
 def test_a_varying_thickness_is_refused_for_a_given_matrix(key, assembled, cache, tmp_path):
     surface = assembled.parts[1].surface
@@ -288,6 +286,7 @@ def test_a_varying_thickness_is_refused_for_a_given_matrix(key, assembled, cache
         assemble(read_table(table, tmp_path / "scene.toml"), cache)
 
 
+@pytest.mark.slow
 def test_the_range_of_thickness_follows_from_truncation_and_tables(cache):
     cut = assemble(read(lap([T | {"sigma": 0.2, "truncated": [-0.1, 0.1]}], pairs=2)), cache)
     assert cut.parts[1].thickness_range == pytest.approx((0.9, 1.1))

@@ -9,7 +9,7 @@ import mic
 from fem_reference.full.model import FullModel
 from mic.statistics import estimates
 from verification.own_scene import choose, verify_scene
-from verification.scenes import few, going
+from verification.scenes import with_path, with_stated_pairs
 from verification.study import FOLDER, Team
 from verification.two_level import two_level
 
@@ -130,11 +130,11 @@ def test_samples_are_chosen_typical_then_extreme_and_random_in_turn():
 @pytest.fixture(scope="module")
 def lap():
     """Each stage in one step, as in the paper, where (13) differs most from Coulomb's law."""
-    return going(followed_lap(), "one-step")
+    return with_path(followed_lap(), "one-step")
 
 
 def followed_lap():
-    scene = few(mic.load_scene(FOLDER.parent / "meshes" / "lap_joint"))
+    scene = with_stated_pairs(mic.load_scene(FOLDER.parent / "meshes" / "lap_joint"))
     return scene.model_copy(
         update={
             "parts": [part.model_copy(update={"size": "coarse"}) for part in scene.parts],

@@ -77,7 +77,6 @@ def test_each_stage_has_its_own_friction(evaluated):
 
 
 @pytest.mark.slow
-@pytest.mark.slow
 @pytest.mark.parametrize("keys", [{"friction_table": TABLE}, {"friction_power": POWER}], ids=["table", "power"])
 def test_slipping_pairs_have_the_friction_of_their_pressure(evaluated, keys):
     model, found = evaluated("pressure-dependent", **keys)
@@ -100,6 +99,7 @@ def test_slipping_pairs_have_the_friction_of_their_pressure(evaluated, keys):
     assert slipping > 20 and np.ptp(held) > 0.05  # the pressures differ, and so does what holds
 
 
+@pytest.mark.slow
 def test_a_table_of_one_point_is_coulombs_law(evaluated):
     _, constant = evaluated("pressure-dependent", friction_table=[(1.0, 0.27)], friction=0.0)
     _, coulomb = evaluated("coulomb", friction=0.27)
