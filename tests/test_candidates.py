@@ -1,4 +1,4 @@
-"""Candidates: where they stand, what they leave unseen, and that nominal assemblies do not move."""
+"""Contact candidates: their places, undetected penetration between them, and nominal assemblies that do not move."""
 
 import re
 from dataclasses import replace
@@ -15,7 +15,7 @@ from mic.errors import SceneError
 from mic.model.assembly import assemble
 from mic.options import app
 from mic.process.model import ReducedModel
-from mic.studies.pair_convergence import DENSER, denser
+from mic.studies.pair_convergence import DENSER, denser_scene
 
 MESHES = Path(__file__).resolve().parents[1] / "meshes"
 
@@ -60,7 +60,7 @@ def test_candidates_stand_four_thicknesses_apart_along_the_edges_and_within_and_
     assert model.contacts.area.sum() == pytest.approx(1000)
 
 
-def test_a_zone_that_states_its_pairs_keeps_them_and_watches_what_they_miss(scene, cache):
+def test_a_zone_with_stated_pairs_monitors_contact_between_them(scene, cache):
     assembly = assemble(with_zone(scene, pairs=24), cache)
     assert len(assembly.contacts) == 24 and not assembly.contacts.watched.any()
     assert len(assembly.between) == 24
@@ -73,7 +73,7 @@ def test_candidates_finer_than_the_elements_are_refused(scene, cache):
         assemble(with_zone(scene, spacing=0.5), cache)
 
 
-def test_what_is_unseen_is_told_with_its_place_and_few_pairs_miss_more(model, lap_model):
+def test_undetected_penetration_has_a_place_and_is_larger_with_few_pairs(model, lap_model):
     few, many = (one.evaluate(one.deviations({})).resolutions["clamp"] for one in (lap_model, model))
     assert few.unseen[0] > 2 * many.unseen[0] > 0
     place = lap_model.between.point[few.unseen_at[0]]
@@ -138,7 +138,7 @@ def on_a_rest(folder, radius, sheets=2):
 
 
 @pytest.mark.fem
-@pytest.mark.parametrize("radius", [2.5, 4.0, 7.0])
+@pytest.mark.parametrize("radius", [2.5, 7.0])
 def test_sheets_alike_between_pads_of_two_sizes_stay_together(radius, tmp_path, cache):
     """Half of what each pad presses passes from sheet to sheet right there, so that both bend alike."""
     model = mic.reduce(on_a_rest(tmp_path, radius), cache)
@@ -157,7 +157,8 @@ def test_three_sheets_alike_between_pads_of_two_sizes_stay_together(radius, tmp_
     assert clamped.displacement[0, :, 0].max() < 6e-5  # mm, as of two sheets
 
 
-def test_a_locator_has_a_rim_where_it_backs_a_clamp_and_decides_no_spacing(tmp_path, cache):
+@pytest.mark.slow
+def test_a_locator_has_a_rim_where_it_backs_a_clamp_and_does_not_change_the_spacing(tmp_path, cache):
     """Not where it holds along the sheets, holds a node, has the rim of the clamp's pad, or stands beside that."""
     scene = on_a_rest(tmp_path, 4.0)
 
@@ -208,7 +209,7 @@ def test_watched_is_dense(model):
     np.testing.assert_allclose(one.measurements, other.measurements, atol=1e-5)
 
 
-def test_a_sample_alone_is_what_it_is_in_its_batch(model):
+def test_a_single_sample_has_the_results_of_its_batch(model):
     sigma = np.array([one.sigma for one in model.scene.deviations])
     samples = model.deviations({}) + sigma * np.random.default_rng(5).standard_normal((5, len(sigma)))
     together = model.evaluate(samples).measurements
@@ -216,7 +217,7 @@ def test_a_sample_alone_is_what_it_is_in_its_batch(model):
         np.testing.assert_allclose(model.evaluate(sample).measurements[0], wanted, atol=1e-6)
 
 
-def test_once_a_weld_is_made_what_lies_within_its_nugget_carries_nothing(model):
+def test_contacts_within_a_nugget_carry_no_force_after_welding(model):
     inside = model.contacts.nugget >= 0
     assert inside.sum() >= len(model.scene.welds)
     for k in np.flatnonzero(inside):
@@ -244,7 +245,7 @@ def test_a_model_is_read_back_with_its_candidates(model, tmp_path):
 # ---------------------------------------------------------------------------------------------------- welds
 
 
-def test_a_weld_reads_nothing_of_an_assembly_that_moves_as_a_whole(scene, model, cache):
+def test_a_weld_does_not_read_rigid_motion_of_the_assembly(scene, model, cache):
     assert model.weld_size == (9, 9)
     centroids = [part.surface.centroid for part in assemble(scene, cache).parts]
     for axis in np.eye(3):
@@ -303,7 +304,7 @@ def test_the_wheelhouse_with_candidates_is_the_papers_but_for_its_pairs():
 
 
 @pytest.mark.fem
-def test_check_tells_how_the_characteristics_move_with_denser_pairs(cache, tmp_path, monkeypatch):
+def test_check_reports_the_change_of_characteristics_with_denser_pairs(cache, tmp_path, monkeypatch):
     monkeypatch.setenv("COLUMNS", "80")  # a narrow terminal cuts nothing
     monkeypatch.setenv("MIC_CACHE", str(cache))
     told = CliRunner().invoke(
@@ -319,21 +320,22 @@ def test_check_tells_how_the_characteristics_move_with_denser_pairs(cache, tmp_p
         ],
     )
     assert told.exit_code == 0, told.output
-    pairs = re.search(r"(\d+) and (\d+) pairs; between them .* 0 of 30 samples failed", told.output)
+    pairs = re.search(r"(\d+) and (\d+) pairs; largest penetration .* 0 of 30 samples failed", told.output)
     assert pairs and 1.8 < int(pairs[2]) / int(pairs[1]) < 2.3
     row = next(line for line in told.output.splitlines() if "M1" in line and "%" in line)
     off, half = (float(each) for each in row.split("│")[-2].strip(" %").split(" ± "))
     assert abs(off) < 3 and 0 < half < 1  # of the difference: either 6σ has one of a quarter
-    assert "no bound" in told.output and "…" not in told.output[told.output.index("Key characteristics and") :]
+    assert "not a bound" in told.output and "…" not in told.output[told.output.index("Key characteristics and") :]
 
 
+@pytest.mark.slow
 def test_denser_pairs_stand_at_a_share_of_the_distance(scene, cache):
     few = assemble(with_zone(scene, pairs=24), cache)
-    assert denser(few).zones[0].pairs == 49
+    assert denser_scene(few).zones[0].pairs == 49
     many = assemble(scene, cache)
-    assert assemble(denser(many), cache).spacing == pytest.approx([DENSER * 4.0])
+    assert assemble(denser_scene(many), cache).spacing == pytest.approx([DENSER * 4.0])
     stated = assemble(with_zone(scene, spacing_factor=0.9), cache)
-    assert assemble(denser(stated), cache).spacing == pytest.approx([DENSER * 0.9 * 4.0])
+    assert assemble(denser_scene(stated), cache).spacing == pytest.approx([DENSER * 0.9 * 4.0])
 
 
 # -------------------------------------------------------------------------------------------- known answers
@@ -410,9 +412,7 @@ def test_a_strip_under_a_uniform_load_lifts_off_a_table_at_its_ends(tmp_path, ca
 
 @pytest.mark.fem
 @pytest.mark.parametrize("apart", [40.0, 20.0])
-def test_a_strip_is_pressed_down_between_two_rows_of_pairs_as_a_beam_on_four_supports_and_watched_it_is_not(
-    apart, tmp_path, cache
-):
+def test_a_strip_sinks_between_two_rows_of_pairs_as_a_beam_and_not_with_candidates(apart, tmp_path, cache):
     """Pressed by P in the middle of two rows of pairs, a apart, L₁ from the ends: by the theorem of three moments
 
     M = −3 P a²/(8 (2 L₁ + 3 a)) over the rows,   δ = (P a³/48 + M a²/8)/(E I) into the table,   ΣR = P − 2 M/L₁.
@@ -511,9 +511,8 @@ def crossed(folder, at, **zone):
 
 
 @pytest.mark.fem
-@pytest.mark.parametrize("at", [(27, 9), (27, 0)])
-@pytest.mark.parametrize("zone", [{}, {"spacing": 3.0}])
-def test_strips_that_cross_press_where_their_edges_do_as_with_contact_at_every_node(zone, at, tmp_path, cache):
+@pytest.mark.parametrize("at, zone", [((27, 9), {}), ((27, 0), {"spacing": 3.0})])
+def test_crossing_strips_have_the_contact_forces_of_contact_at_every_node(zone, at, tmp_path, cache):
     """No part has a corner there, but their overlap has, and nodes of both stand on it."""
     scene = crossed(tmp_path, at, **zone)
     every_node = assemble(scene, cache, every_node=True)
@@ -574,7 +573,7 @@ def hem_scene(folder, **zone):
 
 
 @pytest.mark.fem
-def test_a_sheet_within_a_hem_presses_either_leaf_as_it_does_with_contact_at_every_node(tmp_path, cache):
+def test_a_sheet_within_a_hem_has_the_contact_forces_of_contact_at_every_node(tmp_path, cache):
     """Pressed down, up, twisted, and both: forces and places follow every node's, the nearer the denser candidates."""
     tilts = np.array([[0.3, 0.3], [-0.3, -0.3], [0.3, -0.3], [0.1, -0.4]])
 
@@ -594,14 +593,14 @@ def test_a_sheet_within_a_hem_presses_either_leaf_as_it_does_with_contact_at_eve
     assert np.abs(read - wanted).max() < np.abs(default[0] - wanted).max()
 
 
-def test_a_part_is_not_held_by_rows_that_read_rounding_of_its_motions():
+def test_rows_with_rounding_errors_of_rigid_motions_do_not_hold_a_part():
     """Moments of a nugget that read strain alone read nothing of a motion, exactly or but for rounding."""
     held = np.vstack([np.eye(6), np.full((3, 6), 1e-17)])
     np.testing.assert_array_equal(statically_determinate(held[::-1], np.ones(6)), np.arange(3, 9))
 
 
-def test_a_part_is_held_by_moments_of_a_nugget_only_where_nothing_else_does():
-    """Of a patch that is not quite round, moments that should read strain read a little of a rotation."""
+def test_moments_of_a_nugget_hold_a_part_only_without_other_supports():
+    """Strain moments of a patch that is not quite round include a small part of a rotation."""
     means = np.hstack([np.eye(3), [[0, 0, 0], [0, 0, -10], [0, 10, 0]]])  # of a nugget 10 mm from the middle
     other = np.hstack([np.eye(3), [[0, 0, 0], [0, 0, 10], [0, -10, 0]]])
     moments = np.zeros((2, 6))
