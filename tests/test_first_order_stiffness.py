@@ -69,7 +69,7 @@ def test_the_error_is_of_second_order(built):
         assert 0.8 < order(wrong) < 1.3
 
 
-def test_samples_are_those_of_their_own_meshes(built):
+def test_samples_agree_with_models_on_their_own_meshes(built):
     models, assembly = built
     mean, stiffness = models["mean"].deviations({})[0], DeviatedStiffness(assembly, models["first-order"])
     for factor in (0.75, 1.25):
@@ -99,7 +99,7 @@ def test_the_mean_sample_is_that_of_the_mean_shape(built):
     assert np.abs(first.evaluate({"F": -6.0}).measurements - mean.evaluate({"F": -6.0}).measurements).max() > 1e-3
 
 
-def test_a_batch_a_saved_model_and_a_sample_beyond_belief(built, tmp_path):
+def test_batches_and_saved_models_agree_and_extreme_samples_are_refused(built, tmp_path):
     model = built[0]["first-order"]
     samples = model.deviations({}) + np.array([[0.0, 0.0], [1.0, 0.5], [1.0, -0.5], [-7.6, 0.0], [2.0, 0.0]])
     found = model.process().attempt(samples)
@@ -114,7 +114,7 @@ def test_a_batch_a_saved_model_and_a_sample_beyond_belief(built, tmp_path):
         model.with_deviations(samples[3])
 
 
-def test_what_a_sample_changes_is_known_from_wherever_it_is_asked(built):
+def test_the_stiffness_of_a_sample_does_not_depend_on_the_sample_before(built):
     model = built[0]["first-order"]
     there, back = np.array([-6.0, 41.0]), model.deviations({})[0]
     again = model.with_deviations(there).with_deviations(back)
@@ -136,7 +136,7 @@ def test_friction_may_vary_beside_it(cache, built):
     assert np.abs(found - model.evaluate({"F": -6.0}).resolutions["clamp"].force).max() > 1e-4 * np.abs(expected).max()
 
 
-def test_candidates_and_forces_with_limits_are_those_of_the_sample(cache):
+def test_candidates_and_limited_forces_use_the_stiffness_of_the_sample(cache):
     """As in a model that has the sample's compliance and gaps from the beginning."""
     table = lap("first-order")
     table["zones"][0].pop("pairs")
@@ -159,7 +159,7 @@ def test_candidates_and_forces_with_limits_are_those_of_the_sample(cache):
     assert np.abs(found.resolutions["weld"].needed[0] / needed - 1).max() > 0.01
 
 
-def test_derivatives_are_those_of_differences(built):
+def test_derivatives_agree_with_finite_differences(built):
     models, _ = built
     at, step = np.array([-6.0, 40.5]), 1e-3
     found = models["first-order"].sensitivities(at)
@@ -176,7 +176,7 @@ def test_derivatives_are_those_of_differences(built):
     np.testing.assert_array_equal(found.sides[0, :, 0], np.repeat(found.jacobian[0, :, :1], 2, axis=1))
 
 
-def test_only_parts_that_a_source_shapes_or_turns_are_computed_and_all_once(tmp_path):
+def test_only_parts_that_a_source_deforms_or_rotates_are_computed_and_each_once(tmp_path):
     lines: list[str] = []
     assembly = assemble(read(lap("first-order")), tmp_path)
     found, cached = coefficients(assembly, tmp_path, lines.append)
@@ -186,9 +186,7 @@ def test_only_parts_that_a_source_shapes_or_turns_are_computed_and_all_once(tmp_
         *("influence coefficients of lower", "influence coefficients of upper"),  # warm, and bent
         *("influence coefficients of upper at F + 1 σ", "influence coefficients of upper at F − 1 σ"),
     ]
-    assert (
-        "stiffness to first order in F (1 more, with 0.0% of the rotations of the sheets, are left out)" in lines
-    )
+    assert "stiffness to first order in F (1 more, with 0.0% of the rotations of the sheets, are left out)" in lines
     assert set(found["upper"].slopes) == {"F"} and not found["lower"].slopes
     again: list[str] = []
     assert coefficients(assembly, tmp_path, again.append)[1] == {"lower": True, "upper": True}
@@ -215,7 +213,7 @@ def assembly_of(assembly):
     return replace(assembly, scene=assembly.scene.model_copy(update={"stiffness": "nominal"}))
 
 
-def test_sources_that_hardly_matter_are_left_out_together_by_no_more_than_a_tenth(cache):
+def test_small_sources_are_omitted_up_to_a_tenth_in_total(cache):
     every = chosen(several([1.0] * 4), cache)
     assert list(every.along) == ["F0", "F1", "F2", "F3"] and every.omitted == 1 and every.share < 1e-3
     turned = {
@@ -237,8 +235,8 @@ def test_sources_that_hardly_matter_are_left_out_together_by_no_more_than_a_tent
     assert list(chosen(several([1.0, 0.0, 0.0, 0.0]), cache).along) == ["F0"]
 
 
-def test_what_is_left_out_leaves_about_what_it_says(cache):
-    """Of the error of the mean shape's stiffness: at most twice the share that these sources turn the sheets by."""
+def test_the_error_of_omitted_sources_is_about_the_stated_share(cache):
+    """Relative to the error of the mean shape's stiffness, it is at most twice the share of the omitted rotations."""
     table = several([1.0, 0.08, 0.08, 0.08])
     model, assembly = reduced_and_assembly(read(table), cache)
     share = chosen(table, cache).share
@@ -252,7 +250,7 @@ def test_what_is_left_out_leaves_about_what_it_says(cache):
     assert 0.25 * share < left < 2 * share
 
 
-def test_a_check_tells_the_sets_of_coefficients_before_and_after(tmp_path):
+def test_a_check_reports_the_sets_of_coefficients_before_and_after(tmp_path):
     scene = tmp_path / "scene"
     scene.mkdir()
     table = lap("first-order")
@@ -267,7 +265,7 @@ def test_a_check_tells_the_sets_of_coefficients_before_and_after(tmp_path):
         output = CliRunner().invoke(app, ["check", str(scene)], env=environment).output
         return next(line for line in output.splitlines() if "to first order" in line)
 
-    each = "; each sample is set up by itself, which takes many times as long"
+    each = "; each sample needs its own model, which takes many times as long"
     assert (
         told() == f"• stiffness to first order in up to F1, F2: at most 10 further sets of influence coefficients{each}"
     )
@@ -280,7 +278,7 @@ def test_a_check_tells_the_sets_of_coefficients_before_and_after(tmp_path):
 
 
 @pytest.mark.slow
-def test_processes_that_share_the_coefficients_find_what_one_does(tmp_path, built):
+def test_several_processes_compute_the_coefficients_of_one(tmp_path, built):
     done = on_processes(2, "-m", "support.deviated", tmp_path)
     assert done.returncode == 0, done.stdout + done.stderr
     found, own = ReducedModel.load(tmp_path / "model.npz"), built[0]["first-order"]
@@ -302,12 +300,12 @@ def test_processes_that_share_the_coefficients_find_what_one_does(tmp_path, buil
         ({"optimise": {"orders": [{"stage": "clamp"}]}}, "optimise: it needs stiffness"),
     ],
 )
-def test_what_stiffness_to_first_order_cannot_be_of_is_refused(keys, said):
+def test_scenes_without_first_order_stiffness_are_refused(keys, said):
     with pytest.raises(SceneError, match=said):
         read(lap("first-order") | keys)
 
 
-def test_a_model_is_not_made_of_coefficients_without_derivatives(cache, built):
+def test_coefficients_without_derivatives_are_refused(cache, built):
     assembly = built[1]
     of_mean = replace(assembly, scene=assembly.scene.model_copy(update={"stiffness": "mean"}))
     for other in (of_mean, assembly_of(assembly)):

@@ -318,11 +318,11 @@ def test_every_element_stands_every_benchmark_and_on_the_page():
 @pytest.mark.parametrize(("name", "element"), CASES)
 def test_published(name, element):
     case = CASES[name, element]
-    ratios = np.array([case.ratio(element, n) for n in case.sizes])
+    sizes = case.sizes[-1:] if case.rate is None else case.sizes[-2:]
+    ratios = np.array([case.ratio(element, n) for n in sizes])
     errors = ratios / case.target - 1
-    rates = -observed_rates(case.sizes, errors)
-    report = f"{name}, {element}: ratios {np.round(ratios, 5)} on n = {case.sizes}, observed rates {np.round(rates, 2)}"
-    print(report)
+    rates = -observed_rates(sizes, errors)
+    report = f"{name}, {element}: ratios {np.round(ratios, 5)} on n = {sizes}, observed rates {np.round(rates, 2)}"
     assert abs(errors[-1]) < case.tolerance, report
     if case.rate is not None:
         assert rates[-1] > case.rate, report
