@@ -17,10 +17,10 @@ from pathlib import Path
 import numpy as np
 
 import mic
-from mic.statistics.derivative_regression import by_slopes
+from mic.statistics.derivative_regression import estimates_with_derivatives
 from mic.statistics.draw import draw
 from mic.statistics.regression import Regression
-from mic.studies.adjustment import adjustments, extended
+from mic.studies.adjustment import adjustments, with_adjustments
 
 HERE = Path(__file__).resolve().parents[1]
 POSITION = 0.05  # mm
@@ -40,7 +40,7 @@ def main() -> None:
 
 def _with_locators(model):
     """The model with every locator a deviation too."""
-    found, names = extended(model, adjustments(model, names=[one.name for one in model.scene.locators]))
+    found, names = with_adjustments(model, adjustments(model, names=[one.name for one in model.scene.locators]))
     items = [one.model_copy(update={"sigma": POSITION}) if one.name in names else one for one in found.scene.deviations]
     return found.varied(found.scene.model_copy(update={"deviations": items}))
 
@@ -67,7 +67,7 @@ def _compare(model, asked) -> None:
         print(f"  {count:4d} samples, plain:         {_error(plain, truth)}")
         print(f"  {count:4d} samples, by regression: {_error(regressed, truth)}")
     parts = [slice(i, i + n) for i in range(0, whole, n)]
-    told = [by_slopes(model.scene, x[own], y[own], slopes[own]) for own in parts]
+    told = [estimates_with_derivatives(model.scene, x[own], y[own], slopes[own]) for own in parts]
     both = np.array(
         [np.where(one.kind == "plain", y[own].std(axis=0, ddof=1), one.sigma[0]) for one, own in zip(told, parts)]
     )
@@ -82,7 +82,7 @@ def _error(found: np.ndarray, truth: np.ndarray) -> str:
 def _improved(model, x, y) -> np.ndarray:
     sums = Regression.of(model.scene)
     sums.add(np.arange(len(x)), x, y)
-    best = sums.improved()
+    best = sums.estimates()
     return np.where(best.kind == "plain", y.std(axis=0, ddof=1), best.sigma[0])
 
 

@@ -1,6 +1,6 @@
-"""Key characteristics against their limits: Cp and Cpk with their confidence intervals, and samples outside.
+"""Capability of key characteristics: Cp and Cpk with confidence intervals, and number of samples outside the limits.
 
-Samples run along the first axis of ``x``, or their moments stand for them, as in :mod:`mic.statistics.estimates`.
+``x`` holds samples along its first axis, or their moments (:mod:`mic.statistics.estimates`).
 
 References
 ----------
@@ -18,7 +18,7 @@ __all__ = ["capability", "centred_capability", "outside"]
 
 
 def capability(x, lower, upper, level: float = LEVEL) -> Estimate:
-    """Cp = (upper - lower) / 6σ, with the interval that belongs to that of 6σ; infinite without spread.
+    """Cp = (upper - lower) / 6σ, with the interval that follows from that of 6σ; infinite without spread.
 
     Parameters
     ----------
@@ -35,27 +35,27 @@ def capability(x, lower, upper, level: float = LEVEL) -> Estimate:
 def centred_capability(x, lower, upper, level: float = LEVEL) -> Estimate:
     """Cpk = min(upper - mean, mean - lower) / 3σ, with Bissell's interval [1]_.
 
-    ``Cpk ± z sqrt(1/(9 n) + Cpk²/(2 (n - 1)))`` for samples that look normal. Where they show heavier tails, the
-    variance is that of the ratio to first order, ``(1/9 + Cpk² (κ - 1)/4 ± Cpk γ/3) / n`` with skewness γ and kurtosis
-    κ, plus towards the upper limit. Without spread it is infinite, of the sign that the mean's place demands.
+    ``Cpk ± z sqrt(1/(9 n) + Cpk²/(2 (n - 1)))`` for samples without heavy tails. For heavy tails, the variance of the
+    ratio is taken to first order: ``(1/9 + Cpk² (κ - 1)/4 ± Cpk γ/3) / n`` with skewness γ and kurtosis κ, plus if the
+    upper limit is the nearer one. Without spread, Cpk is +∞ if the mean is within the limits and -∞ otherwise.
     """
     x = Moments.of(x)
-    centre, s = mean(x, level), np.asarray(sigma(x, level).value)
-    n, m = centre.used, centre.value
+    average, s = mean(x, level), np.asarray(sigma(x, level).value)
+    n, m = average.used, average.value
     above, below = np.asarray(upper, dtype=float) - m, m - np.asarray(lower, dtype=float)
     with np.errstate(divide="ignore", invalid="ignore"):
         value = np.minimum(above, below) / (3 * s)
-    known = np.where(np.isfinite(value), value, np.nan)
+    finite = np.where(np.isfinite(value), value, np.nan)
     skewness, kurtosis, heavy = tails(x)
-    towards = np.where(above <= below, 1, -1)
-    normal = 1 / (9 * np.maximum(n, 1)) + known**2 / (2 * np.maximum(n - 1, 1))
-    general = (1 / 9 + known**2 * (kurtosis - 1) / 4 + towards * known * skewness / 3) / np.maximum(n, 1)
+    sign = np.where(above <= below, 1, -1)
+    normal = 1 / (9 * np.maximum(n, 1)) + finite**2 / (2 * np.maximum(n - 1, 1))
+    general = (1 / 9 + finite**2 * (kurtosis - 1) / 4 + sign * finite * skewness / 3) / np.maximum(n, 1)
     half = ndtri(0.5 + level / 2) * np.sqrt(np.where(heavy, general, normal))
-    return Estimate.of(x, value, known - half, known + half)
+    return Estimate.of(x, value, finite - half, finite + half)
 
 
 def outside(x, lower, upper) -> np.ndarray:
-    """How many samples lie outside [lower, upper]; :func:`mic.statistics.estimates.share` makes a share of it.
+    """Number of samples outside [lower, upper]; :func:`mic.statistics.estimates.share` converts it to a share.
 
     Parameters
     ----------

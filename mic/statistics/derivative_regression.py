@@ -1,16 +1,15 @@
-r"""Mean and 6σ from few samples whose exact derivatives are known: a regression on values and derivatives alike.
+r"""Mean and 6σ from few samples with exact derivatives: regression on values and derivatives.
 
-With functions ``φ_j`` of mean 0 and orthonormal as :mod:`mic.statistics.regression` has them, each sample with its p
-derivatives gives 1 + p equations for the coefficients b, so that there may be more inputs than samples. For any b
+With functions ``φ_j`` of mean 0 and orthonormal as in :mod:`mic.statistics.regression`, each sample with its p
+derivatives gives 1 + p equations for the coefficients b, so there may be more inputs than samples. For any b
 
 .. math::
 
     E\,y = E\,(y - φ b), \qquad \mathrm{Var}\,y = \sum b_j^2 + \mathrm{Var}\,r + 2\,\mathrm{Cov}(φ b, r), \qquad
     r = y - φ b,
 
-and only the last two terms are left to chance. They are taken of samples that had no part in finding b, group by group,
-each with the b of all others (cross-fitting [1]_), so that the groups' estimates are unbiased whatever b is, and their
-scatter is that of the mean of them.
+and only the last two terms have sampling noise. They are computed fold by fold with the b of all other folds
+(cross-fitting [1]_), so the estimates are unbiased for any b.
 
 References
 ----------
@@ -23,19 +22,21 @@ from __future__ import annotations
 import numpy as np
 from scipy.special import stdtrit
 
-from mic.statistics.estimates import LEVEL
-from mic.statistics.estimates import sigma as plain_sigma
-from mic.statistics.regression import EACH, KINDS, MORE, QUADRATIC, Improved, Regression
+from mic.statistics import estimates, regression
+from mic.statistics.estimates import LEVEL, jackknife_error
+from mic.statistics.regression import Regression, RegressionEstimates, orthonormal_functions
 
-__all__ = ["by_slopes"]
+__all__ = ["estimates_with_derivatives"]
 
-GROUPS = 20  # that the jackknife leaves out in turn
+GROUPS = 20  # groups of the jackknife
 FOLDS = 5
-LEAST = 20  # samples: with fewer the jackknife does not tell how uncertain it is
+LEAST = 20  # samples; fewer give no reliable jackknife interval
 
 
-def by_slopes(scene, x: np.ndarray, y: np.ndarray, slopes: np.ndarray, level: float = LEVEL) -> Improved | None:
-    """Estimates of k outputs; ``"plain"`` where no regression is narrower than the samples alone.
+def estimates_with_derivatives(
+    scene, x: np.ndarray, y: np.ndarray, slopes: np.ndarray, level: float = LEVEL
+) -> RegressionEstimates | None:
+    """Estimates of k outputs; ``"plain"`` if no regression has a narrower interval than the samples alone.
 
     Parameters
     ----------
@@ -43,94 +44,89 @@ def by_slopes(scene, x: np.ndarray, y: np.ndarray, slopes: np.ndarray, level: fl
     x, y : (n, p), (n, k) array
         Deviations and outputs.
     slopes : (n, k, p) array
-        Derivatives of the outputs, per unit of the deviations. Samples with anything that is not finite are left out.
+        Derivatives of the outputs, per unit of the deviations. Samples with values that are not finite are excluded.
 
     Returns
     -------
-    Improved or None
-        None where the deviations' moments are not known (:meth:`mic.statistics.regression.Regression.of`).
+    RegressionEstimates or None
+        None if the deviations' moments are not known (:meth:`mic.statistics.regression.Regression.of`).
     """
     moments = Regression.of(scene)
     if moments is None:
         return None
-    own = moments.sigma > 0
-    known = np.isfinite(y).all(axis=1) & np.isfinite(slopes[:, :, own]).all(axis=(1, 2))
+    varying = moments.varying
+    known = np.isfinite(y).all(axis=1) & np.isfinite(slopes[:, :, varying]).all(axis=(1, 2))
     x, y, slopes = x[known], y[known], slopes[known]
-    n, k, p = len(y), y.shape[1], int(own.sum())
-    best = Improved.none(k)
+    n, k, p = len(y), y.shape[1], int(varying.sum())
+    best = RegressionEstimates.plain(k)
     if n < LEAST or not p:
         return best
-    t = (x[:, own] - moments.mean[own]) / moments.sigma[own]
-    turned = np.moveaxis(slopes[:, :, own] * moments.sigma[own], 1, 2)  # (n, p, k)
-    told = plain_sigma(y, level)
+    t = (x[:, varying] - moments.mean[varying]) / moments.sigma[varying]
+    scaled = np.moveaxis(slopes[:, :, varying] * moments.sigma[varying], 1, 2)  # (n, p, k)
+    plain = estimates.sigma(y, level)
     with np.errstate(divide="ignore", invalid="ignore"):
-        least = np.asarray(np.log(told.high) - np.log(told.low))
-    least = np.where(np.isfinite(least), least, np.inf)
-    for kind in KINDS if p <= QUADRATIC else KINDS[:1]:
-        values, gradients = _functions(t, moments.kurtosis[own], kind == "quadratic")
-        if n * (1 + p) < EACH * values.shape[1] + MORE:
+        narrowest = np.asarray(np.log(plain.high) - np.log(plain.low))
+    narrowest = np.where(np.isfinite(narrowest), narrowest, np.inf)
+    for kind in regression.KINDS if p <= regression.QUADRATIC else regression.KINDS[:1]:
+        values = orthonormal_functions(t, moments.kurtosis[varying], kind == "quadratic")
+        needed = regression.SAMPLES_PER_COEFFICIENT * values.shape[1] + regression.FURTHER_SAMPLES
+        if n * (1 + p) < needed:
             continue
-        mean, spread, explained = _intervals(values, gradients, y, turned, level)
+        gradients = _gradients(t, moments.kurtosis[varying], kind == "quadratic")
+        mean, sigma, explained = _intervals(values, gradients, y, scaled, level)
         with np.errstate(divide="ignore", invalid="ignore"):
-            width = np.log(spread[2]) - np.log(spread[1])
-        better = width < least
-        least = np.where(better, width, least)
-        best.kind[better], best.explained[better] = kind, explained[better]
-        best.mean[:, better], best.sigma[:, better] = mean[:, better], spread[:, better]
+            width = np.log(sigma[2]) - np.log(sigma[1])
+        narrower = width < narrowest
+        narrowest = np.where(narrower, width, narrowest)
+        best.replace(narrower, kind, mean, sigma, explained)
     return best
 
 
-def _functions(t: np.ndarray, kurtosis: np.ndarray, quadratic: bool) -> tuple[np.ndarray, np.ndarray]:
-    """φ (n, q) and its derivatives (n, p, q) with respect to the inputs in standard deviations t (n, p)."""
+def _gradients(t: np.ndarray, kurtosis: np.ndarray, quadratic: bool) -> np.ndarray:
+    """Derivatives (n, p, q) of φ with respect to the inputs in standard deviations t (n, p)."""
     n, p = t.shape
     if not quadratic:
-        return t, np.broadcast_to(np.eye(p), (n, p, p))
-    scale = np.sqrt(kurtosis - 1)
+        return np.broadcast_to(np.eye(p), (n, p, p))
     i, j = np.triu_indices(p, 1)
-    values = np.column_stack([t, (t**2 - 1) / scale, t[:, i] * t[:, j]])
-    gradients = np.zeros((n, p, values.shape[1]))
-    every, pair = np.arange(p), 2 * p + np.arange(len(i))
-    gradients[:, every, every] = 1.0
-    gradients[:, every, p + every] = 2 * t / scale
+    inputs, pair = np.arange(p), 2 * p + np.arange(len(i))
+    gradients = np.zeros((n, p, 2 * p + len(i)))
+    gradients[:, inputs, inputs] = 1.0
+    gradients[:, inputs, p + inputs] = 2 * t / np.sqrt(kurtosis - 1)
     gradients[:, i, pair] = t[:, j]
     gradients[:, j, pair] = t[:, i]
-    return values, gradients
+    return gradients
 
 
 def _intervals(values, gradients, y, slopes, level: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Mean and σ (3, k) with the jackknife's intervals, of σ of its logarithm, and the explained share (k,)."""
+    """Mean and σ (3, k) with jackknife intervals (for σ on the logarithm), and the explained share (k,)."""
     n, groups = len(y), min(GROUPS, len(y))
     group = np.arange(n) % groups
     arrays = values, gradients, y, slopes
-    mean, sigma, explained = _crossed(*arrays)
-    without = [_crossed(*(one[group != g] for one in arrays)) for g in range(groups)]
-    quantile = stdtrit(FOLDS - 1, 0.5 + level / 2)  # samples share their coefficients fold by fold
-
-    def half(others):
-        return quantile * np.sqrt((groups - 1) / groups * ((others - others.mean(axis=0)) ** 2).sum(axis=0))
-
-    of_mean = half(np.array([one[0] for one in without]))
+    mean, sigma, explained = _cross_fit(*arrays)
+    without = [_cross_fit(*(array[group != g] for array in arrays)) for g in range(groups)]
+    quantile = stdtrit(FOLDS - 1, 0.5 + level / 2)  # samples of a fold share their coefficients
+    half = quantile * jackknife_error(np.array([fit[0] for fit in without]))
     with np.errstate(divide="ignore", invalid="ignore"):
-        wide = np.exp(half(np.log([one[1] for one in without])))
-    return np.array([mean, mean - of_mean, mean + of_mean]), np.array([sigma, sigma / wide, sigma * wide]), explained
+        factor = np.exp(quantile * jackknife_error(np.log([fit[1] for fit in without])))
+    return np.array([mean, mean - half, mean + half]), np.array([sigma, sigma / factor, sigma * factor]), explained
 
 
-def _crossed(values, gradients, y, slopes) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _cross_fit(values, gradients, y, slopes) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Mean, σ and explained share (k,), each fold with the coefficients of all others."""
     n, q, k = len(y), values.shape[1], y.shape[1]
     fold = np.arange(n) % FOLDS
-    rest, foretold, square = np.empty((n, k)), np.empty((n, k)), np.zeros(k)
+    residual, predicted, square = np.empty((n, k)), np.empty((n, k)), np.zeros(k)
     for f in range(FOLDS):
-        kept = fold != f
-        rows = np.concatenate([values[kept] - values[kept].mean(axis=0), gradients[kept].reshape(-1, q)])
-        right = np.concatenate([y[kept] - y[kept].mean(axis=0), slopes[kept].reshape(-1, k)])
+        test, training = fold == f, fold != f
+        rows = np.concatenate([values[training] - values[training].mean(axis=0), gradients[training].reshape(-1, q)])
+        right = np.concatenate([y[training] - y[training].mean(axis=0), slopes[training].reshape(-1, k)])
         b = np.linalg.lstsq(rows, right, rcond=None)[0]
-        foretold[~kept] = values[~kept] @ b
-        rest[~kept] = y[~kept] - foretold[~kept]
-        square += (~kept).sum() / n * (b**2).sum(axis=0)
-    mean = rest.mean(axis=0)
-    off = rest - mean
-    left = (off**2).sum(axis=0) / (n - 1)
-    variance = np.maximum(square + left + 2 * (foretold * off).sum(axis=0) / (n - 1), left)
+        predicted[test] = values[test] @ b
+        residual[test] = y[test] - predicted[test]
+        square += test.sum() / n * (b**2).sum(axis=0)
+    mean = residual.mean(axis=0)
+    centred = residual - mean
+    unexplained = (centred**2).sum(axis=0) / (n - 1)
+    variance = np.maximum(square + unexplained + 2 * (predicted * centred).sum(axis=0) / (n - 1), unexplained)
     with np.errstate(divide="ignore", invalid="ignore"):
-        return mean, np.sqrt(variance), 1 - left / variance
+        return mean, np.sqrt(variance), 1 - unexplained / variance

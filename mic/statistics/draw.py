@@ -12,7 +12,7 @@ from scipy.special import ndtr, ndtri
 from mic.scene.distribution import quantile
 from mic.scene.samples import DESIGNS
 
-__all__ = ["draw", "keys", "numbers", "placed", "values_of"]
+__all__ = ["at_probabilities", "draw", "from_random_numbers", "number_count", "number_keys"]
 
 EDGE = 1e-16  # distance of probabilities from 0 and 1
 GROUPS = 1  # counter word that separates streams of groups from those of samples
@@ -22,9 +22,8 @@ def draw(scene, seed: int, first: int, count: int) -> np.ndarray:
     """Deviations of samples ``first … first + count - 1``: those that the scene gives, or drawn ones.
 
     Each sample has its own counter-based stream, keyed by the seed and the sample's number, so its values do not
-    depend on batches or order. Deviations with
-    scores use those of one measured piece, the same for a whole batch. A design that makes samples in groups has one
-    stream per group, keyed by the seed and the group's number.
+    depend on batches or order. Deviations with scores take those of one measured piece, the same for a whole batch. A
+    design that makes samples in groups has one stream per group, keyed by the seed and the group's number.
 
     Parameters
     ----------
@@ -42,69 +41,77 @@ def draw(scene, seed: int, first: int, count: int) -> np.ndarray:
     pieces = _pieces(scene)
     p = len(scene.deviations)
     if scene.monte_carlo.design != "independent":
-        return placed(scene, _designed(scene.monte_carlo.design, seed, first, count, numbers(scene)))
-    normal, flat, which = np.empty((count, p)), np.empty((count, p)), np.empty((count, len(pieces)), dtype=int)
+        u = _design_probabilities(scene.monte_carlo.design, seed, first, count, number_count(scene))
+        return at_probabilities(scene, u)
+    normal, uniform, piece = np.empty((count, p)), np.empty((count, p)), np.empty((count, len(pieces)), dtype=int)
     lengths = [scores.shape[1] for _, scores in pieces]
     for i in range(count):
         stream = np.random.Generator(np.random.Philox(key=np.array([seed, first + i], dtype=np.uint64)))
-        normal[i], flat[i] = stream.standard_normal(p), stream.uniform(-np.sqrt(3), np.sqrt(3), p)
-        which[i] = [stream.integers(length) for length in lengths]
-    return values_of(scene, normal, flat, which)
+        normal[i], uniform[i] = stream.standard_normal(p), stream.uniform(-np.sqrt(3), np.sqrt(3), p)
+        piece[i] = [stream.integers(length) for length in lengths]
+    return from_random_numbers(scene, normal, uniform, piece)
 
 
-def keys(scene) -> list[tuple[str, str]]:
-    """Purposes of the random numbers of a sample: ``("deviation", name)``, then ``("batch", name)`` of pieces."""
+def number_keys(scene) -> list[tuple[str, str]]:
+    """Purpose of each random number of a sample: ``("deviation", name)``, then ``("batch", name)`` of pieces."""
     return [*(("deviation", item.name) for item in scene.deviations), *(("batch", name) for name in _batches(scene))]
 
 
-def numbers(scene) -> int:
+def number_count(scene) -> int:
     """Number of independent random numbers per sample: one for each deviation and each batch of pieces."""
-    return len(keys(scene))
+    return len(number_keys(scene))
 
 
-def placed(scene, u: np.ndarray) -> np.ndarray:
-    """Deviations (n, p) of samples at independent probabilities.
+def at_probabilities(scene, u: np.ndarray) -> np.ndarray:
+    """Deviations (n, p) from independent probabilities (inverse transform).
 
     Parameters
     ----------
     scene : mic.scene.Scene
     u : (n, d) array
-        Between 0 and 1, d as :func:`numbers` says.
+        Between 0 and 1; d is :func:`number_count`.
     """
     p = len(scene.deviations)
     u = np.clip(u, EDGE, 1 - EDGE)
     lengths = [scores.shape[1] for _, scores in _pieces(scene)]
-    which = np.minimum(u[:, p:] * lengths, np.array(lengths) - 1).astype(int)
-    return values_of(scene, ndtri(u[:, :p]), np.sqrt(3) * (2 * u[:, :p] - 1), which)
+    piece = np.minimum(u[:, p:] * lengths, np.array(lengths) - 1).astype(int)
+    return from_random_numbers(scene, ndtri(u[:, :p]), np.sqrt(3) * (2 * u[:, :p] - 1), piece)
 
 
-def values_of(scene, normal: np.ndarray, flat: np.ndarray, which: np.ndarray) -> np.ndarray:
-    """Deviations (n, p) of numbers (n, p), standard normal and uniform on -√3 … √3, and of the pieces (n, b) taken.
+def from_random_numbers(scene, normal: np.ndarray, uniform: np.ndarray, piece: np.ndarray) -> np.ndarray:
+    """Deviations (n, p) from random numbers.
 
-    A distribution takes one or the other; correlated deviations leave their correlation in `normal`.
+    Parameters
+    ----------
+    scene : mic.scene.Scene
+    normal, uniform : (n, p) array
+        Standard normal numbers, and uniform ones on -√3 … √3; each distribution uses one of them. `normal` is
+        correlated in place.
+    piece : (n, b) int array
+        Index of the measured piece of each batch.
     """
     pieces = _pieces(scene)
-    together = _correlated(scene, normal)
+    correlated = _correlate(scene, normal)
     values = np.empty(normal.shape)
     for j, item in enumerate(scene.deviations):
-        plain = item.truncated is None
-        if plain and item.distribution == "normal":
+        whole = item.truncated is None
+        if whole and item.distribution == "normal":
             values[:, j] = item.mean + item.sigma * normal[:, j]
-        elif plain and item.distribution == "uniform" and j not in together:
-            values[:, j] = item.mean + item.sigma * flat[:, j]
+        elif whole and item.distribution == "uniform" and j not in correlated:
+            values[:, j] = item.mean + item.sigma * uniform[:, j]
         else:
             values[:, j] = quantile(item, ndtr(normal[:, j]))
-    for k, (own, scores) in enumerate(pieces):
-        for j, each in zip(own, scores):
-            values[:, j] = scene.deviations[j].mean + scene.deviations[j].sigma * each[which[:, k]]
+    for k, (indices, scores) in enumerate(pieces):
+        for j, score in zip(indices, scores):
+            values[:, j] = scene.deviations[j].mean + scene.deviations[j].sigma * score[piece[:, k]]
     return values
 
 
-def _designed(design: str, seed: int, first: int, count: int, d: int) -> np.ndarray:
+def _design_probabilities(design: str, seed: int, first: int, count: int, d: int) -> np.ndarray:
     """(count, d) probabilities of samples of a design."""
     from scipy.stats import qmc  # slow to import, needed for designs only
 
-    size, found = DESIGNS[design], []
+    size, groups = DESIGNS[design], []
     for group in range(first // size, -(-(first + count) // size)):
         key, counter = np.array([seed, group], dtype=np.uint64), [0, 0, 0, GROUPS]
         stream = np.random.Generator(np.random.Philox(key=key, counter=counter))
@@ -115,33 +122,33 @@ def _designed(design: str, seed: int, first: int, count: int, d: int) -> np.ndar
             points = qmc.Sobol(d, scramble=True, seed=stream).random(size) if d else np.empty((size, 0))
         else:
             points = qmc.LatinHypercube(d, seed=stream).random(size) if d else np.empty((size, 0))
-        found.append(points)
+        groups.append(points)
     start = first % size
-    return np.concatenate([np.empty((0, d)), *found])[start : start + count]
+    return np.concatenate([np.empty((0, d)), *groups])[start : start + count]
 
 
-def _correlated(scene, normal: np.ndarray) -> set[int]:
+def _correlate(scene, normal: np.ndarray) -> set[int]:
     """Correlate standard normals (n, p) in place; returns the indices of the correlated deviations.
 
     ``z = L ε`` is summed term by term: a sample's bits do not depend on the other samples.
     """
-    names, together = [item.name for item in scene.deviations], set()
+    names, correlated = [item.name for item in scene.deviations], set()
     for table in scene.correlations:
-        own = [names.index(name) for name in table.deviations]
-        independent = normal[:, own].copy()
-        for j, row in zip(own, table.factor):
+        indices = [names.index(name) for name in table.deviations]
+        independent = normal[:, indices].copy()
+        for j, row in zip(indices, table.factor):
             normal[:, j] = sum(share * column for share, column in zip(row, independent.T))
-        together |= {*own}
-    return together
+        correlated |= {*indices}
+    return correlated
 
 
 def _pieces(scene) -> list[tuple[list[int], np.ndarray]]:
-    """For each batch of n measured pieces, its k deviations and their scores (k, n)."""
-    return [(own, np.array([scene.deviations[j].scores for j in own])) for own in _batches(scene).values()]
+    """For each batch of n measured pieces, the indices of its k deviations and their scores (k, n)."""
+    return [(indices, np.array([scene.deviations[j].scores for j in indices])) for indices in _batches(scene).values()]
 
 
 def _batches(scene) -> dict[str, list[int]]:
-    """The deviations of each batch of measured pieces."""
+    """Indices of the deviations of each batch of measured pieces."""
     batches: dict[str, list[int]] = {}
     for j, item in enumerate(scene.deviations):
         if getattr(item, "scores", None) is not None:

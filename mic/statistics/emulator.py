@@ -8,8 +8,8 @@ which reproduces linear functions exactly. Changes of contact state make h sligh
 spline is smoothed according to the distance between neighbours. D scales directions by their influence.
 
 Leave-one-out errors take one inverse [2]_ (not in scipy): with M the matrix of the equations, the error at z_i is
-w_i / (M⁻¹)_ii. As the mean of a Gaussian field the spline has the relative standard deviation √(δ − bᵀ M⁻¹ b) between
-the z_i, with right-hand side b and damping δ, and (M⁻¹)_ii^−½ at a sample that is left out.
+w_i / (M⁻¹)_ii. Interpreted as the mean of a Gaussian random field, the spline has the relative standard deviation
+√(δ − bᵀ M⁻¹ b) between the z_i, with right-hand side b and damping δ, and (M⁻¹)_ii^−½ at an omitted sample.
 
 References
 ----------
@@ -47,7 +47,7 @@ class Emulator:
 
     Attributes
     ----------
-    stretch : (p,) array
+    scale : (p,) array
         Scale of each number in distances.
     damping : float
         Smoothing parameter of the spline.
@@ -56,40 +56,40 @@ class Emulator:
     def __init__(self, z: np.ndarray, h: np.ndarray):
         size = np.where(h.std(axis=0) > 0, h.std(axis=0), 1.0)
         slope = np.linalg.lstsq(np.column_stack([np.ones(len(z)), z]), h / size, rcond=None)[0][1:]
-        steep = np.sqrt((slope**2).mean(axis=1))
-        self.stretch = np.sqrt(np.maximum(steep / max(steep.max(), 1e-300), LEAST))
-        nearest = KDTree(z * self.stretch).query(z * self.stretch, 2)[0][:, 1]
-        self._known, self._values = z * self.stretch, h
+        influence = np.sqrt((slope**2).mean(axis=1))
+        self.scale = np.sqrt(np.maximum(influence / max(influence.max(), 1e-300), LEAST))
+        nearest = KDTree(z * self.scale).query(z * self.scale, 2)[0][:, 1]
+        self._points, self._values = z * self.scale, h
         self.damping = DAMPED * float(np.median(nearest)) ** 3
-        self._spline = RBFInterpolator(self._known, h, smoothing=self.damping, kernel="cubic", degree=1)
+        self._spline = RBFInterpolator(self._points, h, smoothing=self.damping, kernel="cubic", degree=1)
 
     def __call__(self, z: np.ndarray) -> np.ndarray:
-        """(m, k) at numbers (m, p)."""
-        return np.asarray(self._spline(z * self.stretch))
+        """(m, k) outputs at numbers (m, p)."""
+        return np.asarray(self._spline(z * self.scale))
 
-    def left_out(self) -> tuple[np.ndarray, np.ndarray]:
-        """Leave-one-out errors (n, k) and their relative standard deviations (n,), in the units of :meth:`apart`."""
-        n = len(self._known)
-        own = np.diag(self._inverse)[:n, None]
-        return self._inverse[:n, :n] @ self._values / own, 1 / np.sqrt(own[:, 0])
+    def leave_one_out(self) -> tuple[np.ndarray, np.ndarray]:
+        """Leave-one-out errors (n, k), and their relative standard deviations (n,) as in :meth:`relative_sigma`."""
+        n = len(self._points)
+        diagonal = np.diag(self._inverse)[:n, None]
+        return self._inverse[:n, :n] @ self._values / diagonal, 1 / np.sqrt(diagonal[:, 0])
 
-    def apart(self, z: np.ndarray) -> np.ndarray:
+    def relative_sigma(self, z: np.ndarray) -> np.ndarray:
         """(m,) relative standard deviations of the spline at numbers (m, p)."""
-        right = self._right(z * self.stretch)
+        right = self._right_side(z * self.scale)
         square = self.damping - np.einsum("ij,ij->i", right @ self._inverse, right)
         return np.sqrt(np.maximum(square, self.damping))
 
     @cached_property
     def _inverse(self) -> np.ndarray:
-        n, p = self._known.shape
+        n, p = self._points.shape
         equations = np.zeros((n + p + 1, n + p + 1))
-        equations[:n] = self._right(self._known)
+        equations[:n] = self._right_side(self._points)
         equations[n:, :n] = equations[:n, n:].T
         equations[:n, :n] += self.damping * np.eye(n)
         return np.linalg.inv(equations)
 
-    def _right(self, z: np.ndarray) -> np.ndarray:
-        return np.column_stack([cdist(z, self._known) ** 3, np.ones(len(z)), z])
+    def _right_side(self, z: np.ndarray) -> np.ndarray:
+        return np.column_stack([cdist(z, self._points) ** 3, np.ones(len(z)), z])
 
     def slopes(self, z: np.ndarray) -> np.ndarray:
         """(m, k, p) derivatives at numbers (m, p), by central differences."""

@@ -1,9 +1,8 @@
-"""Statistics of Monte Carlo samples, each with the uncertainty that a finite number of samples leaves.
+"""Statistics of Monte Carlo samples with their confidence intervals.
 
-Every estimate takes samples or their :class:`Moments`. Samples run along the first axis of ``x``, (n,) or (n, k);
-values that are not finite (failed samples) are left out of every estimate and counted. Where an estimate does not exist
-it is NaN: no interval can be had from one sample, nor from samples without spread, which would otherwise pass for
-certainty.
+Every estimate takes samples along the first axis of ``x``, (n,) or (n, k), or their :class:`Moments`. Values that are
+not finite (failed samples) are excluded and counted. Undefined estimates are NaN: one sample, or samples without
+spread, give no interval.
 
 References
 ----------
@@ -34,7 +33,8 @@ __all__ = [
     "Moments",
     "covered_share",
     "density",
-    "grouped",
+    "grouped_jackknife",
+    "jackknife_error",
     "maximum",
     "mean",
     "minimum",
@@ -57,7 +57,7 @@ class Estimate:
     value, low, high : float or (k,) array
         In the unit of the samples, or 1; NaN where it does not exist.
     used, excluded : int or (k,) int array
-        Samples that the estimate rests on, and samples left out because they were not finite.
+        Number of finite samples, and of excluded ones.
     """
 
     value: np.ndarray
@@ -68,21 +68,21 @@ class Estimate:
 
     @classmethod
     def of(cls, x, value, low, high) -> Estimate:
-        """The estimate from samples `x`, of which those that are not finite were left out."""
-        found = Moments.of(x)
-        return cls(*(_plain(np.asarray(a)) for a in (value, low, high, found.n, found.excluded)))
+        """An estimate from samples or moments `x`, which give the numbers of samples."""
+        moments = Moments.of(x)
+        return cls(*(_scalar_or_array(np.asarray(a)) for a in (value, low, high, moments.n, moments.excluded)))
 
 
 @dataclass(frozen=True)
 class Moments:
-    """What every estimate rests on: number, mean, central moments and extremes of samples that need not be kept.
+    """Number, mean, central moments and extremes of samples; they can be merged without the samples.
 
     Attributes
     ----------
     n, excluded : int array
-        Finite values, and others, which are left out.
+        Numbers of finite values and of others, which are excluded.
     mean, rest : array
-        The mean, NaN without values; and what rounding left of it, so that means far from 0 are told apart.
+        Mean, NaN without values, and its rounding error (compensated summation, for means far from 0).
     m2, m3, m4 : array
         ``Σ (x - mean)^p``, p = 2, 3, 4.
     low, high : array
@@ -101,7 +101,7 @@ class Moments:
 
     @classmethod
     def of(cls, x) -> Moments:
-        """Those of samples along the first axis; moments pass as they are."""
+        """Moments of samples along the first axis; moments are returned unchanged."""
         if isinstance(x, Moments):
             return x
         x = np.asarray(x, dtype=float)
@@ -122,10 +122,10 @@ class Moments:
         return cls(n, len(x) - n, np.where(n > 0, mean, np.nan), rest, m2, m3, m4, low, high)
 
     def merged(self, other: Moments) -> Moments:
-        """Those of both sets of samples together [6]_."""
+        """Moments of the union of both sets of samples [6]_."""
         a, b = self, other
         n = a.n + b.n
-        # As floats: n³ leaves the integers behind at two million samples.
+        # Floats: n³ overflows 64-bit integers at two million samples.
         p, q = np.asarray(a.n / np.maximum(n, 1)), np.asarray(b.n / np.maximum(n, 1))
         start = np.where(a.n > 0, a.mean, np.where(b.n > 0, b.mean, 0.0))
         d = np.where(b.n > 0, b.mean - start, 0.0) + (b.rest - a.rest)
@@ -147,14 +147,14 @@ class Moments:
         return Moments(n, a.excluded + b.excluded, mean, rest, m2, m3, m4, low, high)
 
     def at(self, place) -> Moments:
-        """Those of some of the quantities, by an index into the arrays."""
+        """Moments of the quantities at an index of the arrays."""
         return Moments(*(getattr(self, field.name)[place] for field in fields(self)))
 
     @property
     def deviation(self) -> np.ndarray:
         """Standard deviation (n - 1 in the denominator), NaN for fewer than two values.
 
-        A spread within rounding of the values counts as none.
+        A spread within the rounding error of the values counts as none.
         """
         known = self.n > 1
         size = np.maximum(np.abs(self.low), np.abs(self.high))
@@ -163,28 +163,28 @@ class Moments:
 
 
 def mean(x, level: float = LEVEL) -> Estimate:
-    """Mean, with the interval of Student's t [1]_; NaN without samples."""
-    found = Moments.of(x)
-    n, m, s = found.n, found.mean, found.deviation
+    """Mean, with Student's t interval [1]_; NaN without samples."""
+    moments = Moments.of(x)
+    n, m, s = moments.n, moments.mean, moments.deviation
     half = _t_quantile(n, level) * np.where(s > 0, s, np.nan) / np.sqrt(np.maximum(n, 1))
-    return Estimate.of(found, m, m - half, m + half)
+    return Estimate.of(moments, m, m - half, m + half)
 
 
 def sigma(x, level: float = LEVEL) -> Estimate:
     """Standard deviation (n - 1 in the denominator).
 
-    Its interval is the chi-squared one of a normal population [1]_ unless the samples show heavier tails than that;
-    such an interval would be too narrow, and Bonett's, which takes the kurtosis from the samples, stands in [5]_.
+    The interval is the chi-squared one of a normal population [1]_. For samples with heavy tails, where that is too
+    narrow, it is Bonett's, which uses the kurtosis of the samples [5]_.
     """
-    found = Moments.of(x)
-    s = found.deviation
-    low, high = _sigma_factors(found, level)
+    moments = Moments.of(x)
+    s = moments.deviation
+    low, high = _sigma_factors(moments, level)
     spread = np.where(s > 0, s, np.nan)
-    return Estimate.of(found, s, low * spread, high * spread)
+    return Estimate.of(moments, s, low * spread, high * spread)
 
 
 def six_sigma(x, level: float = LEVEL) -> Estimate:
-    """Six standard deviations: the variation as the industry quotes it; interval as :func:`sigma`."""
+    """Six standard deviations; interval as :func:`sigma`."""
     s = sigma(x, level)
     return Estimate(6 * s.value, 6 * s.low, 6 * s.high, s.used, s.excluded)
 
@@ -192,25 +192,25 @@ def six_sigma(x, level: float = LEVEL) -> Estimate:
 def minimum(x) -> Estimate:
     """Smallest sample.
 
-    The population's minimum is no larger; nothing bounds it from below, see :func:`covered_share`.
+    It is an upper bound of the population's minimum; there is no lower bound, see :func:`covered_share`.
     """
-    found = Moments.of(x)
-    value = np.where(found.n > 0, found.low, np.nan)
-    return Estimate.of(found, value, np.where(found.n > 0, -np.inf, np.nan), value)
+    moments = Moments.of(x)
+    value = np.where(moments.n > 0, moments.low, np.nan)
+    return Estimate.of(moments, value, np.where(moments.n > 0, -np.inf, np.nan), value)
 
 
 def maximum(x) -> Estimate:
     """Largest sample.
 
-    The population's maximum is no smaller; nothing bounds it from above, see :func:`covered_share`.
+    It is a lower bound of the population's maximum; there is no upper bound, see :func:`covered_share`.
     """
-    found = Moments.of(x)
-    value = np.where(found.n > 0, found.high, np.nan)
-    return Estimate.of(found, value, value, np.where(found.n > 0, np.inf, np.nan))
+    moments = Moments.of(x)
+    value = np.where(moments.n > 0, moments.high, np.nan)
+    return Estimate.of(moments, value, value, np.where(moments.n > 0, np.inf, np.nan))
 
 
 def covered_share(n: int, level: float = LEVEL) -> float:
-    """Share of the population that lies between the smallest and largest of n samples, with the given confidence [3]_.
+    """Share of the population between the smallest and largest of n samples, with the given confidence [3]_.
 
     The root p of ``n p^(n-1) - (n-1) p^n = 1 - level``, whatever the distribution; NaN for fewer than two samples.
     """
@@ -220,7 +220,7 @@ def covered_share(n: int, level: float = LEVEL) -> float:
 
 
 def share(count, n, level: float = LEVEL) -> Estimate:
-    """Share ``count / n`` with the exact interval of Clopper and Pearson [2]_.
+    """Share ``count / n`` with the exact interval of Clopper and Pearson [2]_, vectorised over arrays.
 
     Parameters
     ----------
@@ -232,47 +232,53 @@ def share(count, n, level: float = LEVEL) -> Estimate:
     low = np.where(count > 0, betaincinv(np.maximum(count, 1), n - count + 1, a), 0.0)
     high = np.where(count < n, betaincinv(count + 1, np.maximum(n - count, 1), 1 - a), 1.0)
     value = count / np.where(known, n, np.nan)
-    nothing = np.zeros(n.shape, dtype=int)
-    return Estimate(
-        _plain(value),
-        _plain(np.where(known, low, np.nan)),
-        _plain(np.where(known, high, np.nan)),
-        _plain(n.astype(int)),
-        _plain(nothing),
-    )
+    low, high = np.where(known, low, np.nan), np.where(known, high, np.nan)
+    excluded = np.zeros(n.shape, dtype=int)
+    return Estimate(*(_scalar_or_array(a) for a in (value, low, high, n.astype(int), excluded)))
 
 
-def grouped(x, group, figure: Callable, size: bool = False, level: float = LEVEL) -> Estimate:
-    """A figure of samples that are independent only from group to group, as those of a Latin hypercube are.
+def jackknife_error(without: np.ndarray) -> np.ndarray:
+    """Jackknife standard error ``s² = (R − 1)/R Σ (θ_(r) − θ̄)²`` [7]_.
 
-    Its interval comes from the figure without each of the R groups in turn, the grouped jackknife [7]_:
-    ``s² = (R − 1)/R Σ (θ_(r) − θ̄)²``, with Student's t of R − 1 degrees of freedom. NaN where the groups do not differ.
+    Parameters
+    ----------
+    without : (R, ...) array
+        θ_(r): the statistic without group r of the samples.
+    """
+    R = len(without)
+    return np.sqrt((R - 1) / R * ((without - without.mean(axis=0)) ** 2).sum(axis=0))
+
+
+def grouped_jackknife(x, group, statistic: Callable, positive: bool = False, level: float = LEVEL) -> Estimate:
+    """A statistic of samples whose groups are independent, such as those of Latin hypercubes.
+
+    The interval is that of the grouped jackknife (:func:`jackknife_error`), with Student's t of R − 1 degrees of
+    freedom for R groups; NaN if the groups do not differ.
 
     Parameters
     ----------
     x : (n,) array
-        Values that are not finite are left out.
+        Values that are not finite are excluded.
     group : (n,) int array
-    figure : callable
-        Of samples (n,); returns a float.
-    size : bool
-        Whether the figure is a positive size, such as a standard deviation, whose logarithm is judged.
+    statistic : callable
+        Takes samples (n,), returns a float.
+    positive : bool
+        Whether the statistic is positive, such as a standard deviation: the jackknife takes its logarithm.
     """
     x, group = np.asarray(x, dtype=float), np.asarray(group)
-    value, every = figure(x), np.unique(group[np.isfinite(x)])
-    scale, back = (np.log, np.exp) if size else (np.asarray, np.asarray)
-    R, half = len(every), np.nan
-    if R > 1 and np.isfinite(value) and (value > 0 or not size):
+    value, groups = statistic(x), np.unique(group[np.isfinite(x)])
+    scale, inverse = (np.log, np.exp) if positive else (np.asarray, np.asarray)
+    R, half = len(groups), np.nan
+    if R > 1 and np.isfinite(value) and (value > 0 or not positive):
         with np.errstate(divide="ignore", invalid="ignore"):
-            without = np.array([scale(figure(x[group != r])) for r in every])
-            spread = np.sqrt((R - 1) / R * np.sum((without - without.mean()) ** 2))
-        half = float(stdtrit(R - 1, 0.5 + level / 2)) * spread if np.isfinite(spread) and spread > 0 else np.nan
+            error = float(jackknife_error(np.array([scale(statistic(x[group != r])) for r in groups])))
+        half = float(stdtrit(R - 1, 0.5 + level / 2)) * error if np.isfinite(error) and error > 0 else np.nan
     centre = scale(value) if np.isfinite(half) else np.nan
-    return Estimate.of(x, value, back(centre - half), back(centre + half))
+    return Estimate.of(x, value, inverse(centre - half), inverse(centre + half))
 
 
 def density(x, points) -> np.ndarray:
-    """Gaussian kernel density of one set of samples, bandwidth by Scott's rule ``σ n^(-1/5)`` [4]_.
+    """Gaussian kernel density estimate, bandwidth by Scott's rule ``σ n^(-1/5)`` [4]_.
 
     Parameters
     ----------
@@ -283,11 +289,11 @@ def density(x, points) -> np.ndarray:
     Returns
     -------
     (p,) array
-        In 1 / unit of `x`; NaN where the samples have no spread, and so no density.
+        In 1 / unit of `x`; NaN if the samples have no spread (``scipy.stats.gaussian_kde`` raises an error then).
     """
     x, points = np.asarray(x, dtype=float), np.asarray(points, dtype=float)
-    found = Moments.of(x)
-    n, s = found.n, found.deviation
+    moments = Moments.of(x)
+    n, s = moments.n, moments.deviation
     if not s > 0:
         return np.full(points.shape, np.nan)
     width = s * n ** (-0.2)
@@ -298,7 +304,7 @@ def density(x, points) -> np.ndarray:
 def tails(x) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Skewness, kurtosis, and whether the tails are heavy.
 
-    They are where the kurtosis exceeds a normal population's by more than two of its standard errors.
+    Heavy: the kurtosis exceeds that of a normal population by more than two standard errors.
 
     Returns
     -------
@@ -306,12 +312,12 @@ def tails(x) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         0 and 1 without spread.
     heavy : (k,) bool array
     """
-    found = Moments.of(x)
-    n = np.maximum(found.n, 1)
-    spread = found.deviation > 0
-    second = np.where(spread, found.m2, 1.0) / n
-    skewness = np.where(spread, found.m3 / n / second**1.5, 0.0)
-    kurtosis = np.where(spread, found.m4 / n / second**2, 1.0)
+    moments = Moments.of(x)
+    n = np.maximum(moments.n, 1)
+    varies = moments.deviation > 0
+    second = np.where(varies, moments.m2, 1.0) / n
+    skewness = np.where(varies, moments.m3 / n / second**1.5, 0.0)
+    kurtosis = np.where(varies, moments.m4 / n / second**2, 1.0)
     return skewness, kurtosis, kurtosis - 3 > 2 * np.sqrt(24 / n)
 
 
@@ -319,12 +325,12 @@ def _t_quantile(n, level):
     return np.where(n > 1, stdtrit(np.maximum(n - 1, 1), 0.5 + level / 2), np.nan)
 
 
-def _sigma_factors(x, level):
+def _sigma_factors(moments, level):
     """Ends of the interval of σ, as multiples of the estimate."""
-    n = x.n
+    n = moments.n
     freedom = np.maximum(n - 1, 1)
     known = np.where(n > 1, 1.0, np.nan)
-    _, kurtosis, heavy = tails(x)
+    _, kurtosis, heavy = tails(moments)
     z = ndtri(0.5 + level / 2)
     c = n / np.maximum(n - z, 1)
     spread = z * c * np.sqrt(np.where(heavy, kurtosis - (n - 3) / np.maximum(n, 1), 0.0) / freedom)
@@ -334,6 +340,6 @@ def _sigma_factors(x, level):
     )
 
 
-def _plain(array):
-    """Scalars as Python numbers."""
+def _scalar_or_array(array):
+    """The array; a Python number if it has no axes."""
     return array.item() if np.ndim(array) == 0 else array

@@ -1,7 +1,7 @@
 """Deviations as functions of independent standard normal numbers, with derivatives.
 
-Distributions, truncation and correlation go in as :func:`mic.statistics.draw.placed` has them. Mode
-amplitudes, which samples take from measured pieces, are normal here.
+Distributions, truncation and correlation are those of :func:`mic.statistics.draw.at_probabilities`. Mode amplitudes,
+which samples take from measured pieces, are normal here.
 """
 
 from __future__ import annotations
@@ -9,15 +9,15 @@ from __future__ import annotations
 import numpy as np
 from scipy.special import ndtr
 
-from mic.statistics.draw import values_of
+from mic.statistics.draw import from_random_numbers
 
-__all__ = ["from_normal", "normal_slopes"]
+__all__ = ["from_normal", "normal_derivatives"]
 
 STEP = 1e-4  # of a standard normal number in central differences; error about 1e-8
 
 
 def from_normal(scene, z: np.ndarray) -> np.ndarray:
-    """Deviations (n, p) of standard normal numbers (n, p).
+    """Deviations (n, p) from standard normal numbers (n, p).
 
     Parameters
     ----------
@@ -29,15 +29,16 @@ def from_normal(scene, z: np.ndarray) -> np.ndarray:
         item.model_copy(update={"scores": None}) if getattr(item, "scores", None) is not None else item
         for item in scene.deviations
     ]
-    flat = np.sqrt(3) * (2 * ndtr(z) - 1)
-    return values_of(scene.model_copy(update={"deviations": items}), z.copy(), flat, np.empty((len(z), 0), dtype=int))
+    uniform = np.sqrt(3) * (2 * ndtr(z) - 1)
+    no_pieces = np.empty((len(z), 0), dtype=int)
+    return from_random_numbers(scene.model_copy(update={"deviations": items}), z.copy(), uniform, no_pieces)
 
 
-def normal_slopes(scene, z: np.ndarray) -> np.ndarray:
+def normal_derivatives(scene, z: np.ndarray) -> np.ndarray:
     """(n, p, p) derivatives of the deviations (second axis) with respect to the numbers (third)."""
     n, p = z.shape
-    found = np.empty((n, p, p))
+    derivatives = np.empty((n, p, p))
     for j in range(p):
-        ahead, behind = (from_normal(scene, z + step * np.eye(p)[j]) for step in (STEP, -STEP))
-        found[:, :, j] = (ahead - behind) / (2 * STEP)
-    return found
+        above, below = (from_normal(scene, z + step * np.eye(p)[j]) for step in (STEP, -STEP))
+        derivatives[:, :, j] = (above - below) / (2 * STEP)
+    return derivatives

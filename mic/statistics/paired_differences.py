@@ -1,12 +1,10 @@
-"""Differences between two assemblies that were made of the same samples, with the interval that pairing leaves.
+"""Differences between two assemblies evaluated on the same samples, with confidence intervals from the pairs.
 
-What both samples share cancels in a difference, so that its interval is narrower than those of the two figures, often
-by far. Samples run along the first axis; a pair of which either value is not finite is left out. For figures that are
-smooth in their samples the interval is the jackknife's [1]_: with θ₍ᵣ₎ the figure's difference without group r of R,
-
-    s² = (R − 1)/R Σ (θ₍ᵣ₎ − θ̄)²,
-
-and Student's t of R − 1 degrees of freedom; samples that are independent are groups of one.
+Scatter that both assemblies share cancels in the difference, so its interval is narrower than those of the two
+statistics. Samples run along the first axis; pairs with a value that is not finite are excluded. Intervals of
+statistics that are smooth in the samples are those of the jackknife [1]_ over groups
+(:func:`mic.statistics.estimates.jackknife_error`), with Student's t of R − 1 degrees of freedom for R groups;
+independent samples are groups of one.
 
 References
 ----------
@@ -22,7 +20,7 @@ from collections.abc import Callable
 import numpy as np
 from scipy.special import ndtri, stdtrit
 
-from mic.statistics.estimates import LEVEL, Estimate
+from mic.statistics.estimates import LEVEL, Estimate, jackknife_error
 
 __all__ = [
     "centred_capability_change",
@@ -33,30 +31,32 @@ __all__ = [
     "standard_error",
 ]
 
-#: A figure of samples with these numbers, means and standard deviations.
-Figure = Callable[[np.ndarray, np.ndarray], np.ndarray]
+#: A statistic as a function of means and standard deviations.
+Statistic = Callable[[np.ndarray, np.ndarray], np.ndarray]
 
 
 def mean_change(a, b, group=None, level: float = LEVEL) -> Estimate:
-    """By how much the mean of `b` lies above that of `a`.
+    """Mean of `b` minus mean of `a`.
 
     Parameters
     ----------
     a, b : (n,) array
-        Of the same samples.
+        Values on the same samples.
     group : (n,) int array, optional
-        Which samples a design made together; default: each by itself.
+        Groups of samples of a sampling design; default: independent samples.
     """
-    return _jackknifed(a, b, group, lambda mean, sigma: mean, lambda mean, sigma: mean, level)
+    statistic = lambda mean, sigma: mean
+    return _difference(a, b, group, statistic, statistic, level)
 
 
 def six_sigma_change(a, b, group=None, level: float = LEVEL) -> Estimate:
-    """By how much six standard deviations of `b` are more than those of `a`; arguments as :func:`mean_change`."""
-    return _jackknifed(a, b, group, lambda mean, sigma: 6 * sigma, lambda mean, sigma: 6 * sigma, level)
+    """6σ of `b` minus 6σ of `a`; arguments as :func:`mean_change`."""
+    statistic = lambda mean, sigma: 6 * sigma
+    return _difference(a, b, group, statistic, statistic, level)
 
 
 def centred_capability_change(a, b, limits_a, limits_b, group=None, level: float = LEVEL) -> Estimate:
-    """By how much Cpk of `b` exceeds that of `a`, each against its own limits.
+    """Cpk of `b` minus Cpk of `a`, each against its own limits.
 
     Parameters
     ----------
@@ -66,20 +66,19 @@ def centred_capability_change(a, b, limits_a, limits_b, group=None, level: float
         Lower and upper, in the unit of the samples.
     """
 
-    def capability(limits) -> Figure:
+    def capability(limits) -> Statistic:
         lower, upper = limits
-        with_ = lambda mean, sigma: np.minimum(upper - mean, mean - lower) / (3 * sigma)
-        return with_
+        return lambda mean, sigma: np.minimum(upper - mean, mean - lower) / (3 * sigma)
 
-    return _jackknifed(a, b, group, capability(limits_a), capability(limits_b), level)
+    return _difference(a, b, group, capability(limits_a), capability(limits_b), level)
 
 
 def share_change(a, b, group=None, level: float = LEVEL) -> Estimate:
-    """By how much the share of samples of which something holds differs.
+    """Share of true samples of `b` minus that of `a`.
 
-    With ``n₀₁`` samples of which it holds in `b` only and ``n₁₀`` in `a` only, ``(n₀₁ − n₁₀)/n``; its interval is
-    Wald's with half a sample more of each kind [2]_, which holds where none differ, too. Of samples that a design made
-    together, that of :func:`mean_change`.
+    With ``n₀₁`` samples true in `b` only and ``n₁₀`` in `a` only, it is ``(n₀₁ − n₁₀)/n``. Its interval is Wald's with
+    half a sample added to each of the four cells [2]_, which is valid even if no sample differs; with groups, it is
+    that of :func:`mean_change`.
 
     Parameters
     ----------
@@ -99,62 +98,61 @@ def share_change(a, b, group=None, level: float = LEVEL) -> Estimate:
 
 
 def standard_error(change: Estimate, level: float = LEVEL) -> float:
-    """``s`` above, of which the interval of a change was made; of samples each by itself."""
+    """Standard error from which the interval of a change of independent samples was computed."""
     return float((change.high - change.value) / stdtrit(change.used - 1, 0.5 + level / 2))
 
 
-def jackknife(y, figure: Callable[[np.ndarray], float], level: float = LEVEL, groups: int = 50) -> Estimate:
-    """Any figure of samples with the jackknife's interval, such as what of the largest 6σ of several quantities differs
-    between two assemblies, whose columns stand side by side.
+def jackknife(y, statistic: Callable[[np.ndarray], float], level: float = LEVEL, groups: int = 50) -> Estimate:
+    """Any statistic of several columns with its jackknife interval; NaN for fewer than three samples.
 
     Parameters
     ----------
     y : (n, k) array
-        Samples that are independent; those with a value that is not finite are left out.
-    figure : callable
-        A number of samples (m, k).
+        Independent samples, such as the outputs of two assemblies side by side; samples with a value that is not finite
+        are excluded.
+    statistic : callable
+        Takes samples (m, k), returns a number.
     groups : int
-        R above, at most; of fewer samples each is one. The first, and every so many after it, are one group.
+        Largest number of groups R; sample i belongs to group i mod R.
     """
     y = np.asarray(y, dtype=float)
     valid = np.isfinite(y).all(axis=1)
-    kept, y = np.where(valid, 0.0, np.nan), y[valid]
+    used, y = np.where(valid, 0.0, np.nan), y[valid]
     if len(y) < 3:
-        return Estimate.of(kept, np.nan, np.nan, np.nan)
+        return Estimate.of(used, np.nan, np.nan, np.nan)
     R = min(groups, len(y))
-    which = np.arange(len(y)) % R
-    without = np.array([figure(y[which != r]) for r in range(R)])
-    half = stdtrit(R - 1, 0.5 + level / 2) * np.sqrt((R - 1) / R * np.sum((without - without.mean()) ** 2))
-    value = figure(y)
-    return Estimate.of(kept, value, value - half, value + half)
+    group = np.arange(len(y)) % R
+    without = np.array([statistic(y[group != r]) for r in range(R)])
+    half = stdtrit(R - 1, 0.5 + level / 2) * jackknife_error(without)
+    value = statistic(y)
+    return Estimate.of(used, value, value - half, value + half)
 
 
-def _jackknifed(a, b, group, figure_a: Figure, figure_b: Figure, level: float) -> Estimate:
-    """The difference of two figures; NaN where there are fewer than three samples."""
+def _difference(a, b, group, statistic_a: Statistic, statistic_b: Statistic, level: float) -> Estimate:
+    """Difference of two statistics; NaN for fewer than three samples."""
     a, b = np.asarray(a, dtype=float), np.asarray(b, dtype=float)
     valid = np.isfinite(a) & np.isfinite(b)
-    left_out = np.where(valid, b - a, np.nan)
-    which = np.unique(np.arange(len(a))[valid] if group is None else np.asarray(group)[valid], return_inverse=True)[1]
+    used = np.where(valid, b - a, np.nan)
+    group = np.unique(np.arange(len(a))[valid] if group is None else np.asarray(group)[valid], return_inverse=True)[1]
     a, b = a[valid], b[valid]
     if len(a) < 3:
-        return Estimate.of(left_out, np.nan, np.nan, np.nan)
+        return Estimate.of(used, np.nan, np.nan, np.nan)
     with np.errstate(divide="ignore", invalid="ignore"):
         whole, without = (
-            figure_b(*of_b) - figure_a(*of_a)
-            for of_a, of_b in zip(_with_and_without(a, which), _with_and_without(b, which))
+            statistic_b(*moments_b) - statistic_a(*moments_a)
+            for moments_a, moments_b in zip(_moments(a, group), _moments(b, group))
         )
-        R = len(without)
-        spread = np.sqrt((R - 1) / R * np.sum((without - without.mean()) ** 2))
-    half = stdtrit(R - 1, 0.5 + level / 2) * spread if R > 1 and np.isfinite(spread) else np.nan
-    return Estimate.of(left_out, whole, whole - half, whole + half)
+        R, error = len(without), jackknife_error(without)
+    half = stdtrit(R - 1, 0.5 + level / 2) * error if R > 1 and np.isfinite(error) else np.nan
+    return Estimate.of(used, whole, whole - half, whole + half)
 
 
-def _with_and_without(x: np.ndarray, which: np.ndarray):
-    """Mean and standard deviation of samples, then (R,) each without one of R groups."""
+def _moments(x: np.ndarray, group: np.ndarray):
+    """Mean and standard deviation of all samples, then (R,) each without one of R groups."""
     n, centre = len(x), x.mean()
-    off = x - centre
-    size, first, second = (np.bincount(which, weights) for weights in (np.ones(n), off, off**2))
+    centred = x - centre
+    size, first, second = (np.bincount(group, weights) for weights in (np.ones(n), centred, centred**2))
     rest = n - size
-    mean = (off.sum() - first) / rest
-    spread = np.sqrt(np.maximum((off**2).sum() - second - rest * mean**2, 0.0) / np.maximum(rest - 1, 1))
-    return (centre, x.std(ddof=1)), (centre + mean, spread)
+    mean = (centred.sum() - first) / rest
+    sigma = np.sqrt(np.maximum((centred**2).sum() - second - rest * mean**2, 0.0) / np.maximum(rest - 1, 1))
+    return (centre, x.std(ddof=1)), (centre + mean, sigma)

@@ -1,19 +1,19 @@
-r"""Mean and 6σ from few samples: what is smooth in the inputs is known without sampling noise.
+r"""Mean and 6σ by regression on the deviations, whose moments are known (control variate).
 
-The inputs' moments are known. With functions ``φ_j`` of independent inputs, of mean 0 and orthonormal (the inputs in
-standard deviations; of second order also ``(t_i² - 1)/\sqrt{κ_i - 1}`` and ``t_i t_j``), a regression ``y = a + Σ b_j
-φ_j + r`` leaves to chance only what it does not explain (a control variate [1]_),
+With functions ``φ_j`` of independent inputs that have mean 0 and are orthonormal (the inputs in standard deviations;
+for second order also ``(t_i² - 1)/\sqrt{κ_i - 1}`` and ``t_i t_j``), a regression ``y = a + Σ b_j φ_j + r`` removes
+the sampling noise of the part that it explains [1]_:
 
 .. math::
 
     E\,y = a, \qquad \mathrm{Var}\,y = \sum b_j^2 - s^2 \, \mathrm{tr} (Z^T Z)^{-1} + s^2,
 
-``s²`` the variance of the residuals r with the regression's freedoms taken off, and the second term the square that
-noise adds to the slopes, Z the functions over the samples. Intervals are the jackknife's over groups of samples [2]_,
-of ``log σ``.
+``s²`` is the variance of the residuals r for the regression's degrees of freedom; the second term removes the noise of
+the squared coefficients; Z holds the functions at the samples. Intervals are those of the jackknife over groups of
+samples [2]_, for σ on the logarithm.
 
-Few samples determine few slopes: a regression is offered where there are three samples for each and ten more, the
-larger one where its interval is the narrower; and none that is not narrower than the plain one.
+A regression needs three samples per coefficient and ten more. The estimate with the narrowest interval is used: linear,
+quadratic, or the plain one of the samples.
 
 References
 ----------
@@ -29,29 +29,26 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.special import stdtrit
 
-from mic.statistics.estimates import LEVEL
+from mic.statistics.estimates import LEVEL, jackknife_error
 
-__all__ = ["Improved", "Regression", "kurtosis"]
+__all__ = ["Regression", "RegressionEstimates", "kurtosis", "orthonormal_functions"]
 
-#: Groups of samples that the jackknife leaves out in turn.
-GROUPS = 20
-#: Samples for each slope of a regression, and more.
-EACH, MORE = 3, 10
-#: Inputs whose squares and products are taken, at most: they are 230 then.
-QUADRATIC = 20
+GROUPS = 20  # groups of the jackknife
+SAMPLES_PER_COEFFICIENT, FURTHER_SAMPLES = 3, 10  # that a regression needs
+QUADRATIC = 20  # inputs of a quadratic regression, at most: 230 functions
 KINDS = ("linear", "quadratic")
 
 
 @dataclass(frozen=True)
-class Improved:
+class RegressionEstimates:
     """Estimates of k outputs.
 
     Attributes
     ----------
     kind : (k,) object array of {"plain", "linear", "quadratic"}
-        What the estimate rests on; ``"plain"`` where no regression is offered or none is narrower, and the rest is NaN.
+        Estimator; for ``"plain"``, where no regression is narrower, the other arrays hold NaN.
     explained : (k,) array
-        Share of the variance that the regression explains, R² with its freedoms taken off.
+        Share of the variance that the regression explains, R² corrected for its degrees of freedom.
     mean, sigma : (3, k) array
         Estimate, and lower and upper end of its interval.
     """
@@ -62,13 +59,20 @@ class Improved:
     sigma: np.ndarray
 
     @classmethod
-    def none(cls, k: int) -> Improved:
-        """The result without regression, for k outputs."""
+    def plain(cls, k: int) -> RegressionEstimates:
+        """The estimates without regression, for k outputs."""
         return cls(np.full(k, "plain", dtype=object), np.full(k, np.nan), *np.full((2, 3, k), np.nan))
+
+    def replace(
+        self, chosen: np.ndarray, kind: str, mean: np.ndarray, sigma: np.ndarray, explained: np.ndarray
+    ) -> None:
+        """Replace the estimates of the chosen outputs (k,)."""
+        self.kind[chosen], self.explained[chosen] = kind, explained[chosen]
+        self.mean[:, chosen], self.sigma[:, chosen] = mean[:, chosen], sigma[:, chosen]
 
 
 def kurtosis(item) -> float | None:
-    """κ of a deviation whose distribution is symmetric and known; None for others.
+    """κ of a normal or uniform deviation; None for other distributions.
 
     Parameters
     ----------
@@ -80,16 +84,22 @@ def kurtosis(item) -> float | None:
     return known.get(item.distribution) if whole else None
 
 
+def orthonormal_functions(t: np.ndarray, kurtosis: np.ndarray, quadratic: bool) -> np.ndarray:
+    """(n, q) functions φ of the inputs t (n, p) in standard deviations."""
+    if not quadratic:
+        return t
+    i, j = np.triu_indices(t.shape[1], 1)
+    return np.column_stack([t, (t**2 - 1) / np.sqrt(kurtosis - 1), t[:, i] * t[:, j]])
+
+
 @dataclass
 class Regression:
     """Sums over samples, accumulated block by block (numpy: a library fit would need all samples in memory).
 
     Attributes
     ----------
-    mean, sigma : (p,) array
-        Of the inputs; inputs without standard deviation take no part.
-    kurtosis : (p,) array
-        Of the inputs.
+    mean, sigma, kurtosis : (p,) array
+        Moments of the inputs; inputs without standard deviation are ignored.
     """
 
     mean: np.ndarray
@@ -99,8 +109,10 @@ class Regression:
 
     @classmethod
     def of(cls, scene) -> Regression | None:
-        """For a scene; None where the moments of its deviations are not known: where samples are given, made in groups
-        or correlated, or distributions are others than normal and uniform."""
+        """An empty regression for a scene; None if the moments of its deviations are not known.
+
+        Known moments need independent samples of uncorrelated normal and uniform deviations.
+        """
         moments = [kurtosis(item) for item in scene.deviations]
         drawn = scene.monte_carlo.design == "independent" and scene.monte_carlo.values is None
         if not moments or None in moments or scene.correlations or not drawn:
@@ -108,89 +120,85 @@ class Regression:
         mean, sigma = np.array([[item.mean, item.sigma] for item in scene.deviations]).T
         return cls(mean, sigma, np.array(moments, dtype=float))
 
+    @property
+    def varying(self) -> np.ndarray:
+        """(p,) bool: inputs with a standard deviation."""
+        return self.sigma > 0
+
     def add(self, numbers: np.ndarray, x: np.ndarray, y: np.ndarray) -> None:
-        """Take samples in.
+        """Add samples.
 
         Parameters
         ----------
         numbers : (n,) int array
-            Of the samples: they tell which group each belongs to.
+            Numbers of the samples, which assign them to groups.
         x, y : (n, p), (n, k) array
-            Inputs and outputs; samples with an output that is not finite are left out.
+            Inputs and outputs; samples with an output that is not finite are excluded.
         """
         known = np.isfinite(y).all(axis=1)
-        numbers, rows = numbers[known], np.column_stack([self._functions(x[known]), y[known]])
+        t = (x[known][:, self.varying] - self.mean[self.varying]) / self.sigma[self.varying]
+        functions = orthonormal_functions(t, self.kurtosis[self.varying], t.shape[1] <= QUADRATIC)
+        numbers, rows = numbers[known], np.column_stack([np.ones((len(t), 1)), functions, y[known]])
         if not self._sums:
             self._sums = [np.zeros((rows.shape[1], rows.shape[1])) for _ in range(GROUPS)]
         for group in range(GROUPS):
-            own = rows[numbers % GROUPS == group]
-            self._sums[group] += own.T @ own
+            members = rows[numbers % GROUPS == group]
+            self._sums[group] += members.T @ members
 
-    def improved(self, level: float = LEVEL) -> Improved | None:
-        """The estimates; None before samples were added."""
+    def estimates(self, level: float = LEVEL) -> RegressionEstimates | None:
+        """The estimates with the narrowest intervals; None before samples were added."""
         if not self._sums:
             return None
         sums = np.array(self._sums)
-        inputs = int((self.sigma > 0).sum())
-        slopes = (inputs, inputs + inputs * (inputs + 1) // 2)
-        k = sums.shape[1] - 1 - (slopes[1] if inputs <= QUADRATIC else inputs)
-        plain = _estimates(sums, 0, k, level)
-        best = Improved.none(k)
-        least = _width(plain[1])
-        for kind, count in zip(KINDS, slopes):
-            if count and (kind == "linear" or inputs <= QUADRATIC) and sums[:, 0, 0].sum() >= EACH * count + MORE:
+        inputs = int(self.varying.sum())
+        counts = (inputs, inputs + inputs * (inputs + 1) // 2)
+        k = sums.shape[1] - 1 - (counts[1] if inputs <= QUADRATIC else inputs)
+        best = RegressionEstimates.plain(k)
+        narrowest = _width(_estimates(sums, 0, k, level)[1])
+        for kind, count in zip(KINDS, counts):
+            enough = sums[:, 0, 0].sum() >= SAMPLES_PER_COEFFICIENT * count + FURTHER_SAMPLES
+            if count and (kind == "linear" or inputs <= QUADRATIC) and enough:
                 mean, sigma, explained = _estimates(sums, count, k, level)
-                better = _width(sigma) < least
-                least = np.where(better, _width(sigma), least)
-                best.kind[better], best.explained[better] = kind, explained[better]
-                best.mean[:, better], best.sigma[:, better] = mean[:, better], sigma[:, better]
+                narrower = _width(sigma) < narrowest
+                narrowest = np.where(narrower, _width(sigma), narrowest)
+                best.replace(narrower, kind, mean, sigma, explained)
         return best
-
-    def _functions(self, x: np.ndarray) -> np.ndarray:
-        """(n, 1 + q) 1, and the orthonormal functions of the inputs."""
-        own = self.sigma > 0
-        t = (x[:, own] - self.mean[own]) / self.sigma[own]
-        found = [np.ones((len(x), 1)), t]
-        if t.shape[1] <= QUADRATIC:
-            found.append((t**2 - 1) / np.sqrt(self.kurtosis[own] - 1))
-            i, j = np.triu_indices(t.shape[1], 1)
-            found.append(t[:, i] * t[:, j])
-        return np.column_stack(found)
 
 
 def _estimates(sums: np.ndarray, count: int, k: int, level: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Mean and σ (3, k) with their intervals, and the explained share (k,), with so many functions.
+    """Mean and σ (3, k) with their intervals, and explained share (k,), of a regression on the first `count` functions.
 
-    Of σ the jackknife is taken of its logarithm, whose distribution is nearer to a normal one.
+    The jackknife of σ uses its logarithm, whose distribution is closer to normal.
     """
-    whole = _regressed(sums.sum(axis=0), count, k)
-    without = [_regressed(sums.sum(axis=0) - one, count, k) for one in sums if one[0, 0] > 0]
+    whole = _fit(sums.sum(axis=0), count, k)
+    without = [_fit(sums.sum(axis=0) - group, count, k) for group in sums if group[0, 0] > 0]
     g = len(without)
     t = stdtrit(g - 1, 0.5 + level / 2) if g > 1 else np.nan
 
     def interval(value, others):
-        half = t * np.sqrt((g - 1) / g * ((others - others.mean(axis=0)) ** 2).sum(axis=0)) if g > 1 else np.nan
+        half = t * jackknife_error(others) if g > 1 else np.nan
         return np.array([value, value - half, value + half])
 
-    mean = interval(whole[0], np.array([one[0] for one in without]))
+    mean = interval(whole[0], np.array([fit[0] for fit in without]))
     with np.errstate(divide="ignore", invalid="ignore"):
-        sigma = np.exp(interval(np.log(whole[1]), np.log([one[1] for one in without])))
+        sigma = np.exp(interval(np.log(whole[1]), np.log([fit[1] for fit in without])))
     return mean, sigma, whole[2]
 
 
-def _regressed(sums: np.ndarray, count: int, k: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _fit(sums: np.ndarray, count: int, k: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Mean, σ and explained share (k,) of a regression on the first functions, from sums of products."""
     n, q = sums[0, 0], 1 + count
     ZZ, Zy, yy = sums[:q, :q], sums[:q, -k:], sums[-k:, -k:].diagonal()
     inverse = np.linalg.pinv(ZZ, hermitian=True)
-    slopes = inverse @ Zy
-    rest = np.maximum(yy - (slopes * Zy).sum(axis=0), 0.0)
+    coefficients = inverse @ Zy
+    rest = np.maximum(yy - (coefficients * Zy).sum(axis=0), 0.0)
     with np.errstate(divide="ignore", invalid="ignore"):
         s2 = rest / (n - q) if n > q else np.full(k, np.nan)
-        variance = (slopes[1:] ** 2).sum(axis=0) + s2 * (1 - inverse.diagonal()[1:].sum())
+        variance = (coefficients[1:] ** 2).sum(axis=0) + s2 * (1 - inverse.diagonal()[1:].sum())
         total = (yy - sums[0, -k:] ** 2 / n) / (n - 1)
-        return slopes[0], np.sqrt(np.maximum(variance, s2)), 1 - s2 / total
+        return coefficients[0], np.sqrt(np.maximum(variance, s2)), 1 - s2 / total
 
 
 def _width(sigma: np.ndarray) -> np.ndarray:
+    """(k,) widths of the intervals of σ (3, k); infinite if undefined."""
     return np.where(np.isfinite(sigma).all(axis=0), sigma[2] - sigma[1], np.inf)

@@ -2,8 +2,8 @@
 
 Written here because scipy.stats.sobol_indices and SALib have no control variate, excluded samples or BC_a intervals.
 
-Of two independent sets of samples ``a`` and ``b``, and of the sets ``m_i`` that are ``a`` but for input i, which is
-``b``'s (Jansen's estimators [1]_, [2]_):
+Jansen's estimators [1]_, [2]_ use two independent sets of samples ``a`` and ``b``, and sets ``m_i`` equal to ``a`` with
+input i taken from ``b``:
 
     V S_i = V − ½ E (y_b − y_mi)²          V T_i = ½ E (y_a − y_mi)²
 
@@ -32,14 +32,14 @@ from mic.statistics.estimates import LEVEL, Estimate
 
 __all__ = ["Indices", "Linear", "sobol"]
 
-RESAMPLES = 1000  # of the bootstrap
-AT_ONCE = 2_000_000  # weights of resamples held in memory
-ROUNDING = 1e-12  # of the largest output; less variation counts as none
+RESAMPLES = 1000  # bootstrap resamples
+WEIGHTS = 2_000_000  # weights of resamples held in memory
+ROUNDING = 1e-12  # relative to the largest output; smaller variation counts as none
 
 
 @dataclass(frozen=True)
 class Linear:
-    """The linear part of k outputs, by g inputs.
+    """Linear part of k outputs by g inputs (control variate).
 
     Attributes
     ----------
@@ -57,14 +57,14 @@ class Linear:
 
 @dataclass(frozen=True)
 class Indices:
-    """Indices of g inputs on k outputs, each with its bootstrap interval; NaN where an output does not vary.
+    """Indices of g inputs on k outputs with bootstrap intervals; NaN if an output does not vary.
 
     Attributes
     ----------
     first, total : Estimate of (g, k) arrays
         S and T. They are not clipped to 0 … 1; values outside show the noise.
     interaction : Estimate of (k,) arrays
-        The largest T_i − S_i.
+        Largest T_i − S_i.
     sigma : Estimate of (k,) arrays
         √V, in the unit of the outputs.
     """
@@ -76,7 +76,7 @@ class Indices:
 
 
 def sobol(a, b, mixed, linear: Linear, level: float = LEVEL) -> Indices:
-    """Indices and their intervals.
+    """Sobol indices and their intervals.
 
     Parameters
     ----------
@@ -86,7 +86,7 @@ def sobol(a, b, mixed, linear: Linear, level: float = LEVEL) -> Indices:
         Outputs of the first set with one input of the second, input by input.
     linear : Linear
     level : float
-        Of the intervals.
+        Confidence level of the intervals.
 
     Notes
     -----
@@ -95,16 +95,15 @@ def sobol(a, b, mixed, linear: Linear, level: float = LEVEL) -> Indices:
     a, b, mixed = (np.asarray(x, dtype=float) for x in (a, b, mixed))
     known = np.isfinite(a).all(1) & np.isfinite(b).all(1) & np.isfinite(mixed).all(2).all(0)
     n, (g, _, k) = int(known.sum()), mixed.shape
-    nothing = np.full((g, k), np.nan)
     if n < 2:
-        none, one = (_estimate(x, x, x, n, len(a) - n) for x in (nothing, np.full(k, np.nan)))
-        return Indices(none, none, one, one)
+        by_input, by_output = (_estimate(x, x, x, n, len(a) - n) for x in (np.full((g, k), np.nan), np.full(k, np.nan)))
+        return Indices(by_input, by_input, by_output, by_output)
     a, b, mixed, γ_a, γ_b = a[known], b[known], mixed[:, known], linear.a[:, known], linear.b[:, known]
     l_a, l_b = γ_a.sum(axis=0), γ_b.sum(axis=0)
     l_mixed = l_a - γ_a + γ_b
     # Terms averaged over the samples, (n, g, k): squares minus those of the linear part.
-    apart = np.moveaxis((b - mixed) ** 2 - (l_b - l_mixed) ** 2, 0, 1) / 2
-    moved = np.moveaxis((a - mixed) ** 2 - (l_a - l_mixed) ** 2, 0, 1) / 2
+    first_term = np.moveaxis((b - mixed) ** 2 - (l_b - l_mixed) ** 2, 0, 1) / 2
+    total_term = np.moveaxis((a - mixed) ** 2 - (l_a - l_mixed) ** 2, 0, 1) / 2
     y, l = (np.stack(pair, axis=1) for pair in ((a, b), (l_a, l_b)))
     y, l = y - y.mean(axis=0), l - l.mean(axis=0)
     square = y**2 - l**2
@@ -116,28 +115,28 @@ def sobol(a, b, mixed, linear: Linear, level: float = LEVEL) -> Indices:
         whole = v.sum(axis=1)
         V = n / (n - 1) * spread + whole
         V = np.where(V > 0, V, np.nan)
-        first = 1 - (mean(apart) + whole[:, None] - v) / V[:, None]
-        return first, (mean(moved) + v) / V[:, None], V
+        first = 1 - (mean(first_term) + whole[:, None] - v) / V[:, None]
+        return first, (mean(total_term) + v) / V[:, None], V
 
     first, total, V = (x[0] for x in estimates(np.full((1, n), 1 / n), linear.variance[None]))
     stream = np.random.Generator(np.random.Philox(key=n))
-    draws, most = [], max(1, AT_ONCE // n)
-    for start in range(0, RESAMPLES, most):
-        r = min(most, RESAMPLES - start)
+    draws, batch = [], max(1, WEIGHTS // n)
+    for start in range(0, RESAMPLES, batch):
+        r = min(batch, RESAMPLES - start)
         weights = stream.multinomial(n, np.full(n, 1 / n), size=r) / n
         v = np.maximum(linear.variance + linear.error * stream.standard_normal((r, g, 1)), 0.0)
         draws.append(estimates(weights, v))
-    firsts, totals, Vs = (np.concatenate(each) for each in zip(*draws))
+    firsts, totals, Vs = (np.concatenate(drawn) for drawn in zip(*draws))
     # Influence functions of the estimates, (n, g, k) and (n, k).
     q = square.mean(axis=1)
     on_V = (q - q.mean(axis=0)) / V
-    on_first = -(apart - apart.mean(axis=0)) / V + (1 - first) * on_V[:, None]
-    on_total = (moved - moved.mean(axis=0)) / V - total * on_V[:, None]
-    still = ~(np.sqrt(V) > ROUNDING * np.abs(np.concatenate([a, b])).max(axis=0))
+    on_first = -(first_term - first_term.mean(axis=0)) / V + (1 - first) * on_V[:, None]
+    on_total = (total_term - total_term.mean(axis=0)) / V - total * on_V[:, None]
+    constant = ~(np.sqrt(V) > ROUNDING * np.abs(np.concatenate([a, b])).max(axis=0))
 
     def estimate(value: np.ndarray, drawn: np.ndarray, influence: np.ndarray) -> Estimate:
-        low, high = _ends(value, drawn, influence, level)
-        value, low, high = (np.where(still, np.nan, x) for x in (value, low, high))
+        low, high = _interval(value, drawn, influence, level)
+        value, low, high = (np.where(constant, np.nan, x) for x in (value, low, high))
         return _estimate(value, low, high, n, len(known) - n)
 
     gap, gaps, on_gap = total - first, totals - firsts, on_total - on_first
@@ -151,16 +150,16 @@ def sobol(a, b, mixed, linear: Linear, level: float = LEVEL) -> Indices:
     )
 
 
-def _ends(value: np.ndarray, drawn: np.ndarray, influence: np.ndarray, level: float) -> list[np.ndarray]:
-    """Ends of the bootstrap interval of values (...), corrected for bias and skewness (BC_a, [3]_).
+def _interval(value: np.ndarray, drawn: np.ndarray, influence: np.ndarray, level: float) -> list[np.ndarray]:
+    """Ends of the BC_a bootstrap interval of values (...), corrected for bias and skewness [3]_.
 
     Parameters
     ----------
     value : (...) array
     drawn : (r, ...) array
-        Of the bootstrap.
+        Bootstrap replicates.
     influence : (n, ...) array
-        Influence function of the value.
+        Influence function of the value at each sample.
     """
     with np.errstate(invalid="ignore", divide="ignore"):
         below = np.clip((drawn < value).mean(axis=0) + (drawn == value).mean(axis=0) / 2, 1e-3, 1 - 1e-3)
@@ -172,8 +171,8 @@ def _ends(value: np.ndarray, drawn: np.ndarray, influence: np.ndarray, level: fl
         place = ndtr(bias + z / (1 - skew * z)) * (len(drawn) - 1)
         lower = np.floor(place).astype(int)
         upper = np.minimum(lower + 1, len(drawn) - 1)
-        at = [np.take_along_axis(ordered, each[None], axis=0)[0] for each in (lower, upper)]
-        ends.append(at[0] + (place - lower) * (at[1] - at[0]))
+        below, above = (np.take_along_axis(ordered, index[None], axis=0)[0] for index in (lower, upper))
+        ends.append(below + (place - lower) * (above - below))
     return ends
 
 
