@@ -86,7 +86,7 @@ def main() -> None:
 def write(folder: Path, assembly, model: ReducedModel, evaluation: Evaluation, samples: int) -> None:
     """A folder of results as a run leaves it, without statistics."""
     store, whose = RunFolder(folder), identity(model, 1)
-    store.keep_inputs(assembly)
+    store.store_inputs(assembly)
     model.save(folder / "model.npz")
     record = {"scene": model.scene.name, "samples": samples, "seed": 1, "laws": [LAW]}
     store.write_record(record | {"identity": whose, "inputs": inputs(model, 1), "versions": versions()})

@@ -8,49 +8,47 @@ import numpy as np
 import pandas as pd
 
 from mic.results.block_samples import BlockSamples
-from mic.results.contact_sums import Sums
+from mic.results.contact_sums import ContactSums
 from mic.results.schema import SLIPS
 from mic.statistics.capability import outside
 from mic.statistics.estimates import Moments
 from mic.statistics.regression import Regression
 
-__all__ = ["Digest"]
+__all__ = ["Accumulator"]
 
 
 @dataclass
-class Digest:
-    """Statistics in the making of the samples of one law, over the blocks that were added.
+class Accumulator:
+    """Accumulated statistics of the samples of one law.
 
     Attributes
     ----------
-    found : int
-        Samples that are there, failed ones included.
+    count : int
+        Finished samples, including failed ones.
     stages : set of str
         Stages that resolve contact.
     rescued : list of int
-        Numbers of the valid samples that plain increments had to rescue, since their path could not be followed.
+        Numbers of the valid samples that were solved by plain increments, because path following failed.
     unbuilt : list of int
         Numbers of the valid samples in which a clamp or gun of limited force did not reach its position.
     unseen : tuple of (float, str, int, int)
-        Deepest penetration between the pairs, mm, the stage at whose end, the sample, and the model's point between the
-        pairs; of the first where several are as deep, point −1 where there is none.
+        Deepest penetration between the contact pairs: depth, mm, stage, sample, and index of the model's check point,
+        −1 if there is no penetration. The first one of equal depth.
     regression : Regression or None
-        Of the key characteristics on the deviations; None where the moments of these are not known.
+        Of the key characteristics on the deviations; None if the moments of the deviations are not known.
     moments : dict of tuple to Moments
-        Of the valid samples: ``("measurements",)``, (k,) in the order of the scene; ``("profiles", name)``, one per
-        point of a measurement over many; ``("slips", stage, column)``, one
-        per zone with the columns of :data:`mic.results.schema.SLIPS`; ``("contacts", stage, column)``, (m,) with the
-        columns of :meth:`BlockSamples.contact`; ``("pressed", stage, which)``, one per zone: the sum of the normal
-        forces of ``"all"`` pairs, and of those ``"clear"`` of every weld by three nugget radii; ``("resolutions",
+        Over the valid samples: ``("measurements",)``, (k,) in the order of the scene; ``("profiles", name)``, by point;
+        ``("slips", stage, column)``, by zone, columns of :data:`mic.results.schema.SLIPS`; ``("contacts", stage,
+        column)``, (m,), columns of :meth:`BlockSamples.contact`; ``("pressed", stage, which)``, by zone: sum of the
+        normal forces of ``"all"`` pairs, or of those ``"clear"`` of every weld by three nugget radii; ``("resolutions",
         stage, column)``, scalar: ``residual``, ``path_error``, ``steps`` and ``factorisations``; ``("limits", stage,
         name, column)``, scalar: ``pushed``, ``left`` and ``needed``.
     counts : dict of tuple to int array
-        Of the valid samples: ``("outside",)``, (k,) beyond their limits; ``("any outside",)``, () with any beyond them;
-        ``("states", stage)``, (3, m) by state;
-        ``("short", stage, name)``, () clamps and guns short of their position.
+        Numbers of valid samples: ``("outside",)``, (k,) beyond their limits; ``("any outside",)``, () with any beyond;
+        ``("states", stage)``, (3, m) by state; ``("short", stage, name)``, () in which a clamp or gun falls short.
     """
 
-    found: int = 0
+    count: int = 0
     stages: set[str] = field(default_factory=set)
     rescued: list[int] = field(default_factory=list)
     unbuilt: list[int] = field(default_factory=list)
@@ -78,67 +76,70 @@ class Digest:
         table = pd.concat(self._failures, ignore_index=True)
         return table.sort_values("sample", kind="stable", ignore_index=True)
 
-    def add(self, block: BlockSamples, model, sums: Sums | None = None) -> None:
-        """Take a block in; the blocks of a law come in ascending order.
+    def add(self, block: BlockSamples, model, sums: ContactSums | None = None) -> None:
+        """Add a block; the blocks of a law are added in ascending order.
 
         Parameters
         ----------
         block : BlockSamples
         model : mic.model.reduction.Reduction
-        sums : Sums, optional
-            Of all its valid samples; without them it has its contact pairs.
+        sums : ContactSums, optional
+            For a block without its contact pairs.
         """
-        self.found += block.found
+        if self.count == 0:
+            self.regression = Regression.of(model.scene)
+        self.count += block.count
         self.stages |= set(block.stages)
         self._numbers.append(block.numbers)
         self._failed.append(block.failed)
         if len(block.failed) or not self._failures:
             self._failures.append(block.failures())
-        items = model.scene.measurements
-        if items:
-            x = np.column_stack([block.column("measurements", "value", measurement=item.name) for item in items])
-            self._join(("measurements",), x)
-            self._regress(block, model, x)
-            limits = np.array([(item.lower, item.upper) for item in items])
-            self._count(("outside",), outside(x, *limits.T))
-            self._count(("any outside",), np.array(((x < limits[:, 0]) | (x > limits[:, 1])).any(axis=1).sum()))
-        for item in items:
-            if item.points is not None:
-                self._join(("profiles", item.name), block.profile(item.name))
-        tangential = len(model.contacts) > 0 and model.contacts.dimension == 3
-        rescued = np.zeros(len(block.numbers), dtype=bool)
-        sums = sums or Sums.of(block, model)
+        self._add_measurements(block, model)
+        sums = sums or ContactSums.of(block, model)
         for key, moments in sums.moments:
             self._merge(key, moments)
         for key, count in sums.counts:
             self._count(key, count)
+        self._add_stages(block, model)
+        self.unbuilt += [int(number) for number in block.unbuilt]
+        for stage, name in block.tables["limits"][["stage", "name"]].drop_duplicates().itertuples(index=False):
+            for column in ("pushed", "left", "needed"):
+                self._join(("limits", stage, name, column), block.column("limits", column, stage=stage, name=name))
+            reached = block.column("limits", "reached", stage=stage, name=name)
+            self._count(("short", stage, name), np.array((~reached).sum()))
+
+    def _add_measurements(self, block: BlockSamples, model) -> None:
+        items = model.scene.measurements
+        if not items:
+            return
+        y = np.column_stack([block.column("measurements", "value", measurement=item.name) for item in items])
+        self._join(("measurements",), y)
+        if self.regression is not None:
+            x = [block.column("deviations", "value", deviation=name) for name in model.parameters]
+            self.regression.add(block.numbers, np.column_stack(x), y)
+        lower, upper = np.array([(item.lower, item.upper) for item in items]).T
+        self._count(("outside",), outside(y, lower, upper))
+        self._count(("any outside",), np.array(((y < lower) | (y > upper)).any(axis=1).sum()))
+        for item in items:
+            if item.points is not None:
+                self._join(("profiles", item.name), block.profile(item.name))
+
+    def _add_stages(self, block: BlockSamples, model) -> None:
+        tangential = len(model.contacts) > 0 and model.contacts.dimension == 3
+        rescued = np.zeros(len(block.numbers), dtype=bool)
         for stage in block.stages:
             rescued |= block.column("resolutions", "rescued", stage=stage)
             depth = block.column("resolutions", "unseen", stage=stage)
             if depth.max(initial=0.0) > self.unseen[0]:
                 i = int(depth.argmax())
-                at = int(block.column("resolutions", "unseen_at", stage=stage)[i])
-                self.unseen = float(depth[i]), stage, int(block.numbers[i]), at
+                point = int(block.column("resolutions", "unseen_at", stage=stage)[i])
+                self.unseen = float(depth[i]), stage, int(block.numbers[i]), point
             for column in ("residual", "path_error", "steps", "factorisations"):
                 self._join(("resolutions", stage, column), block.column("resolutions", column, stage=stage))
             for column in SLIPS.names[3:] if tangential else ():
                 zones = [block.column("slips", column, stage=stage, zone=zone.name) for zone in model.scene.zones]
                 self._join(("slips", stage, column), np.column_stack(zones))
-        self.unbuilt += [int(number) for number in block.unbuilt]
-        limited = block.tables["limits"][["stage", "name"]].drop_duplicates()
-        for stage, name in limited.itertuples(index=False):
-            for column in ("pushed", "left", "needed"):
-                self._join(("limits", stage, name, column), block.column("limits", column, stage=stage, name=name))
-            reached = block.column("limits", "reached", stage=stage, name=name)
-            self._count(("short", stage, name), np.array((~reached).sum()))
         self.rescued += [int(number) for number in block.numbers[rescued]]
-
-    def _regress(self, block: BlockSamples, model, y: np.ndarray) -> None:
-        if self.regression is None and self.found == block.found:  # the first block
-            self.regression = Regression.of(model.scene)
-        if self.regression is not None:
-            x = [block.column("deviations", "value", deviation=name) for name in model.parameters]
-            self.regression.add(block.numbers, np.column_stack(x), y)
 
     def _join(self, key: tuple[str, ...], x: np.ndarray) -> None:
         self._merge(key, Moments.of(x))

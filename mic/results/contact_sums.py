@@ -1,6 +1,6 @@
 """Moments and counts of the contact pairs over the samples of one block.
 
-Beyond the first samples of a long run they replace the contact pairs of single samples.
+They replace the contact pairs of single samples beyond the first samples of a run.
 """
 
 from __future__ import annotations
@@ -16,15 +16,15 @@ from mic.results.block_samples import BlockSamples
 from mic.statistics.estimates import Moments
 from mic.system.matrix_product import one_thread
 
-__all__ = ["Sums"]
+__all__ = ["ContactSums"]
 
-CLEAR = 3.0  # nugget radii from a weld: there the sum of the normal forces converges, nearer it grows with the pairs
-_CONTACT = ("f_n", "u_n", "f_t", "u_t", "path_stick", "path_slip")  # the last four where tangential motion is modelled
+CLEAR = 3.0  # nugget radii from a weld; nearer, the sum of the normal forces grows with the number of pairs
+_COLUMNS = ("f_n", "u_n", "f_t", "u_t", "path_stick", "path_slip")  # the last four need tangential motion
 
 
 @dataclass(frozen=True)
-class Sums:
-    """Of the valid samples of a block, with their keys as :class:`mic.results.block_statistics.Digest` has them.
+class ContactSums:
+    """Moments and counts of a block's valid samples, keyed as in :class:`~mic.results.block_statistics.Accumulator`.
 
     Attributes
     ----------
@@ -38,9 +38,9 @@ class Sums:
     counts: tuple[tuple[tuple[str, ...], np.ndarray], ...]
 
     @classmethod
-    @one_thread  # the same bits on any number of them
-    def of(cls, block: BlockSamples, model) -> Sums:
-        """Sums over a block with its contact pairs.
+    @one_thread  # bits independent of the number of threads
+    def of(cls, block: BlockSamples, model) -> ContactSums:
+        """Sums over a block that has its contact pairs.
 
         Parameters
         ----------
@@ -54,18 +54,25 @@ class Sums:
         for stage in block.stages:
             moments += [(key, Moments.of(values)) for key, values in _values(block, contacts, zone_of, clear, stage)]
             state = block.contact(stage, "state")
-            number = np.stack([(state == code).sum(axis=0) for code in range(len(STATES))])
-            counts.append((("states", stage), number))
+            count = np.stack([(state == code).sum(axis=0) for code in range(len(STATES))])
+            counts.append((("states", stage), count))
         return cls(tuple(moments), tuple(counts))
 
 
 def _values(
     block: BlockSamples, contacts, zone_of: np.ndarray, clear: np.ndarray, stage: str
 ) -> Iterator[tuple[tuple[str, ...], np.ndarray]]:
-    """What is added up of a stage: (n, m) by pair, and (n, z) by zone, of the pairs in it (m, z) all and those clear of
-    welds (m,)."""
-    for column in _CONTACT if len(contacts) and contacts.dimension == 3 else _CONTACT[:2]:
+    """Keys and values of a stage: (n, m) by pair, and (n, z) sums by zone.
+
+    Parameters
+    ----------
+    zone_of : (m, z) array
+        1 for the zone of each pair.
+    clear : (m,) bool array
+        Pairs clear of all welds.
+    """
+    for column in _COLUMNS if len(contacts) and contacts.dimension == 3 else _COLUMNS[:2]:
         yield ("contacts", stage, column), block.contact(stage, column)
-    pressed = block.contact(stage, "f_n")
-    yield ("pressed", stage, "all"), pressed @ zone_of
-    yield ("pressed", stage, "clear"), pressed[:, clear] @ zone_of[clear]
+    force = block.contact(stage, "f_n")
+    yield ("pressed", stage, "all"), force @ zone_of
+    yield ("pressed", stage, "clear"), force[:, clear] @ zone_of[clear]

@@ -16,21 +16,21 @@ __all__ = ["Forecast", "duration", "forecast"]
 
 # Lower bounds: dense assemblies and hard contact problems take several times as long.
 SECONDS = 1e-5  # one contact pair in one increment of one sample, on one core
-BYTES = 40  # one contact pair of one sample in one stage, where it is kept
-PER_SAMPLE = 300  # bytes, whatever the scene
+BYTES = 40  # one stored contact pair of one sample in one stage
+PER_SAMPLE = 300  # bytes per sample of any scene
 LONGEST = 365.25 * 86400  # s
 LARGEST = 2**31 - 1  # the results number samples in 32 bits
 
 
 @dataclass(frozen=True)
 class Forecast:
-    """Least time and disk space that a run takes.
+    """Lower bounds of the time and disk space of a run.
 
     Attributes
     ----------
     samples : int
     seconds : float
-        With all cores at work.
+        Wall time on all cores.
     size : float
         Bytes.
     """
@@ -43,43 +43,42 @@ class Forecast:
         return f"at least {duration(self.seconds)} and {_size(self.size)} on disk"
 
     def check(self, folder: Path) -> None:
-        """Raise :class:`RunError` for a run that would never end, or whose results do not fit on the disk."""
+        """Raise :class:`RunError` for a run longer than a year, or whose results do not fit on the disk."""
         folder = Path(folder).absolute()
         free = shutil.disk_usage(next(path for path in (folder, *folder.parents) if path.is_dir())).free
         takes = f"{self.samples} samples would take {self}"
         if self.samples > LARGEST:
-            raise RunError(f"{takes}, and results number no more than {LARGEST}; ask for fewer samples")
+            raise RunError(f"{takes}, and a run has at most {LARGEST} samples; request fewer samples")
         if self.size > free:
-            raise RunError(f"{takes}, and {folder} has room for {_size(free)}; ask for fewer samples, or make room")
+            raise RunError(f"{takes}, but {folder} has {_size(free)} free; request fewer samples or free disk space")
         if self.seconds > LONGEST:
-            raise RunError(f"{takes}; ask for fewer samples or increments")
+            raise RunError(f"{takes}; request fewer samples or increments")
 
 
 def forecast(assembly, laws: Sequence[str], samples: int, cores: int) -> Forecast:
-    """Forecast of a Monte Carlo.
+    """Lower bounds for a Monte Carlo.
 
     Parameters
     ----------
     assembly : mic.model.assembly.Assembly
     laws : sequence of str
     samples : int
-        Under each law.
+        Samples of each law.
     cores : int
-        That share the work.
     """
     contacts = assembly.contacts
     resolved = [plan for plan in plan_stages(assembly.scene, assembly.weld_size) if plan.resolves and len(contacts)]
     solves = [len(contacts) * sum(plan.solves(LAWS[law]) for plan in resolved) for law in laws]
-    kept = BYTES * len(contacts) * len(resolved)
+    stored = BYTES * len(contacts) * len(resolved)
     if assembly.scene.report.fields:
-        kept += 8 * (int(assembly.offsets[-1]) + 6 * len(assembly.parts))
+        stored += 8 * (int(assembly.offsets[-1]) + 6 * len(assembly.parts))
     seconds = sum(1e-5 + SECONDS * pairs for pairs in solves)
-    size = samples * PER_SAMPLE + min(samples, assembly.scene.report.contacts) * kept
+    size = samples * PER_SAMPLE + min(samples, assembly.scene.report.contacts) * stored
     return Forecast(samples, samples * seconds / cores, float(len(laws) * size))
 
 
 def duration(seconds: float) -> str:
-    """A time in words."""
+    """A time, s, as text."""
     for unit, name in ((365.25 * 86400, "years"), (86400, "days"), (3600, "hours"), (60, "minutes")):
         if seconds >= 2 * unit:
             return f"{_rounded(seconds / unit)} {name}"

@@ -1,13 +1,13 @@
-"""Mean and 6σ displacement fields of the parts: deviation from nominal at every vertex, shape deviation included.
+"""Mean and 6σ of the parts' displacement from nominal at every vertex, including their shape deviations.
 
 Sample i deforms a part by ``u_i(x) = Φ(x) f_i + R(x) q_i``, with ``f_i`` the forces on the part's functionals, ``q_i``
-its rigid motion, ``R`` the rigid modes and each column of ``Φ`` one finite-element solve. Rather than solve once per
-functional, the centred forces are factored in the norm of the elastic energy (``H = C Cᵀ``),
+its rigid motion, ``R`` the rigid modes and each column of ``Φ`` one finite-element solve. To avoid one solve per
+functional, the centred forces are factorised in the norm of the elastic energy (``H = C Cᵀ``),
 
     (F - 1 f̄ᵀ) C = U Σ Vᵀ ≈ U_r Σ_r V_rᵀ,
 
-so that one field for ``f̄`` and r for the columns of ``(F - 1 f̄ᵀ)ᵀ U_r`` serve all samples. Rigid motions cost no
-solve and are kept whole, so with ``c(x)`` these r fields
+so all samples need one field for ``f̄`` and r fields for the columns of ``(F - 1 f̄ᵀ)ᵀ U_r``. Rigid motions need no
+solve and are not truncated. With the r fields ``c(x)``
 
     σ²(x) = g M gᵀ / (n - 1),    g = [c(x), R(x)],    M = [U_r, Q]ᵀ [U_r, Q],    Q the centred motions.
 """
@@ -22,11 +22,12 @@ import numpy as np
 from mic.compliance.fields import displacement_field
 from mic.errors import FormatError, MissingProvider
 from mic.geometry.readers.vtu import write_vtu
-from mic.results.low_rank_forces import Centred, Condenser
+from mic.results.low_rank_forces import CentredForces, ForceAccumulator
 from mic.results.outcome import Outcome, read_outcome
 from mic.results.run_folder import RunFolder
 from mic.results.schema import FIELDS
 from mic.system.files import Format, load_arrays, save_arrays, together
+from mic.system.memoise import pack, unpack
 
 __all__ = [
     "DISCARDED_ENERGY",
@@ -39,15 +40,13 @@ __all__ = [
 ]
 
 STORE = "fields.npz"
-_FORMAT = Format("set of displacement fields", 1, "call `mic report` on the run folder")
-_NUMBERS = ("law", "part", "rank", "samples", "discarded", "error")
-_ARRAYS = ("mean", "six_sigma", "six_sigma_normal")
-DISCARDED_ENERGY = 1e-8  # share of the centred forces' elastic energy that the low-rank factor may leave out
+_FORMAT = Format("set of displacement fields", 2, "call `mic report` on the run folder")
+DISCARDED_ENERGY = 1e-8  # share of the centred forces' elastic energy that the low-rank factor may discard
 
 
 @dataclass(frozen=True)
 class Factor:
-    """Forces and motions of one part in all samples, as few columns.
+    """Low-rank factor of the forces and motions of one part in all samples.
 
     Attributes
     ----------
@@ -56,11 +55,11 @@ class Factor:
     mean_motion : (6,) array
         mm, rad.
     force : (F, r) array
-        Force that each retained column stands for.
+        Force of each retained column.
     gram : (r + 6, r + 6) array
         ``M / (n - 1)`` above.
     discarded : float
-        Share of the energy left out.
+        Discarded share of the energy.
     samples : int
     """
 
@@ -73,7 +72,7 @@ class Factor:
 
     @property
     def rank(self) -> int:
-        """Solves that the spread needs, beside the one for the mean."""
+        """Number of solves for the spread; the mean needs one more."""
         return self.force.shape[1]
 
 
@@ -94,8 +93,8 @@ class PartField:
     discarded : float
         See :class:`Factor`.
     error : float
-        Largest error of 6σ that the truncation makes at the part's retained functionals that read displacements, where
-        the reduced model knows it exactly, mm.
+        Largest truncation error of 6σ at the part's retained displacement functionals, where the reduced model gives
+        the exact value, mm.
     """
 
     law: str
@@ -114,31 +113,31 @@ class PartField:
         return np.linalg.norm(self.six_sigma, axis=1)
 
 
-def low_rank(samples: Centred, H, discarded: float = DISCARDED_ENERGY) -> Factor:
-    """Factor the forces of one part by their elastic energy.
+def low_rank(samples: CentredForces, H, discarded: float = DISCARDED_ENERGY) -> Factor:
+    """Factorise the forces of one part in the norm of their elastic energy.
 
     Parameters
     ----------
-    samples : Centred
+    samples : CentredForces
         Self-balanced forces on the part's functionals, and its motions.
     H : (F, F) array
         Compliance of the part.
     discarded : float
-        Share of the energy that may be left out; 0 keeps all that is above rounding.
+        Share of the energy that may be discarded; 0 retains everything above rounding.
     """
     n, force = samples.samples, samples.force
-    # Functionals no sample loads take no part; scaling by each one's own compliance keeps N and N mm commensurate.
+    # Unloaded functionals are ignored; scaling by each diagonal compliance makes N and N mm commensurate.
     loaded = np.flatnonzero(np.abs(force).max(axis=0, initial=0.0) > 1e-13 * samples.size)
     scale = np.sqrt(np.maximum(H.diagonal()[loaded], np.finfo(float).tiny))
     values, vectors = np.linalg.eigh(H[np.ix_(loaded, loaded)] / np.outer(scale, scale))
     root = np.sqrt(np.maximum(values, 1e-14 * values.max(initial=0.0)))
     U, singular, Vt = np.linalg.svd((force[:, loaded] * scale) @ vectors * root, full_matrices=False)
     energy = singular**2
-    tail = np.append(np.cumsum(energy[::-1])[::-1], 0.0)  # energy left out at rank 0, 1, …
+    tail = np.append(np.cumsum(energy[::-1])[::-1], 0.0)  # energy discarded at rank 0, 1, …
     total = max(tail[0], np.finfo(float).tiny)
     rank = int(np.argmax(tail <= max(discarded, 1e-28) * total)) if tail[0] > 0 else 0
     columns = np.zeros((force.shape[1], rank))
-    # From the samples rather than from V_r: balanced as they are, and no division by small roots.
+    # From the samples rather than from V_r: this keeps them self-balanced and avoids division by small roots.
     columns[loaded] = force[:, loaded].T @ U[:, :rank]
     both = np.hstack([U[:, :rank], samples.motion])
     gram = both.T @ both / max(n - 1, 1)
@@ -146,21 +145,21 @@ def low_rank(samples: Centred, H, discarded: float = DISCARDED_ENERGY) -> Factor
 
 
 def compute_fields(outcome: Outcome, cache: Path | None = None) -> list[PartField]:
-    """Mean and 6σ fields of every part under every law, from the forces and parts that the run kept.
+    """Mean and 6σ fields of every part under every law, from the stored forces and parts.
 
     Parameters
     ----------
     outcome : Outcome
     cache : Path, optional
-        As :func:`write_fields` takes it.
+        As for :func:`write_fields`.
 
     Raises
     ------
     MissingProvider
-        If no finite elements are installed.
+        If no finite-element provider is installed.
     """
-    model, found = outcome.model, []
-    samples = {law: parts for law in outcome.laws if (parts := _condensed(outcome, law)) is not None}
+    model, fields = outcome.model, []
+    samples = {law: parts for law in outcome.laws if (parts := _centred_forces(outcome, law)) is not None}
     for p, part in enumerate(outcome.parts if samples else ()):
         H, G = model.compliance.H[p], model.compliance.G[p]
         factors = {law: low_rank(parts[p], H) for law, parts in samples.items()}
@@ -171,41 +170,39 @@ def compute_fields(outcome: Outcome, cache: Path | None = None) -> list[PartFiel
             stop = start + 1 + factor.rank
             mean = solved[:, :, start] + rigid @ factor.mean_motion
             basis = np.concatenate([solved[:, :, start + 1 : stop], rigid], axis=2)
-            along = np.einsum("vi,vir->vr", part.surface.vertex_normals, basis)
-            found.append(
+            normal = np.einsum("vi,vir->vr", part.surface.vertex_normals, basis)
+            fields.append(
                 PartField(
                     law,
                     part.name,
                     mean,
                     _six_sigma(basis, factor),
-                    _six_sigma(along, factor),
+                    _six_sigma(normal, factor),
                     factor.rank,
                     factor.samples,
                     factor.discarded,
-                    _error(samples[law][p], H, G, factor, ~part.functionals.rotation),
+                    _truncation_error(samples[law][p], H, G, factor, ~part.functionals.rotation),
                 )
             )
             start = stop
-    return found
+    return fields
 
 
 def write_fields(folder, outcome: Outcome | None = None, cache: Path | None = None) -> list[PartField]:
-    """Compute the fields of a run folder and write them into it, where its scene asks for them.
+    """Compute and write the fields of a run folder, if its scene requests them.
 
     ``fields/fields.npz`` holds them for the program. For ParaView, ``fields/<law>-<part>.vtu`` holds the columns of
-    :data:`mic.results.schema.FIELDS` at the vertices, and ``fields/<part>.vtu`` the nominal surface alone. Where the
-    finite elements are missing, ``fields.npz`` says so and holds no field.
-
-    Fields that are there already, of the same run and samples, are kept.
+    :data:`mic.results.schema.FIELDS` at the vertices, and ``fields/<part>.vtu`` the nominal surface. Without
+    finite elements, ``fields.npz`` holds the reason and no field. Fields of the same run and samples are reused.
 
     Parameters
     ----------
     folder : path-like
-        As :func:`mic.runs.run` left it.
+        Folder of :func:`mic.runs.run`.
     outcome : Outcome, optional
-        What was read of it, should that be at hand.
+        Outcome of the folder, if already read.
     cache : Path, optional
-        The cache folder, where fields of unit forces are kept (:mod:`mic.compliance.fields`); default: none are.
+        Cache folder, for fields of unit forces (:mod:`mic.compliance.fields`); default: no cache.
     """
     outcome = outcome or read_outcome(folder)
     folder = outcome.folder / "fields"
@@ -217,21 +214,21 @@ def write_fields(folder, outcome: Outcome | None = None, cache: Path | None = No
     try:
         header, _ = load_arrays(folder / STORE, _FORMAT)
     except (FileNotFoundError, FormatError):
-        header = {"basis": None, "files": []}  # nothing that could be kept
+        header = {"basis": None, "files": []}
     if header["basis"] == basis:
         return read_fields(outcome.folder)[0]
-    found, skipped = [], None
+    fields: list[PartField] = []
+    skipped = None
     if not outcome.model.scene.report.fields:
-        skipped = "The scene does not ask for fields, so none were computed."
+        skipped = "No fields: the scene does not request them (fields = true under [report])."
     elif not outcome.parts:
-        skipped = "The run folder holds no parts.npz, so no fields could be computed: run the scene again."
+        skipped = "No fields: parts.npz is missing in the run folder; run the scene again."
     else:
         try:
-            found = compute_fields(outcome, cache)
+            fields = compute_fields(outcome, cache)
         except MissingProvider as error:
             skipped = (
-                f"The finite elements that the fields need are not installed, so none were computed ({error}): install "
-                "them and call mic report on this folder."
+                f"No fields: finite elements are not installed ({error}); install them and run `mic report` again."
             )
     surfaces = {part.name: part.surface for part in outcome.parts}
     files = {f"{name}.vtu": (surface, {"normal": surface.vertex_normals}) for name, surface in surfaces.items()}
@@ -240,27 +237,26 @@ def write_fields(folder, outcome: Outcome | None = None, cache: Path | None = No
             surfaces[field.part],
             {column.name: getattr(field, column.name) for column in FIELDS.columns},
         )
-        for field in found
+        for field in fields
     }
     for old in set(header["files"]) - set(files):
         (folder / old).unlink(missing_ok=True)
     with together() as group:
         for name, (surface, data) in files.items():
             write_vtu(folder / name, surface.points, surface.triangles, data, group)
-    # An assembly without its fields, for want of finite elements or parts, is tried again.
+    content, arrays = pack(fields, {})
     header = {
-        "basis": basis if found else None,
+        "basis": basis if fields else None,  # without fields, the next call tries again
         "skipped": skipped,
         "files": list(files),
-        "fields": [{name: getattr(field, name) for name in _NUMBERS} for field in found],
+        "fields": content,
     }
-    arrays = {f"{i}_{name}": getattr(field, name) for i, field in enumerate(found) for name in _ARRAYS}
     save_arrays(folder / STORE, _FORMAT, header, arrays)
-    return found
+    return fields
 
 
 def read_fields(folder) -> tuple[list[PartField], str | None]:
-    """The fields of a run folder, as :func:`write_fields` left them, and a sentence that says why where there are none.
+    """The fields of a run folder, and the reason if there are none.
 
     Raises
     ------
@@ -271,31 +267,27 @@ def read_fields(folder) -> tuple[list[PartField], str | None]:
         header, arrays = load_arrays(Path(folder) / "fields" / STORE, _FORMAT)
     except FileNotFoundError:
         return [], "No fields were computed for this run."
-    found = [
-        PartField(**{**numbers, **{name: arrays[f"{i}_{name}"] for name in _ARRAYS}})
-        for i, numbers in enumerate(header["fields"])
-    ]
-    return found, header["skipped"]
+    return unpack(header["fields"], arrays, (PartField,), {}), header["skipped"]
 
 
-def _condensed(outcome, law) -> list[Centred] | None:
-    """Forces and motions of the valid samples, by part; None where the run kept none."""
+def _centred_forces(outcome, law) -> list[CentredForces] | None:
+    """Forces and motions of the valid samples, by part; None if they are not stored."""
     folder, compliance, numbers = RunFolder(outcome.folder), outcome.model.compliance, outcome.sample_numbers(law)
-    whose = outcome.record["identity"]
-    parts = [Condenser() for _ in compliance.functionals]
+    identity = outcome.record["identity"]
+    parts = [ForceAccumulator() for _ in compliance.functionals]
     for block in outcome.blocks[law]:
-        few = folder.read_condensed(block, whose)
-        if few is not None:
-            for part, rows in zip(parts, few):
-                part.join(rows)
+        condensed = folder.read_condensed(block, identity)
+        if condensed is not None:
+            for part, compressed in zip(parts, condensed):
+                part.join(compressed)
             continue
-        arrays = folder.read_forces(block, whose)
+        arrays = folder.read_forces(block, identity)
         if arrays is None:
             return None
         first, last = np.searchsorted(numbers, [block.first, block.first + block.count])
-        keep = numbers[first:last] - block.first
+        valid = numbers[first:last] - block.first
         for part, rows, motions in zip(parts, compliance.functionals, compliance.motions):
-            part.add(arrays["force"][keep, rows], arrays["motion"][keep, motions])
+            part.add(arrays["force"][valid, rows], arrays["motion"][valid, motions])
     if not len(numbers):
         return None
     return [part.centred() for part in parts]
@@ -308,8 +300,8 @@ def _six_sigma(basis, factor):
     return 6 * np.sqrt(np.maximum(variance, 0.0))
 
 
-def _error(samples, H, G, factor, displacements):
-    """Largest difference of 6σ at the functionals, whole against truncated."""
+def _truncation_error(samples, H, G, factor, displacements):
+    """Largest error of 6σ at the displacement functionals."""
     if factor.samples < 2:
         return float("nan")
     centred = (samples.force @ H + samples.motion @ G.T)[:, displacements]

@@ -1,4 +1,4 @@
-"""What the choice of the contact law costs as friction grows: a few samples of a run, solved anew."""
+"""Effect of the choice of contact law as friction grows: a few samples of a run, solved again."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from mic.results.run_samples import RunSamples
 
 __all__ = ["SCALES", "SAMPLES", "study_friction"]
 
-SAMPLES = 12  # evenly spread over the valid ones whose pairs are kept
+SAMPLES = 12  # evenly spread over the valid ones with stored contact pairs
 SCALES = (0.1, 0.4, 0.7, 1.0, 1.5, 2.0)  # multiples of the scene's friction
 THREADS = 2
 
@@ -23,14 +23,14 @@ THREADS = 2
 def study_friction(outcome: RunSamples) -> pd.DataFrame | None:
     """Solve samples in the first stage that resolves contact, under every law, with all friction coefficients scaled.
 
-    All that the stage does is done in one step: laws are compared here, not paths. The displacements without contact
-    forces are had from the stored solution of Coulomb's law, ``b = u - S f``.
+    The stage is solved in one step, because laws are compared here, not paths. The displacements without contact forces
+    follow from the stored solution of Coulomb's law, ``b = u - S f``.
 
     Returns
     -------
     DataFrame or None
-        As :data:`mic.results.schema.FRICTION` declares it; None unless both Coulomb's and the associated law were asked
-        for, the scene has friction and there are valid samples.
+        As :data:`mic.results.schema.FRICTION` declares it; None unless both Coulomb's and the associated law were
+        requested, the scene has friction and there are valid samples.
     """
     contacts = outcome.model.contacts
     if not outcome.has_slip or not {"coulomb", "associated"} <= set(outcome.laws) or not contacts.frictional:
@@ -42,9 +42,9 @@ def study_friction(outcome: RunSamples) -> pd.DataFrame | None:
     stage = outcome.stages[0]
     chosen = numbers[np.unique(np.linspace(0, n - 1, min(n, SAMPLES)).round().astype(int))]
     coefficient = contacts.friction_in(stage).coefficient
-    prepared = next(one for one in outcome.model.process("coulomb").stages if one.plan.name == stage)
+    prepared = next(other for other in outcome.model.process("coulomb").stages if other.plan.name == stage)
     rows = contacts.dimension * len(contacts)
-    response, step = prepared.response, replace(prepared.plan.steps[-1], limits=())  # stops push as they did
+    response, step = prepared.response, replace(prepared.plan.steps[-1], limits=())  # limited forces are part of b
     S = response.S.first(rows)
     force, displacement = (
         np.stack(
@@ -53,8 +53,8 @@ def study_friction(outcome: RunSamples) -> pd.DataFrame | None:
         for quantity in ("f", "u")
     )
     b = displacement - S.under(force)  # u = S f + b
-    nothing = PathForecast.empty(len(contacts), contacts.dimension)
-    forecast = replace(nothing, touching=(force[:, ::3] > 0).any(axis=0))
+    forecast = PathForecast.empty(len(contacts), contacts.dimension)
+    forecast = replace(forecast, touching=(force[:, ::3] > 0).any(axis=0))
 
     def solver(S, coefficient, **settings):
         friction = Friction.of(coefficient, len(contacts))

@@ -1,9 +1,10 @@
-"""Forces and motions of one part in many samples, as few rows as have the same products.
+"""Forces and motions of one part in many samples, compressed to few rows with the same inner products.
 
-What fields need of n samples are products of columns of ``[1, F, Q]``: ones, forces and motions. These are kept by any
-rows R with ``RᵀR = [1, F, Q]ᵀ [1, F, Q]``, such as the triangle of ``[1, F, Q] = Z R``, Z orthogonal, whose number does
-not grow with n, or ``Σ Vᵀ`` of ``[1, F, Q] = U Σ Vᵀ``, of which all but the first are nothing: forces of hundreds of
-functionals follow from few deviations. Rows of some samples and of others, one below the other, are rows of both.
+Displacement fields of n samples need only the inner products of the columns of ``[1, F, Q]``: ones, forces and motions.
+Any rows R with ``RᵀR = [1, F, Q]ᵀ [1, F, Q]`` have the same ones: the triangular factor of the QR factorisation, whose
+number of rows does not grow with n, or ``Σ Vᵀ`` of the singular value decomposition, which has low rank because the
+forces of hundreds of functionals follow from few deviations. Rows of two sets of samples, stacked, are rows of their
+union.
 """
 
 from __future__ import annotations
@@ -15,27 +16,27 @@ import numpy as np
 
 from mic.system.matrix_product import one_thread
 
-__all__ = ["Centred", "Condensed", "Condenser"]
+__all__ = ["CentredForces", "CompressedForces", "ForceAccumulator"]
 
-ROOM = 8_000_000  # bytes of samples that are kept as they are, by part and law
-ROUNDING = 1e-13  # singular values below this share of the largest are left out, each column in units of its own size
+BUFFER = 8_000_000  # bytes of uncompressed samples, by part and law
+ROUNDING = 1e-13  # singular values below this share of the largest are dropped, columns scaled to unit norm
 
 
 @dataclass(frozen=True)
-class Condensed:
-    """Rows that stand for samples.
+class CompressedForces:
+    """Compressed rows of samples.
 
     Attributes
     ----------
     rows : (r, c) array
-        Columns of R above that are not all zero.
+        The columns of R that are not zero.
     columns : (c,) int array
-        Which they are.
+        Their indices.
     width : int
-        Of R, 1 + F + 6.
+        Number of columns of R, 1 + F + 6.
     samples : int
     largest : float
-        Force of any sample, N or N mm.
+        Largest force of any sample, N or N mm.
     """
 
     rows: np.ndarray
@@ -45,75 +46,75 @@ class Condensed:
     largest: float
 
     @classmethod
-    @one_thread  # the same bits on any number of them
-    def of(cls, force: np.ndarray, motion: np.ndarray) -> Condensed:
-        """Those of (n, F) forces and (n, 6) motions, as few as rounding leaves."""
-        rows = _beside(force, motion)
+    @one_thread  # bits independent of the number of threads
+    def of(cls, force: np.ndarray, motion: np.ndarray) -> CompressedForces:
+        """Compress (n, F) forces and (n, 6) motions up to rounding."""
+        rows = _with_ones(force, motion)
         size = np.sqrt((rows**2).sum(axis=0))
         columns = np.flatnonzero(size)
         _, singular, Vt = np.linalg.svd(rows[:, columns] / size[columns], full_matrices=False)
-        own = singular > ROUNDING * singular.max(initial=0.0)
-        few = singular[own, None] * Vt[own] * size[columns]
-        return cls(few, columns, rows.shape[1], len(force), float(np.abs(force).max(initial=0.0)))
+        retained = singular > ROUNDING * singular.max(initial=0.0)
+        compressed = singular[retained, None] * Vt[retained] * size[columns]
+        return cls(compressed, columns, rows.shape[1], len(force), float(np.abs(force).max(initial=0.0)))
 
     @property
-    def whole(self) -> np.ndarray:
-        """(r, 1 + F + 6) R with its zeros."""
+    def dense(self) -> np.ndarray:
+        """(r, 1 + F + 6) R including zero columns."""
         R = np.zeros((len(self.rows), self.width))
         R[:, self.columns] = self.rows
         return R
 
 
-class Condenser:
-    """Takes in samples and what stands for samples, and keeps few rows however many there are.
+class ForceAccumulator:
+    """Accumulates samples and compressed samples in few rows.
 
-    Beyond some room the rows so far are replaced by their triangle. Without its first row and column that is what is
-    left of the samples once they are centred: Z drops out of every product of two columns.
+    Beyond a buffer size the rows are replaced by their triangular factor R. Its rows and columns without the first ones
+    have the inner products of the centred samples.
 
     Parameters
     ----------
-    room : int
+    buffer : int
         Bytes.
     """
 
-    def __init__(self, room: int = ROOM) -> None:
+    def __init__(self, buffer: int = BUFFER) -> None:
         self.samples = 0
-        self._room = room
+        self._buffer = buffer
         self._largest = 0.0
         self._rows: list[np.ndarray] = []
-        self._condensed = False
+        self._compressed = False
 
     def add(self, force: np.ndarray, motion: np.ndarray) -> None:
-        """Take in (n, F) forces and (n, 6) motions."""
-        self._take(_beside(force, motion), len(force), float(np.abs(force).max(initial=0.0)))
+        """Add (n, F) forces and (n, 6) motions."""
+        self._append(_with_ones(force, motion), len(force), float(np.abs(force).max(initial=0.0)))
 
-    def join(self, some: Condensed) -> None:
-        """Take in what stands for further samples."""
-        self._take(some.whole, some.samples, some.largest)
-        self._condensed = True
+    def join(self, compressed: CompressedForces) -> None:
+        """Add compressed samples."""
+        self._append(compressed.dense, compressed.samples, compressed.largest)
+        self._compressed = True
 
-    def _take(self, rows: np.ndarray, samples: int, largest: float) -> None:
+    def _append(self, rows: np.ndarray, samples: int, largest: float) -> None:
         self.samples += samples
         self._largest = max(self._largest, largest)
         self._rows.append(rows)
-        held, width = sum(len(rows) for rows in self._rows), rows.shape[1]
-        if held > max(2 * width, self._room // (8 * width)):
-            self._rows = [_triangle(np.concatenate(self._rows))]
-            self._condensed = True
+        count, width = sum(len(rows) for rows in self._rows), rows.shape[1]
+        if count > max(2 * width, self._buffer // (8 * width)):
+            self._rows = [_triangular(np.concatenate(self._rows))]
+            self._compressed = True
 
-    def centred(self) -> Centred:
-        """All that was taken in, about its mean."""
+    def centred(self) -> CentredForces:
+        """All samples relative to their mean."""
         rows = np.concatenate(self._rows)
-        if not self._condensed:
+        if not self._compressed:
             mean = rows[:, 1:].mean(axis=0)
-            return Centred(mean, rows[:, 1:] - mean, self.samples, self._largest)
-        R = _triangle(rows)
-        return Centred(R[0, 1:] / R[0, 0], R[1:, 1:], self.samples, self._largest * np.sqrt(self.samples))
+            return CentredForces(mean, rows[:, 1:] - mean, self.samples, self._largest)
+        R = _triangular(rows)
+        return CentredForces(R[0, 1:] / R[0, 0], R[1:, 1:], self.samples, self._largest * np.sqrt(self.samples))
 
 
 @dataclass(frozen=True)
-class Centred:
-    """Rows that have the products of the centred samples, see :class:`Condenser`.
+class CentredForces:
+    """Rows with the inner products of the centred samples, see :class:`ForceAccumulator`.
 
     Attributes
     ----------
@@ -122,7 +123,7 @@ class Centred:
     rows : (r, F + 6) array
     samples : int
     size : float
-        Of the forces: what their rounding is measured by.
+        Magnitude of the forces, the reference of their rounding error.
     """
 
     mean: np.ndarray
@@ -141,10 +142,10 @@ class Centred:
         return self.rows[:, -6:]
 
 
-def _beside(force: np.ndarray, motion: np.ndarray) -> np.ndarray:
+def _with_ones(force: np.ndarray, motion: np.ndarray) -> np.ndarray:
     return np.hstack([np.ones((len(force), 1)), force, motion])
 
 
-def _triangle(rows: np.ndarray) -> np.ndarray:
-    R: Any = np.linalg.qr(rows, mode="r")  # an array, which the stubs do not know
+def _triangular(rows: np.ndarray) -> np.ndarray:
+    R: Any = np.linalg.qr(rows, mode="r")  # the stubs lack this mode
     return R

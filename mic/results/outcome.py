@@ -1,7 +1,7 @@
 """The outcome of a run: samples, statistics and studies of its folder.
 
 One pass over the blocks accumulates the statistics and discards the samples, so memory does not grow with their
-number. Accessors of single samples read the blocks that hold them again.
+number. Accessors of single samples read their blocks again.
 """
 
 from __future__ import annotations
@@ -18,11 +18,11 @@ from mic.errors import FormatError, RunError
 from mic.process.model import ReducedModel
 from mic.results import statistic_tables
 from mic.results.block_samples import BlockSamples
-from mic.results.block_statistics import Digest
+from mic.results.block_statistics import Accumulator
 from mic.results.run_folder import Block, RunFolder
 from mic.results.run_identity import differences, inputs
 from mic.results.run_samples import RunSamples
-from mic.results.schema import CONTACTS, DATASETS
+from mic.results.schema import CONTACTS, SAMPLES
 from mic.results.summary import summary
 
 __all__ = ["Outcome", "TableCache", "read_outcome"]
@@ -35,7 +35,7 @@ class Outcome(RunSamples):
 
     @cached_property
     def zone_statistics(self) -> pd.DataFrame:
-        """Motion of each zone along its surfaces: :data:`mic.results.schema.ZONE_STATISTICS`."""
+        """Tangential motion and normal force of each zone: :data:`mic.results.schema.ZONE_STATISTICS`."""
         return statistic_tables.zone_statistics(self)
 
     @cached_property
@@ -50,7 +50,7 @@ class Outcome(RunSamples):
 
     @cached_property
     def profile_statistics(self) -> pd.DataFrame:
-        """Maps of deviation: :data:`mic.results.schema.PROFILE_STATISTICS`."""
+        """Deviation maps: :data:`mic.results.schema.PROFILE_STATISTICS`."""
         return statistic_tables.profile_statistics(self)
 
     @cached_property
@@ -62,48 +62,33 @@ class Outcome(RunSamples):
         """The outcome in one JSON-ready dict (``summary.json``), see :func:`mic.results.summary.summary`."""
         return summary(self, self.zone_statistics, self.measurement_statistics, self.limit_statistics)
 
-    # ---------------------------------------------------------------------------------------------- old names
-
-    @property
-    def tables(self) -> dict[str, dict[str, pd.DataFrame]]:
-        """Deprecated: all datasets of :data:`mic.results.schema.DATASETS` by law, failed samples included; of the
-        contact pairs those that are kept."""
-        warnings.warn("Outcome.tables is deprecated: read the datasets, or use accessors", DeprecationWarning, 2)
-        return {law: self._whole(law) for law in self.blocks}
+    # ---------------------------------------------------------------------------------------------- names of 0.1.0
 
     @property
     def samples(self) -> dict[str, pd.DataFrame]:
-        """Deprecated: one wide table per law, one row per sample, with keys in the names of its columns."""
+        """Deprecated: one wide table per law, one row per sample, with keys in the column names."""
         warnings.warn("Outcome.samples is deprecated: use the accessors of Outcome", DeprecationWarning, 2)
-        return {law: _wide(self._whole(law)) for law in self.blocks}
+        return {law: self._wide(law) for law in self.blocks}
 
     def valid(self, law: str) -> pd.DataFrame:
         """Deprecated: the valid samples of a law as one wide table."""
-        warnings.warn("Outcome.valid is deprecated: use Outcome.sample_numbers and its kin", DeprecationWarning, 2)
-        wide = _wide(self._whole(law))
+        warnings.warn("Outcome.valid is deprecated: use the accessors of Outcome", DeprecationWarning, 2)
+        wide = self._wide(law)
         return wide[wide["sample"].isin(self.sample_numbers(law))]
 
-    def _whole(self, law):
-        store, whole = RunFolder(self.folder), {}
-        for table in DATASETS:
-            own = [block for block in self.blocks[law] if table is not CONTACTS or store.keeps_pairs(block)]
-            frames = [self._block(block).tables[table.name] for block in own]
-            frame = pd.concat(frames, ignore_index=True) if frames else table.empty()
-            for column in table.columns:  # blocks in which other names occur
-                if column.dtype == "category":
-                    frame[column.name] = frame[column.name].astype("category")
-            whole[table.name] = frame
-        return whole
+    def _wide(self, law: str) -> pd.DataFrame:
+        frames = [_wide(self._block(block).tables) for block in self.blocks[law]]
+        return pd.concat(frames, ignore_index=True) if frames else SAMPLES.empty()
 
 
 class TableCache(dict[Block, Mapping[str, pd.DataFrame]]):
-    """Tables of the blocks that this process has just written, up to a total size."""
+    """Tables of blocks in memory, up to a total size."""
 
     def __init__(self, size: int = CACHE_SIZE) -> None:
         super().__init__()
         self._free = size  # bytes
 
-    def keep(self, block: Block, tables: Mapping[str, pd.DataFrame]) -> bool:
+    def store(self, block: Block, tables: Mapping[str, pd.DataFrame]) -> bool:
         """Store all tables of a block if they fit; returns whether they are stored."""
         if block not in self:
             size = sum(int(frame.memory_usage(index=False).sum()) for frame in tables.values())
@@ -114,7 +99,7 @@ class TableCache(dict[Block, Mapping[str, pd.DataFrame]]):
 
 
 def read_outcome(
-    folder, model: ReducedModel | None = None, written: Mapping[Block, Mapping[str, pd.DataFrame]] | None = None
+    folder, model: ReducedModel | None = None, cached: Mapping[Block, Mapping[str, pd.DataFrame]] | None = None
 ) -> Outcome:
     """Read a run folder, finished or interrupted.
 
@@ -123,7 +108,7 @@ def read_outcome(
     folder : path-like
     model : ReducedModel, optional
         Model of the run, if already loaded.
-    written : TableCache, optional
+    cached : TableCache, optional
         Tables in memory.
 
     Raises
@@ -137,31 +122,31 @@ def read_outcome(
     record = store.record()
     model = model or _model(store, record)
     blocks: dict[str, list[Block]] = {law: [] for law in record["laws"]}
-    digests = {law: Digest() for law in record["laws"]}
-    damaged, room = [], CACHE_SIZE
-    kept: dict[Block, dict[str, pd.DataFrame]] = {}
+    accumulators = {law: Accumulator() for law in record["laws"]}
+    damaged, free = [], CACHE_SIZE
+    cached_tables: dict[Block, dict[str, pd.DataFrame]] = {}
     for law in record["laws"]:
         for block in store.blocks(law, record["samples"]):
             try:
-                tables = (written or {}).get(block) or store.read_block(block, record["identity"])
+                tables = (cached or {}).get(block) or store.read_block(block, record["identity"])
                 sums = None if CONTACTS.name in tables else store.read_sums(block, record["identity"])
             except FormatError as problem:
                 damaged.append(f"{problem}.")
                 continue
             samples = BlockSamples(tables, len(model.contacts), record["samples"])
-            digests[law].add(samples, model, sums)
+            accumulators[law].add(samples, model, sums)
             blocks[law].append(block)
-            kept[block] = {}
+            cached_tables[block] = {}
             for name, frame in tables.items():  # contact tables get half of the cache; the others are small
                 size = int(frame.memory_usage(index=False).sum())
-                if size <= (room - CACHE_SIZE // 2 if name == "contacts" else room):
-                    kept[block][name], room = frame, room - size
+                if size <= (free - CACHE_SIZE // 2 if name == "contacts" else free):
+                    cached_tables[block][name], free = frame, free - size
             del tables, frame  # frees memory before the next block
-    return Outcome(store.path, record, model, blocks, digests, tuple(damaged), kept)
+    return Outcome(store.path, record, model, blocks, accumulators, tuple(damaged), cached_tables)
 
 
 def _model(store: RunFolder, record: Mapping[str, Any]) -> ReducedModel:
-    """The model of a run folder, checked against the identity in its record."""
+    """The model of a run folder, checked against the inputs in its record."""
     path = store.path / "model.npz"
     try:
         model = ReducedModel.load(path)
@@ -175,7 +160,6 @@ def _model(store: RunFolder, record: Mapping[str, Any]) -> ReducedModel:
 
 def _wide(tables: Mapping[str, pd.DataFrame]) -> pd.DataFrame:
     """One row per sample, with other quantities as columns ``KIND:KEY:KEY``."""
-    wide = tables["samples"].copy()
     columns = {}
     for _, row in tables["deviations"].groupby("deviation", observed=True, sort=False):
         columns[f"deviation:{row['deviation'].iloc[0]}"] = row["value"].to_numpy()
@@ -189,4 +173,4 @@ def _wide(tables: Mapping[str, pd.DataFrame]) -> pd.DataFrame:
             columns[f"slip:{stage}:{zone}"] = slips["rms_tangential"].to_numpy()
     for name, rows in tables["measurements"].groupby("measurement", observed=True, sort=False):
         columns[f"measurement:{name}"] = rows["value"].to_numpy()
-    return wide.assign(**columns)
+    return tables["samples"].assign(**columns)

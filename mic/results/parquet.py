@@ -1,4 +1,4 @@
-"""One table of one block as a Parquet file; units, format and identity stand in its metadata."""
+"""One table of one block as a Parquet file, with units, format and identity in its metadata."""
 
 from __future__ import annotations
 
@@ -27,34 +27,35 @@ _NAMES = pa.dictionary(pa.int32(), pa.string())
 
 
 def write_table(path: Path, table: Table, frame: pd.DataFrame, identity: str, group: Group | None = None) -> None:
-    """Write a table as Parquet, with its units, its format and the identity of its run in the metadata.
+    """Write a table as Parquet, with units, format and the identity of its run in the metadata.
 
-    `group` as :func:`mic.system.files.replacing` takes it.
+    `group` as for :func:`mic.system.files.replacing`.
 
     Raises
     ------
     FormatError
-        If the frame is not what the table declares.
+        If the frame differs from the declaration.
     """
     table.check(frame, path, "this is a fault of the program")
-    own = [column for column in table.columns if column.name in frame]
+    columns = [column for column in table.columns if column.name in frame]
     fields = [
         pa.field(
             column.name, _ARROW.get(column.dtype, _NAMES), metadata={"unit": column.unit, "meaning": column.meaning}
         )
-        for column in own
+        for column in columns
     ]
     kind = _FORMATS[table.name]
     header = {"kind": kind.kind, "format": str(kind.version), "identity": identity}
-    # By columns: Arrow's own way from a frame takes as long as the writing.
-    content = pa.Table.from_arrays([_column(frame[one.name].array) for one in own], schema=pa.schema(fields, header))
-    repeating = [column.name for column in table.columns if column.dtype != "float64"]  # numbers hardly ever are
+    # Column by column: pa.Table.from_pandas takes as long as writing the file.
+    arrays = [_arrow(frame[column.name].array) for column in columns]
+    content = pa.Table.from_arrays(arrays, schema=pa.schema(fields, header))
+    repeating = [column.name for column in table.columns if column.dtype != "float64"]  # floats rarely repeat
     with replacing(path, group=group) as temporary:
         pq.write_table(content, temporary, write_page_checksum=True, use_dictionary=repeating)
 
 
-def _column(values: Any) -> pa.Array:
-    """Values of one column, of the declared type; names and numbers that are missing are null."""
+def _arrow(values: Any) -> pa.Array:
+    """Values of one column as an Arrow array; missing names and numbers are null."""
     if isinstance(values, pd.Categorical):
         names = pa.array(values.categories, pa.string())
         return pa.DictionaryArray.from_arrays(pa.array(values.codes, pa.int32()), names, from_pandas=True)
@@ -62,13 +63,13 @@ def _column(values: Any) -> pa.Array:
 
 
 def read_table(path: Path, table: Table) -> tuple[pd.DataFrame, str]:
-    """Read what :func:`write_table` wrote, and the identity of the run that it belongs to.
+    """The table in a file of :func:`write_table`, and the identity of its run.
 
     Raises
     ------
     FileNotFoundError
     FormatError
-        If the file is not what the table declares, or is cut short or altered.
+        If the file differs from the declaration, or is truncated or altered.
     """
     kind = _FORMATS[table.name]
     try:
@@ -86,13 +87,13 @@ def read_table(path: Path, table: Table) -> tuple[pd.DataFrame, str]:
 
 
 def read_identity(path: Path, table: Table) -> str:
-    """Identity of the run that a table belongs to, from its metadata alone.
+    """Identity of a table's run, from the metadata alone.
 
     Raises
     ------
     FileNotFoundError
     FormatError
-        If the file is something else, or is cut short.
+        If the file is of another kind or truncated.
     """
     kind = _FORMATS[table.name]
     try:
@@ -106,11 +107,11 @@ def read_identity(path: Path, table: Table) -> str:
 
 
 def _header(schema: pa.Schema) -> dict[str, object]:
-    """What the metadata says of kind, format and identity."""
-    found = {key.decode(): value.decode() for key, value in (schema.metadata or {}).items()}
-    number = found.get("format", "")
+    """Kind, format and identity in the metadata."""
+    entries = {key.decode(): value.decode() for key, value in (schema.metadata or {}).items()}
+    number = entries.get("format", "")
     return {
-        "kind": found.get("kind"),
+        "kind": entries.get("kind"),
         "format": int(number) if number.isdigit() else None,
-        "identity": found.get("identity", ""),
+        "identity": entries.get("identity", ""),
     }

@@ -11,30 +11,38 @@ import pandas as pd
 
 from mic.results.schema import PATH, PATH_ERRORS
 
-__all__ = ["SMALLEST", "Effect", "PathStudy", "read_path_study"]
+__all__ = ["SMALLEST", "UNKNOWN", "Effect", "PathStudy", "read_path_study"]
 
 SMALLEST = 0.01  # mm; no share is given relative to less
 
 
 @dataclass(frozen=True)
 class Effect:
-    """What a tighter path changes of a figure.
+    """Change of a mean or 6σ on a tighter load path.
 
     Attributes
     ----------
     change : float
-        mm; NaN where it is not known.
+        mm; NaN if not known.
     share : float
-        Of the figure; NaN where that is below :data:`SMALLEST`.
+        Relative to the value; NaN if that is below :data:`SMALLEST`.
     """
 
     change: float
     share: float
 
+    @classmethod
+    def of(cls, change: float, value: float) -> Effect:
+        """An effect relative to a value, mm."""
+        return cls(change, change / value if value >= SMALLEST else float("nan"))
+
+
+UNKNOWN = Effect(float("nan"), float("nan"))
+
 
 @dataclass(frozen=True)
 class PathStudy:
-    """Samples of a run beside their repetitions.
+    """Samples of a run and their repetitions on a tighter path.
 
     Attributes
     ----------
@@ -49,38 +57,39 @@ class PathStudy:
 
     @property
     def left_out(self) -> int:
-        """Repetitions that did not converge, over all laws."""
+        """Number of repetitions that did not converge, over all laws."""
         return len(self.pairs.loc[~self.pairs["converged"], ["law", "sample"]].drop_duplicates())
 
     def repeated(self, law: str) -> int:
-        """Samples that stand beside their repetition."""
-        found = self.pairs[(self.pairs["law"] == law) & self.pairs["converged"]]
-        return int(found["sample"].nunique())
+        """Number of samples whose repetition converged."""
+        rows = self.pairs[(self.pairs["law"] == law) & self.pairs["converged"]]
+        return int(rows["sample"].nunique())
 
     def effects(self, law: str, quantity: str, name: str, stage: str | None = None) -> tuple[Effect, Effect]:
-        """What a tighter path changes of mean and 6σ.
+        """Effect of a tighter path on mean and 6σ.
 
         Parameters
         ----------
         law, quantity, name : str
         stage : str, optional
-            Not for measurements.
+            Ignored for measurements.
         """
-        found = self._beside.get((law, quantity, name, None if quantity == "measurement" else stage))
-        if found is None:
-            return _UNKNOWN, _UNKNOWN
-        value, tight = found
+        measured = quantity == "measurement"
+        values = self._values.get((law, quantity, name, None if measured else stage))
+        if values is None:
+            return UNKNOWN, UNKNOWN
+        value, tight = values
         change = float(np.mean(tight - value))
         if len(value) < 2:
-            return _effect(change, float(value[0]) if quantity != "measurement" else 0.0), _UNKNOWN
+            return Effect.of(change, 0.0 if measured else float(value[0])), UNKNOWN
         spread, tight_spread = (6 * float(np.std(x, ddof=1)) for x in (value, tight))
         return (
-            _effect(change, spread if quantity == "measurement" else float(np.mean(value))),
-            _effect(tight_spread - spread, spread),
+            Effect.of(change, spread if measured else float(np.mean(value))),
+            Effect.of(tight_spread - spread, spread),
         )
 
     @cached_property
-    def _beside(self) -> dict[tuple, tuple[np.ndarray, np.ndarray]]:
+    def _values(self) -> dict[tuple, tuple[np.ndarray, np.ndarray]]:
         """Values in the run and on the tighter path, of the repetitions that converged."""
         groups = self.pairs[self.pairs["converged"]].groupby(["law", "quantity", "name", "stage"], sort=False)
         return {
@@ -92,21 +101,13 @@ class PathStudy:
         }
 
 
-_UNKNOWN = Effect(float("nan"), float("nan"))
-
-
-def _effect(change: float, figure: float) -> Effect:
-    return Effect(change, change / figure if figure >= SMALLEST else float("nan"))
-
-
 def read_path_study(folder: Path) -> PathStudy | None:
-    """The study as the run stored it; None where it stored none.
+    """The path study of a run folder; None if it has none.
 
     Raises
     ------
     FormatError
-        If a file is not what :data:`mic.results.schema.PATH` or :data:`~mic.results.schema.PATH_ERRORS` declares.
+        If a file differs from :data:`mic.results.schema.PATH` or :data:`~mic.results.schema.PATH_ERRORS`.
     """
-
     pairs, errors = (table.read(folder, "call `mic report` on the run folder") for table in (PATH, PATH_ERRORS))
     return None if pairs is None or errors is None else PathStudy(pairs, errors)

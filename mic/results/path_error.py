@@ -22,36 +22,37 @@ from mic.results.schema import SLIPS
 
 __all__ = ["SAMPLES", "study_path", "tighter"]
 
-SAMPLES = 12  # the first valid ones
+SAMPLES = 12  # first valid samples that are repeated
 TOLERANCE = 1 / 16  # factor on the path tolerance; the error is of second order and falls to about a sixth
 INCREMENTS = 4  # factor on the increments; the error is of first order and falls to a quarter
 _ZONES = ("rms_tangential", "rms_slip")
 
 
 def tighter(path: ContactPath) -> ContactPath:
-    """The path that a study compares with."""
+    """A path with smaller tolerance or more increments."""
     if isinstance(path, Increments):
         return Increments(INCREMENTS * path.count)
     return replace(path, tolerance=TOLERANCE * path.tolerance)
 
 
 def study_path(outcome: RunSamples) -> PathStudy | None:
-    """Take the first valid samples of every law with friction through the process once more, on a tighter path.
+    """Repeat the first valid samples of every law with friction on a tighter path.
 
     Returns
     -------
     PathStudy or None
-        None where no path is followed: without contacts, friction or valid samples.
+        None if no path is followed: no contacts, no friction or no valid samples.
     """
     laws = [law for law in outcome.laws if LAWS[law].frictional and len(outcome.with_pairs(law))]
     if not (outcome.has_slip and outcome.stages and laws):
         return None
-    found = [_repeat(outcome, law, outcome.with_pairs(law)[:SAMPLES]) for law in laws]
-    pairs, errors = (pd.concat(frames, ignore_index=True) for frames in zip(*found))
+    studies = [_repeat(outcome, law, outcome.with_pairs(law)[:SAMPLES]) for law in laws]
+    pairs, errors = (pd.concat(frames, ignore_index=True) for frames in zip(*studies))
     return PathStudy(pairs, errors)
 
 
 def _repeat(outcome, law, numbers) -> tuple[pd.DataFrame, pd.DataFrame]:
+    """The tables PATH and PATH_ERRORS of one law, for samples with these numbers."""
     model = outcome.model
     backend, threads = model.scene.monte_carlo.backend, len(os.sched_getaffinity(0))
     deviations = np.column_stack(
@@ -61,19 +62,18 @@ def _repeat(outcome, law, numbers) -> tuple[pd.DataFrame, pd.DataFrame]:
     for stage in process.stages:
         stage.path = tighter(stage.path)
     evaluation = process.attempt(deviations)
-    again = tables(model, evaluation)
+    motion = tables(model, evaluation)[SLIPS.name]
     converged = ~evaluation.failed
     last = process.stages[-1].plan.name
     rows = [
         ("measurement", last, item.name, outcome.measured(law, item.name, numbers), evaluation.measurements[:, k])
         for k, item in enumerate(model.scene.measurements[: evaluation.measurements.shape[1]])
     ]
-    motion = again[SLIPS.name]
     for stage in outcome.stages:
         for zone in outcome.zones:
-            own = motion[(motion["stage"] == stage) & (motion["zone"] == zone)]
+            repeated = motion[(motion["stage"] == stage) & (motion["zone"] == zone)]
             for column, read in zip(_ZONES, (outcome.tangential, outcome.slip)):
-                rows.append((column, stage, zone, read(law, stage, zone, numbers), own[column].to_numpy()))
+                rows.append((column, stage, zone, read(law, stage, zone, numbers), repeated[column].to_numpy()))
     pairs = [
         pd.DataFrame(
             {
@@ -93,7 +93,7 @@ def _repeat(outcome, law, numbers) -> tuple[pd.DataFrame, pd.DataFrame]:
 
 
 def _errors(outcome, law, numbers, evaluation, converged) -> pd.DataFrame:
-    """Tangential positions are what the stages so far moved."""
+    """Estimated and measured path errors of one law; tangential positions are the sum over the stages so far."""
     frames = []
     change = np.zeros((len(numbers), len(outcome.model.contacts), 2))
     for stage in outcome.stages:

@@ -1,10 +1,10 @@
-"""The identity of a run: one hash over all inputs that its numbers depend on, and over nothing that was computed.
+"""The identity of a run: a hash of all inputs that its numbers depend on.
 
-Inputs are the scene with its defaults filled in, the content of every file that its meshes were made from, the seed,
-how samples are drawn or what they are, who solves the contacts and how exactly, how exactly paths are followed, the
-version of the program and the formats of its files. How many samples there are and under which laws is left out: a
-block says that of itself. So are names, descriptions and what is drawn. Nothing computed enters, for its last digits
-may change with the number of threads.
+Inputs are the scene with its defaults, the content of every file that its meshes were made from, the seed, the sampling
+design or the given samples, the contact solver and its tolerance, the tolerance of path following, the version of the
+program and of its file formats. The number of samples and the laws are not included, because each block states them;
+nor are names, descriptions and options of the report. Computed values are not included, because their last digits may
+depend on the number of threads.
 """
 
 from __future__ import annotations
@@ -18,22 +18,22 @@ from mic.process.process import TOLERANCE
 from mic.process.stage import LEAST_MOTION
 from mic.system.files import fingerprint
 
-__all__ = ["FORMAT", "differences", "identity", "inputs", "program_version"]
+__all__ = ["FORMAT", "differences", "identity", "inputs", "installed_version", "program_version"]
 
-FORMAT = 3  # raised whenever the same inputs give other numbers, or blocks of another form
-#: What the setting gives is filled in.
-_CAPTIONS = {"name", "description", "setting", "monte_carlo", "report", "optimise"}
-_OF_THE_PROGRAM = ("program", "format")
-_WORDS = {
+FORMAT = 3  # increased whenever the same inputs give other numbers, or blocks of another format
+#: Tables of the scene without effect on the numbers; the values of a `setting` are in the other tables.
+_IGNORED = {"name", "description", "setting", "monte_carlo", "report", "optimise"}
+_PROGRAM_KEYS = ("program", "format")
+_LABELS = {
     "program": "version of the program",
     "design": "design of the samples, or the samples themselves",
     "dimension": "contact rows per pair",
-    "path_floor": "error of a path that is not judged",
+    "path_floor": "smallest path error that is controlled",
 }
 
 
 def inputs(model, seed: int) -> dict[str, Any]:
-    """All inputs of a run, JSON-ready; long ones as hashes.
+    """All inputs of a run, JSON-ready, long ones as hashes.
 
     Parameters
     ----------
@@ -41,7 +41,7 @@ def inputs(model, seed: int) -> dict[str, Any]:
     seed : int
     """
     scene = model.scene
-    tables = json.loads(scene.model_dump_json(exclude=_CAPTIONS))
+    tables = json.loads(scene.model_dump_json(exclude=_IGNORED))
     given = scene.monte_carlo.values
     return {
         "program": program_version(),
@@ -63,33 +63,38 @@ def identity(model, seed: int) -> str:
     return fingerprint(inputs(model, seed))
 
 
-def differences(there: Mapping[str, Any], asked: Mapping[str, Any], program: bool = True) -> list[str]:
-    """What differs between the inputs of two runs, in words.
+def differences(stored: Mapping[str, Any], requested: Mapping[str, Any], program: bool = True) -> list[str]:
+    """Differences between the inputs of two runs, as text.
 
     Parameters
     ----------
-    there, asked : dict
-        As :func:`inputs` gives them.
+    stored, requested : dict
+        As returned by :func:`inputs`.
     program : bool
-        Whether the version of the program counts.
+        Whether to compare the version of the program.
     """
-    found = []
-    for key in sorted(set(there) | set(asked)):
-        if there.get(key) == asked.get(key) or (key in _OF_THE_PROGRAM and not program):
+    differing = []
+    for key in sorted(set(stored) | set(requested)):
+        old, new = stored.get(key), requested.get(key)
+        if old == new or (key in _PROGRAM_KEYS and not program):
             continue
         if key in ("scene", "files"):
-            old, new = there.get(key) or {}, asked.get(key) or {}
+            old, new = old or {}, new or {}
             names = [name for name in sorted(set(old) | set(new)) if old.get(name) != new.get(name)]
-            found.append(("of the scene: " if key == "scene" else "content of ") + ", ".join(names))
+            differing.append(("tables of the scene: " if key == "scene" else "content of ") + ", ".join(names))
         else:
-            name = _WORDS.get(key, key)
-            found.append(f"{name} ({there.get(key)} there, {asked.get(key)} asked for)")
-    return found
+            differing.append(f"{_LABELS.get(key, key)}: {old} in the folder, {new} requested")
+    return differing
 
 
 def program_version() -> str:
-    """Version of this program as installed."""
+    """Installed version of this program."""
+    return installed_version("mic-contact")
+
+
+def installed_version(package: str) -> str:
+    """Installed version of a package, or "not installed"."""
     try:
-        return version("mic-contact")
+        return version(package)
     except PackageNotFoundError:
         return "not installed"

@@ -18,8 +18,7 @@ AXES = ("n", "t1", "t2")
 def tables(model, evaluation: Evaluation, first: int = 0) -> dict[str, pd.DataFrame]:
     """The tables of an evaluation, by name, as :data:`mic.results.schema.DATASETS` declares them.
 
-    Rows are ordered by stage, zone, deviation or measurement, and within it by sample; those of the contacts by stage,
-    sample and pair.
+    Rows are ordered by stage, zone, deviation or measurement, then by sample; contacts by stage, sample and pair.
 
     Parameters
     ----------
@@ -34,14 +33,14 @@ def tables(model, evaluation: Evaluation, first: int = 0) -> dict[str, pd.DataFr
     stages = list(evaluation.resolutions)
     resolutions = list(evaluation.resolutions.values())
     measured = [item.name for item in model.scene.measurements][: evaluation.measurements.shape[1]]
-    modelled = len(zones) if model.contacts.dimension == 3 else 0
+    moving = len(zones) if model.contacts.dimension == 3 else 0  # zones whose tangential motion is modelled
     motions = [
         zone_motion(resolution, model.contacts, model.contacts.zone == z, LAWS[evaluation.law].frictional)
         for resolution in resolutions
-        for z in range(modelled)
+        for z in range(moving)
     ]
     status = np.array([str(getattr(value, "value", value)) for r in resolutions for value in r.status], dtype=object)
-    found = {
+    columns = {
         SAMPLES: {"sample": number, "failed": evaluation.failed, "built": evaluation.built},
         DEVIATIONS: {
             "sample": np.tile(number, len(model.parameters)),
@@ -65,8 +64,8 @@ def tables(model, evaluation: Evaluation, first: int = 0) -> dict[str, pd.DataFr
         },
         SLIPS: {
             "sample": np.tile(number, len(motions)),
-            "stage": _named(np.repeat(np.arange(len(stages)), n * modelled), stages),
-            "zone": _named(np.tile(np.repeat(np.arange(modelled), n), len(stages)), zones),
+            "stage": _named(np.repeat(np.arange(len(stages)), n * moving), stages),
+            "zone": _named(np.tile(np.repeat(np.arange(moving), n), len(stages)), zones),
         }
         | {name: _joined([motion[name] for motion in motions], float) for name in SLIPS.names[3:]},
         MEASUREMENTS: {
@@ -75,32 +74,34 @@ def tables(model, evaluation: Evaluation, first: int = 0) -> dict[str, pd.DataFr
             "value": evaluation.measurements.T.ravel(),
         },
         CONTACTS: _contacts(model.contacts, resolutions, number, stages, zones, LAWS[evaluation.law].frictional),
+        PROFILES: _profiles(model, evaluation.readings, number),
+        LIMITS: _limits(model, resolutions, number, stages),
     }
-    found[PROFILES] = _profiles(model, evaluation.readings, number)
-    found[LIMITS] = _limits(model, resolutions, number, stages)
-    return {table.name: pd.DataFrame(columns) for table, columns in found.items()}
+    return {table.name: pd.DataFrame(values) for table, values in columns.items()}
 
 
 def _profiles(model, readings: np.ndarray, number: np.ndarray):
-    """What measurements over many points read at each of them."""
-    over = [k for k, item in enumerate(model.scene.measurements) if item.points is not None and readings.size]
-    own = [np.arange(*model.characteristics.start[k : k + 2]) for k in over]
-    names = [model.scene.measurements[k].name for k in over]
-    columns = np.concatenate([np.zeros(0, dtype=int), *own])
-    point = np.concatenate([np.zeros(0, dtype=int), *(each - each[0] for each in own)])
+    """Columns of the dataset `profiles`."""
+    profiles = [k for k, item in enumerate(model.scene.measurements) if item.points is not None and readings.size]
+    indices = [np.arange(*model.characteristics.start[k : k + 2]) for k in profiles]  # of the points' readings
+    names = [model.scene.measurements[k].name for k in profiles]
+    columns = np.concatenate([np.zeros(0, dtype=int), *indices])
+    point = np.concatenate([np.zeros(0, dtype=int), *(index - index[0] for index in indices)])
     return {
         "sample": np.tile(number, len(columns)),
-        "measurement": _named(np.repeat(np.arange(len(over)), [len(each) * len(number) for each in own]), names),
+        "measurement": _named(
+            np.repeat(np.arange(len(profiles)), [len(index) * len(number) for index in indices]), names
+        ),
         "point": np.repeat(point, len(number)).astype(np.int32),
         "value": readings[:, columns].T.ravel(),
     }
 
 
 def _limits(model, resolutions: list[Resolution], number: np.ndarray, stages: list[str]):
-    """Clamps and guns of limited force, stage by stage."""
-    judged = {plan.name: plan.limit_names(model.scene, model.weld_size) for plan in model.plans}
-    names = list(dict.fromkeys(name for stage in stages for name in judged[stage]))
-    rows = [(i, names.index(name), j) for i, stage in enumerate(stages) for j, name in enumerate(judged[stage])]
+    """Columns of the dataset `limits`."""
+    limited = {plan.name: plan.limit_names(model.scene, model.weld_size) for plan in model.plans}
+    names = list(dict.fromkeys(name for stage in stages for name in limited[stage]))
+    rows = [(i, names.index(name), j) for i, stage in enumerate(stages) for j, name in enumerate(limited[stage])]
     columns = {
         "sample": np.tile(number, len(rows)),
         "stage": _named(np.repeat([i for i, _, _ in rows], len(number)), stages if rows else []),
@@ -112,38 +113,38 @@ def _limits(model, resolutions: list[Resolution], number: np.ndarray, stages: li
 
 
 def _rescued(model, law: str, resolution: Resolution) -> np.ndarray:
-    """(n,) samples that were to be followed along their path in a stage, were not, and have a solution all the same."""
+    """(n,) whether path following failed in a stage and increments found the solution."""
     followed = {plan.name: plan.path == "followed" for plan in model.plans}
-    asked = followed[resolution.stage] and LAWS[law].followed and model.contacts.dimension == 3
-    return asked & (resolution.rung != "followed") & resolution.converged
+    requested = followed[resolution.stage] and LAWS[law].followed and model.contacts.dimension == 3
+    return requested & (resolution.rung != "followed") & resolution.converged
 
 
-def zone_motion(resolution: Resolution, contacts, own: np.ndarray, frictional: bool) -> dict[str, np.ndarray]:
-    """The last columns of :data:`mic.results.schema.SLIPS` for one zone: (n,) each, NaN for what takes friction.
+def zone_motion(resolution: Resolution, contacts, pairs: np.ndarray, frictional: bool) -> dict[str, np.ndarray]:
+    """Motion of one zone: the last columns of :data:`mic.results.schema.SLIPS`, (n,) each.
 
-    Pairs that the zone states count alike. Candidates stand nearer to each other along edges, and count by their area;
-    what they slip under load by the work that friction did on the way. The finer they are, the less of the area
-    touches, down to lines and points: a mean over it has no limit, one over the work has.
+    Stated pairs have equal weights. Candidates, which are denser along edges, are weighted by area, and their slip
+    under load by friction work: a finer mesh of candidates touches on a smaller area, down to lines and points, so that
+    a mean over the area does not converge, while one over the work does. Columns that need friction are NaN without it.
 
     Parameters
     ----------
     resolution : Resolution
     contacts : mic.model.assembly.Contacts
-    own : (m,) bool array
-        The zone's pairs.
+    pairs : (m,) bool array
+        Pairs of the zone.
     frictional : bool
     """
-    u_t, trace = resolution.displacement[:, own, 1:], resolution.trace
-    weight = np.where(contacts.watched, contacts.area, 1.0)[own]
+    u_t, trace = resolution.displacement[:, pairs, 1:], resolution.trace
+    weight = np.where(contacts.watched, contacts.area, 1.0)[pairs]
     weight = weight / weight.sum()
-    share = weight @ trace.share[:, own]
-    work = np.maximum(trace.work[:, own], 0.0)
+    share = weight @ trace.share[:, pairs]
+    work = np.maximum(trace.work[:, pairs], 0.0)
     total = np.maximum(work.sum(axis=1, keepdims=True), np.finfo(float).tiny)
-    bearing = np.where(contacts.watched[own], work / total, weight)
+    slip_weight = np.where(contacts.watched[pairs], work / total, weight)
     under_load = {
-        "rms_slip": np.sqrt(((trace.slip[:, own] ** 2).sum(axis=2) * bearing).sum(axis=1)),
-        "slip_length": np.sqrt((trace.length[:, own] ** 2 * bearing).sum(axis=1)),
-        "friction_work": trace.work[:, own].sum(axis=1),
+        "rms_slip": np.sqrt(((trace.slip[:, pairs] ** 2).sum(axis=2) * slip_weight).sum(axis=1)),
+        "slip_length": np.sqrt((trace.length[:, pairs] ** 2 * slip_weight).sum(axis=1)),
+        "friction_work": trace.work[:, pairs].sum(axis=1),
         **{STATES[state]: share[:, state] for state in (OPEN, STICK, SLIP)},
     }
     if not frictional:
@@ -152,6 +153,7 @@ def zone_motion(resolution: Resolution, contacts, own: np.ndarray, frictional: b
 
 
 def _contacts(contacts, resolutions, number, stages, zones, frictional):
+    """Columns of the dataset `contacts`."""
     n, m, d = len(number), len(contacts), contacts.dimension
     count = len(stages)
     columns = {

@@ -1,13 +1,12 @@
-"""Tables of a results folder: columns, types, units. ``python -m mic.results.schema`` prints the reference.
+"""Tables of a results folder: columns, types, units; ``python -m mic.results.schema`` prints the reference.
 
 ``schema.toml`` declares them; files are written, read and checked by this declaration. Keys (``stage``, ``zone``,
-``measurement``) are columns, not parts of column names, so that tables can be selected and grouped by them.
+``measurement``) are columns, not parts of column names, so that tables can be filtered and grouped by them.
 """
 
 from __future__ import annotations
 
 import tomllib
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -16,7 +15,7 @@ import pandas as pd
 from pandas.api import types
 
 from mic.errors import FormatError
-from mic.system.files import replacing
+from mic.system.files import Group, replacing
 
 __all__ = [
     "ACCURACY",
@@ -147,9 +146,9 @@ class Table:
         FormatError
             For the first column that is missing, unknown, out of order, or of another type.
         """
-        found = list(frame.columns)
+        names = list(frame.columns)
         # All at once: reading dtypes column by column takes as long as writing the table.
-        dtypes = dict(zip(found, frame.dtypes))
+        dtypes = dict(zip(names, frame.dtypes))
         for column in self.columns:
             if column.name not in dtypes:
                 if column.optional:
@@ -160,10 +159,10 @@ class Table:
                     f"{where}: table {self.name!r}: column {column.name!r} holds {dtypes[column.name]}, "
                     f"expected {column.dtype}; {remedy}"
                 )
-        known = [name for name in self.names if name in found]
-        if found != known:
-            unexpected = next(name for name, place in zip(found, [*known, None]) if name != place)
-            what = "is out of order" if unexpected in known else "is none of this table's"
+        known = [name for name in self.names if name in names]
+        if names != known:
+            unexpected = next(name for name, expected in zip(names, [*known, None]) if name != expected)
+            what = "is out of order" if unexpected in known else "is not declared"
             raise FormatError(f"{where}: table {self.name!r}: column {unexpected!r} {what}; {remedy}")
 
     def read(self, folder: Path, remedy: str) -> pd.DataFrame | None:
@@ -195,8 +194,10 @@ class Table:
         self.check(frame, path, remedy)
         return frame
 
-    def write(self, folder: Path, frame: pd.DataFrame) -> None:
-        """Write its CSV file into a run folder, with nine digits.
+    def write(self, folder: Path, frame: pd.DataFrame, exact: bool = False, group: Group | None = None) -> None:
+        """Write its CSV file into a run folder, with nine digits or, if `exact`, all.
+
+        `group` as for :func:`mic.system.files.replacing`.
 
         Raises
         ------
@@ -205,8 +206,8 @@ class Table:
         """
         path = folder / self.place
         self.check(frame, path, "this is a fault of the program")
-        with replacing(path) as temporary:
-            frame.to_csv(temporary, index=False, float_format="%.9g")
+        with replacing(path, group=group) as temporary:
+            frame.to_csv(temporary, index=False, float_format=None if exact else "%.9g")
 
     def empty(self) -> pd.DataFrame:
         """An empty frame without the optional columns."""
@@ -244,19 +245,22 @@ def _columns(declared: dict[str, Any]) -> list[Column]:
     ]
 
 
-def _tables() -> dict[str, Table]:
-    """The tables of ``schema.toml`` by key."""
-    places = {"dataset": "{}/law=LAW/FIRST-LAST.parquet", "statistic": "tables/{}.csv"}
-    tables = {}
-    for key, entry in tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8")).items():
-        name = entry.get("name", key)
-        columns = tuple(column for declared in entry.get("columns", ()) for column in _columns(declared))
-        place = entry["place"] if "place" in entry else places[entry["kind"]].format(name)
-        tables[key] = Table(name, entry["rows"], columns, entry["description"], place, entry.get("version", 1))
-    return tables
+def _table(key: str, entry: dict[str, Any]) -> Table:
+    """The table that an entry of ``schema.toml`` declares."""
+    name = entry.get("name", key)
+    columns = tuple(column for declared in entry.get("columns", ()) for column in _columns(declared))
+    place = f"{name}/law=LAW/FIRST-LAST.parquet" if entry.get("kind") == "dataset" else f"tables/{name}.csv"
+    version = entry.get("version", 1)
+    return Table(name, entry["rows"], columns, entry["description"], entry.get("place", place), version)
 
 
-_TABLES = _tables()
+def _of_kind(kind: str) -> tuple[Table, ...]:
+    """The tables of a kind, in the order of ``schema.toml``."""
+    return tuple(_TABLES[key] for key, entry in _DECLARED.items() if entry.get("kind") == kind)
+
+
+_DECLARED = tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))
+_TABLES = {key: _table(key, entry) for key, entry in _DECLARED.items()}
 SAMPLES = _TABLES["samples"]
 DEVIATIONS = _TABLES["deviations"]
 RESOLUTIONS = _TABLES["resolutions"]
@@ -297,35 +301,12 @@ EXPLANATION = _TABLES["explanation"]
 FURTHER = _TABLES["further"]
 PREDICTIONS = _TABLES["predictions"]
 
-#: Parquet datasets in the order of writing; :data:`SAMPLES` last.
-DATASETS = (DEVIATIONS, RESOLUTIONS, SLIPS, MEASUREMENTS, PROFILES, CONTACTS, LIMITS, SAMPLES)
+#: Parquet datasets in the order of writing, samples last.
+DATASETS = (*(table for table in _of_kind("dataset") if table is not SAMPLES), SAMPLES)
+#: CSV tables of a run.
+STATISTICS = _of_kind("statistic")
 #: CSV tables that separate commands add to a run folder.
-STUDIES = (
-    CONTRIBUTORS,
-    LINEARITY,
-    SENSITIVITIES,
-    FRICTION_EFFECTS,
-    RARE,
-    DESIGN_POINTS,
-    REMEDIES,
-    REMEDY_EFFECTS,
-    ORDERS,
-    OPTIMA,
-    OPTIMUM_CHANGES,
-    OPTIMUM_MATCHES,
-    DENSITY,
-)
-#: CSV tables of statistics.
-STATISTICS = (
-    ZONE_STATISTICS,
-    CONTACT_STATISTICS,
-    MEASUREMENT_STATISTICS,
-    PROFILE_STATISTICS,
-    LIMIT_STATISTICS,
-    PATH,
-    PATH_ERRORS,
-    FRICTION,
-)
+STUDIES = _of_kind("study")
 
 
 def reference() -> str:
@@ -347,9 +328,9 @@ def reference() -> str:
     ]
     lines += [
         f"| `{table.place}` | {table.description} |"
-        for table in (*_samples_first(DATASETS), SUMS, FORCES, CONDENSED, FIELDS)
+        for table in (*_of_kind("dataset"), SUMS, FORCES, CONDENSED, FIELDS)
     ]
-    lines += [f"| `{table.place}` | {table.description} |" for table in (*STATISTICS, ACCURACY, *STUDIES)]
+    lines += [f"| `{table.place}` | {table.description} |" for table in (*STATISTICS, *STUDIES)]
     lines += [
         "",
         "`LAW` is a contact law, `FIRST-LAST` the numbers of a block's first and last sample. The datasets are Apache "
@@ -360,8 +341,8 @@ def reference() -> str:
         "run, or of another scene, on a folder.",
     ]
     for title, tables in (
-        ("Datasets", _samples_first(DATASETS)),
-        ("Statistics", (*STATISTICS, ACCURACY)),
+        ("Datasets", _of_kind("dataset")),
+        ("Statistics", STATISTICS),
         ("Studies", STUDIES),
         ("Fields", (FORCES, FIELDS)),
     ):
@@ -377,11 +358,6 @@ def reference() -> str:
             lines += ["| column | type | unit | meaning |", "| --- | --- | --- | --- |"]
             lines += [_described(column) for column in table.columns]
     return "\n".join(lines) + "\n"
-
-
-def _samples_first(tables: Sequence[Table]) -> list[Table]:
-    """Tables with the samples first."""
-    return sorted(tables, key=lambda table: table is not SAMPLES)
 
 
 def _described(column: Column) -> str:

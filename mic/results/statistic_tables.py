@@ -11,7 +11,7 @@ import pandas as pd
 
 from mic.contact.laws import LAWS
 from mic.contact.states import STATES
-from mic.results.path_effect import Effect
+from mic.results.path_effect import UNKNOWN, Effect
 from mic.results.run_samples import RunSamples
 from mic.results.schema import (
     CONTACT_STATISTICS,
@@ -24,7 +24,7 @@ from mic.results.schema import (
 )
 from mic.statistics import capability, estimates
 from mic.statistics.estimates import Estimate, Moments
-from mic.statistics.regression import Improved
+from mic.statistics.regression import RegressionEstimates
 
 __all__ = [
     "contact_statistics",
@@ -35,10 +35,10 @@ __all__ = [
     "zone_statistics",
 ]
 
-GROUPS = 100  # of samples for the jackknife
+GROUPS = 100  # groups of samples for the jackknife
 MEASURED = ("mean", "sigma", "six_sigma", "min", "max", "cp", "cpk", "share_outside")
 IMPROVED = ("improved_mean", "improved_six_sigma")
-FIGURES = ("mean", "six_sigma")  # of a path study
+FIGURES = ("mean", "six_sigma")  # that path effects are given for
 MOTIONS = ("rms_tangential", "rms_slip")
 PRESSED = {"normal_force": "all", "normal_force_clear": "clear"}  # pairs whose forces are summed
 
@@ -48,10 +48,10 @@ def whole_yield(outcome: RunSamples, law: str) -> Estimate:
 
     The interval assumes independent samples; it is NaN for designs that make samples in groups.
     """
-    digest, samples = outcome.digests[law], len(outcome.sample_numbers(law))
-    beyond = int(digest.counts["any outside",]) if samples else 0
-    found = estimates.share(samples - beyond, samples)
-    return found if outcome.together == 1 else replace(found, low=np.nan * found.value, high=np.nan * found.value)
+    accumulator, samples = outcome.accumulators[law], len(outcome.sample_numbers(law))
+    beyond = int(accumulator.counts["any outside",]) if samples else 0
+    share = estimates.share(samples - beyond, samples)
+    return share if outcome.together == 1 else _without_interval(share)
 
 
 def zone_statistics(outcome: RunSamples) -> pd.DataFrame:
@@ -63,11 +63,11 @@ def zone_statistics(outcome: RunSamples) -> pd.DataFrame:
         unknown = Moments.of(np.full((samples, len(outcome.zones)), np.nan))  # no tangential motion was modelled
         for stage in outcome.stages:
             moments = {
-                column: outcome.digests[law].moments.get(("slips", stage, column), unknown)
+                column: outcome.accumulators[law].moments.get(("slips", stage, column), unknown)
                 for column in SLIPS.names[3:]
             }
             for z, (zone, count) in enumerate(zip(outcome.model.scene.zones, pairs)):
-                own = {column: found.at(z) for column, found in moments.items()}
+                of_zone = {column: by_zone.at(z) for column, by_zone in moments.items()}
                 row = {
                     "law": law,
                     "stage": stage,
@@ -77,18 +77,16 @@ def zone_statistics(outcome: RunSamples) -> pd.DataFrame:
                     "samples": samples,
                 }
                 for motion in MOTIONS:
-                    row |= _mean_and_spread(
-                        f"_{motion}",
-                        (estimates.mean(own[motion]), estimates.six_sigma(own[motion])),
-                        _effects(outcome, law, motion, zone.name, stage),
-                    )
+                    values = estimates.mean(of_zone[motion]), estimates.six_sigma(of_zone[motion])
+                    for name, value, effect in zip(FIGURES, values, _effects(outcome, law, motion, zone.name, stage)):
+                        row |= _interval(f"{name}_{motion}", value) | _change(f"{name}_{motion}", effect)
                 for column in ("slip_length", "friction_work"):
-                    row |= _spread(f"mean_{column}", estimates.mean(own[column]))
+                    row |= _interval(f"mean_{column}", estimates.mean(of_zone[column]))
                 for name, which in PRESSED.items():
-                    force = outcome.digests[law].moments["pressed", stage, which].at(z)
-                    row |= _spread(f"mean_{name}", estimates.mean(force))
-                    row |= _spread(f"six_sigma_{name}", estimates.six_sigma(force))
-                rows.append(row | {state: estimates.mean(own[state]).value for state in STATES})
+                    force = outcome.accumulators[law].moments["pressed", stage, which].at(z)
+                    row |= _interval(f"mean_{name}", estimates.mean(force))
+                    row |= _interval(f"six_sigma_{name}", estimates.six_sigma(force))
+                rows.append(row | {state: estimates.mean(of_zone[state]).value for state in STATES})
     return _frame(ZONE_STATISTICS, pd.DataFrame(rows), outcome.together == 1)
 
 
@@ -105,22 +103,22 @@ def contact_statistics(outcome: RunSamples) -> pd.DataFrame:
     m = len(outcome.model.contacts)
     zone = np.array(outcome.zones, dtype=object)[outcome.model.contacts.zone] if m else np.zeros(0, dtype=object)
     for law in outcome.laws:
-        digest, samples = outcome.digests[law], len(outcome.sample_numbers(law))
+        accumulator, samples = outcome.accumulators[law], len(outcome.sample_numbers(law))
         for stage in outcome.stages:
-            f_n, u_n = (digest.moments["contacts", stage, column] for column in ("f_n", "u_n"))
+            f_n, u_n = (accumulator.moments["contacts", stage, column] for column in ("f_n", "u_n"))
             columns = {"law": law, "stage": stage, "zone": zone, "contact": np.arange(m), "samples": samples}
-            columns |= _spread("mean_f_n", estimates.mean(f_n)) | _spread("six_sigma_f_n", estimates.six_sigma(f_n))
+            columns |= _interval("mean_f_n", estimates.mean(f_n)) | _interval("six_sigma_f_n", estimates.six_sigma(f_n))
             columns["mean_gap"] = estimates.mean(u_n).value
             if outcome.has_slip:
-                force, motion = (digest.moments["contacts", stage, column] for column in ("f_t", "u_t"))
-                columns |= _spread("mean_slip_force", estimates.mean(force))
-                columns |= _spread("six_sigma_slip_force", estimates.six_sigma(force))
-                columns |= _spread("mean_tangential", estimates.mean(motion))
-            for name, count in zip(STATES, digest.counts["states", stage]):
-                columns |= _spread(name, estimates.share(count, samples))
+                force, motion = (accumulator.moments["contacts", stage, column] for column in ("f_t", "u_t"))
+                columns |= _interval("mean_slip_force", estimates.mean(force))
+                columns |= _interval("six_sigma_slip_force", estimates.six_sigma(force))
+                columns |= _interval("mean_tangential", estimates.mean(motion))
+            for name, count in zip(STATES, accumulator.counts["states", stage]):
+                columns |= _interval(name, estimates.share(count, samples))
             if outcome.has_slip:
                 stick, slip = (
-                    estimates.mean(digest.moments["contacts", stage, column]).value
+                    estimates.mean(accumulator.moments["contacts", stage, column]).value
                     for column in ("path_stick", "path_slip")
                 )
                 columns |= {"path_open": 1.0 - stick - slip, "path_stick": stick, "path_slip": slip}
@@ -134,10 +132,10 @@ def measurement_statistics(outcome: RunSamples) -> pd.DataFrame:
     """Key characteristics against their limits, :data:`mic.results.schema.MEASUREMENT_STATISTICS`."""
     rows = []
     for law in outcome.laws:
-        digest = outcome.digests[law]
-        regression = digest.regression.improved() if digest.regression else None
+        accumulator = outcome.accumulators[law]
+        regression = accumulator.regression.estimates() if accumulator.regression else None
         for k, item in enumerate(outcome.model.scene.measurements):
-            x = digest.moments["measurements",].at(k)
+            x = accumulator.moments["measurements",].at(k)
             moments: tuple[Estimate, ...] = (
                 estimates.mean(x),
                 estimates.sigma(x),
@@ -146,7 +144,7 @@ def measurement_statistics(outcome: RunSamples) -> pd.DataFrame:
                 estimates.maximum(x),
                 capability.capability(x, math.nan if item.one_sided else item.lower, item.upper),
                 capability.centred_capability(x, *item.bounds),
-                estimates.share(digest.counts["outside",][k], x.n),
+                estimates.share(accumulator.counts["outside",][k], x.n),
             )
             if outcome.together > 1:
                 moments = _by_groups(outcome, law, item, moments)
@@ -157,45 +155,43 @@ def measurement_statistics(outcome: RunSamples) -> pd.DataFrame:
                 "upper": item.upper,
                 "samples": moments[0].used,
             }
-            found = dict(zip(MEASURED, moments))
             effects = dict(zip(FIGURES, _effects(outcome, law, "measurement", item.name)))
-            for name, estimate in found.items():
-                row |= _spread(name, estimate) | (_change(name, effects[name]) if name in effects else {})
+            for name, estimate in zip(MEASURED, moments):
+                row |= _interval(name, estimate) | (_change(name, effects[name]) if name in effects else {})
             rows.append(row | _improved(regression, k))
     return _frame(MEASUREMENT_STATISTICS, pd.DataFrame(rows))
 
 
-def _improved(regression: Improved | None, k: int) -> dict[str, Any]:
+def _improved(regression: RegressionEstimates | None, k: int) -> dict[str, Any]:
     """Regression estimates of a key characteristic; empty without a regression."""
     if regression is None:
-        regression = Improved.none(k + 1)
-    found = {"improved": str(regression.kind[k]), "explained": float(regression.explained[k])}
+        regression = RegressionEstimates.plain(k + 1)
+    columns = {"improved": str(regression.kind[k]), "explained": float(regression.explained[k])}
     for name, values in (("mean", regression.mean), ("six_sigma", 6 * regression.sigma)):
-        found |= dict(zip((f"improved_{name}{end}" for end in ("", "_low", "_high")), values[:, k].tolist()))
-    return found
+        columns |= dict(zip((f"improved_{name}{end}" for end in ("", "_low", "_high")), values[:, k].tolist()))
+    return columns
 
 
 def profile_statistics(outcome: RunSamples) -> pd.DataFrame:
-    """Maps of deviation, :data:`mic.results.schema.PROFILE_STATISTICS`."""
+    """Deviation maps, :data:`mic.results.schema.PROFILE_STATISTICS`."""
     frames = []
     for law in outcome.laws:
         for item in outcome.model.scene.measurements:
             if item.points is None:
                 continue
-            x = outcome.digests[law].moments["profiles", item.name]
+            x = outcome.accumulators[law].moments["profiles", item.name]
             columns = {"law": law, "measurement": item.name, "point": np.arange(len(item.points))}
             columns |= dict(zip("xyz", np.array(item.points).T))
             mean, six_sigma = estimates.mean(x), estimates.six_sigma(x)
-            if outcome.together > 1:  # grouped samples have no interval from moments
-                none = np.full(len(item.points), np.nan)
-                mean, six_sigma = (replace(each, low=none, high=none) for each in (mean, six_sigma))
-            columns |= {"samples": mean.used} | _spread("mean", mean) | _spread("six_sigma", six_sigma)
+            if outcome.together > 1:  # moments give no interval of samples in groups
+                mean, six_sigma = _without_interval(mean), _without_interval(six_sigma)
+            columns |= {"samples": mean.used} | _interval("mean", mean) | _interval("six_sigma", six_sigma)
             frames.append(pd.DataFrame(columns))
     return _frame(PROFILE_STATISTICS, pd.concat(frames, ignore_index=True) if frames else pd.DataFrame())
 
 
 def _by_groups(outcome: RunSamples, law: str, item, moments: tuple[Estimate, ...]) -> tuple[Estimate, ...]:
-    """The estimates in :data:`MEASURED`'s order, with jackknife intervals over groups of samples."""
+    """The estimates in the order of :data:`MEASURED`, with jackknife intervals over groups of samples."""
     x, group = outcome.measured(law, item.name), outcome.sample_numbers(law) // outcome.together % GROUPS
     mean, sigma, six_sigma, least, most = moments[:5]
 
@@ -205,14 +201,14 @@ def _by_groups(outcome: RunSamples, law: str, item, moments: tuple[Estimate, ...
     def share(values):
         return float(capability.outside(values, item.lower, item.upper) / max(np.isfinite(values).sum(), 1))
 
-    mean = estimates.grouped(x, group, lambda values: estimates.mean(values).value)
-    sigma = estimates.grouped(x, group, lambda values: estimates.sigma(values).value, size=True)
+    mean = estimates.grouped_jackknife(x, group, lambda values: estimates.mean(values).value)
+    sigma = estimates.grouped_jackknife(x, group, lambda values: estimates.sigma(values).value, positive=True)
     six_sigma = replace(six_sigma, low=6 * sigma.low, high=6 * sigma.high)
     cp = replace(moments[5], low=moments[5].value * sigma.value / sigma.high,
                  high=moments[5].value * sigma.value / sigma.low)  # fmt: skip
-    outside = estimates.grouped(x, group, share)
+    outside = estimates.grouped_jackknife(x, group, share)
     outside = replace(outside, low=np.maximum(outside.low, 0.0), high=np.minimum(outside.high, 1.0))
-    return mean, sigma, six_sigma, least, most, cp, estimates.grouped(x, group, cpk), outside
+    return mean, sigma, six_sigma, least, most, cp, estimates.grouped_jackknife(x, group, cpk), outside
 
 
 def limit_statistics(outcome: RunSamples) -> pd.DataFrame:
@@ -221,29 +217,36 @@ def limit_statistics(outcome: RunSamples) -> pd.DataFrame:
     limit = {clamp.name: clamp.limit for clamp in scene.clamps if clamp.limit is not None}
     limit |= {weld.name: weld.gun for weld in scene.welds if weld.gun is not None}
     for law in outcome.laws:
-        digest, samples = outcome.digests[law], len(outcome.sample_numbers(law))
-        for key, short in digest.counts.items():
+        accumulator, samples = outcome.accumulators[law], len(outcome.sample_numbers(law))
+        for key, short in accumulator.counts.items():
             if key[0] != "short":
                 continue
             _, stage, name = key
-            pushed, left, needed = (digest.moments["limits", stage, name, of] for of in ("pushed", "left", "needed"))
+            pushed, left, needed = (
+                accumulator.moments["limits", stage, name, of] for of in ("pushed", "left", "needed")
+            )
             row = {"law": law, "stage": stage, "name": name, "limit": float(limit[name]), "samples": samples}
-            row |= {"short": int(short)} | _spread("share_short", estimates.share(short, samples))
-            row |= _spread("mean_pushed", estimates.mean(pushed))
+            row |= {"short": int(short)} | _interval("share_short", estimates.share(short, samples))
+            row |= _interval("mean_pushed", estimates.mean(pushed))
             most = float(needed.high) if needed.n > 0 else math.nan
             rows.append(row | {"max_left": float(left.high), "max_needed": most})
     return _frame(LIMIT_STATISTICS, pd.DataFrame(rows), outcome.together == 1)
 
 
+def _without_interval(estimate: Estimate) -> Estimate:
+    """The estimate with NaN as the ends of its interval."""
+    return replace(estimate, low=np.nan * estimate.value, high=np.nan * estimate.value)
+
+
 def _frame(table: Table, frame: pd.DataFrame, independent: bool = True) -> pd.DataFrame:
-    """The table; intervals are NaN if samples are not independent."""
+    """The frame, with NaN as intervals if the samples are not independent; an empty table if it has no rows."""
     if not independent:
         bounds = [name for name in frame.columns if name.endswith(("_low", "_high"))]
         frame = frame.assign(**dict.fromkeys(bounds, math.nan))
     return frame if len(frame) else table.empty()
 
 
-def _spread(name: str, estimate: Estimate) -> dict[str, Any]:
+def _interval(name: str, estimate: Estimate) -> dict[str, Any]:
     return {name: estimate.value, f"{name}_low": estimate.low, f"{name}_high": estimate.high}
 
 
@@ -252,17 +255,8 @@ def _effects(
 ) -> tuple[Effect, Effect]:
     """Effect of a tighter load path on mean and 6σ; NaN if unknown."""
     study = outcome.path_study
-    unknown = Effect(float("nan"), float("nan"))
-    return (unknown, unknown) if study is None else study.effects(law, quantity, name, stage)
+    return (UNKNOWN, UNKNOWN) if study is None else study.effects(law, quantity, name, stage)
 
 
 def _change(name: str, effect: Effect) -> dict[str, float]:
     return {f"{name}_path": effect.change, f"{name}_path_share": effect.share}
-
-
-def _mean_and_spread(suffix, estimates, effects) -> dict[str, Any]:
-    """Mean and 6σ with their intervals and path effects."""
-    row: dict[str, Any] = {}
-    for name, estimate, effect in zip(FIGURES, estimates, effects):
-        row |= _spread(name + suffix, estimate) | _change(name + suffix, effect)
-    return row

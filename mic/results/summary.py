@@ -21,11 +21,11 @@ def summary(
 ) -> dict[str, Any]:
     """The outcome in one JSON-ready dict (``summary.json``).
 
-    The zone figures of each law are those of the first stage that resolves contact, clamping in the default process;
-    every stage stands under ``"stages"``. Intervals ``…_ci`` are at 95 %; the effect of a tighter load path is
-    ``…_path`` in mm and ``…_path_share`` (:data:`mic.results.schema.PATH`). Where a design makes samples in groups,
-    only key characteristics have intervals (:func:`mic.statistics.estimates.grouped`). Undefined values are None,
-    such as slip under load without friction.
+    The zone values of each law are those of the first stage that resolves contact, clamping in the default process;
+    ``"stages"`` holds every stage. Intervals ``…_ci`` are at 95 %; the effect of a tighter load path is ``…_path`` in
+    mm and ``…_path_share`` (:data:`mic.results.schema.PATH`). With a design that makes samples in groups, only key
+    characteristics have intervals (:func:`mic.statistics.estimates.grouped_jackknife`). Undefined values, such as slip
+    under load without friction, are None.
     """
     study = outcome.path_study
     laws = {}
@@ -81,44 +81,37 @@ def summary(
 
 
 def _all_within(outcome: RunSamples, law: str) -> dict[str, Any] | None:
-    """Share of the assemblies whose key characteristics are all within their limits; None where nothing is measured."""
+    """Share of the assemblies with all key characteristics within their limits; None without key characteristics."""
     if not outcome.model.scene.measurements:
         return None
-    found = whole_yield(outcome, law)
-    return {"share": found.value, "share_ci": [found.low, found.high], "outside_ppm": 1e6 * (1 - found.value)}
+    share = whole_yield(outcome, law)
+    return {"share": share.value, "share_ci": [share.low, share.high], "outside_ppm": 1e6 * (1 - share.value)}
 
 
 def _unseen(outcome: RunSamples, law: str) -> dict[str, Any] | None:
-    """The deepest penetration between the contact pairs, mm, with its place; None where there is none."""
-    depth, stage, sample, at = outcome.digests[law].unseen
-    if at < 0:
+    """The deepest penetration between the contact pairs, mm, and its location; None if there is none."""
+    depth, stage, sample, index = outcome.accumulators[law].unseen
+    if index < 0:
         return None
     between, zones = outcome.model.between, outcome.model.scene.zones
     return {
         "depth": depth,
         "stage": stage,
         "sample": sample,
-        "zone": zones[between.zone[at]].name,
-        "point": between.point[at].tolist(),
+        "zone": zones[between.zone[index]].name,
+        "point": between.point[index].tolist(),
     }
 
 
 def _path(outcome: RunSamples, law: str) -> dict[str, Any]:
     """Effort of path following per sample, and estimated path error by stage, mm: mean and largest."""
-    moments = outcome.digests[law].moments
-    found = {
-        stage: {column: moments["resolutions", stage, column] for column in ("path_error", "steps", "factorisations")}
-        for stage in outcome.digests[law].stages
-    }
+    moments = outcome.accumulators[law].moments
+    stages = outcome.accumulators[law].stages
+    errors = {stage: moments["resolutions", stage, "path_error"] for stage in outcome.stages if stage in stages}
     return {
-        "steps": sum(float(own["steps"].mean) for own in found.values()),
-        "factorisations": sum(float(own["factorisations"].mean) for own in found.values()),
-        "error": {
-            stage: {"mean": float(found[stage]["path_error"].mean), "max": float(found[stage]["path_error"].high)}
-            for stage in outcome.stages
-            if stage in found
-        },
-    }
+        name: sum(float(moments["resolutions", stage, name].mean) for stage in stages)
+        for name in ("steps", "factorisations")
+    } | {"error": {stage: {"mean": float(error.mean), "max": float(error.high)} for stage, error in errors.items()}}
 
 
 def _rows(table: pd.DataFrame, law: str) -> list[dict[str, Any]]:

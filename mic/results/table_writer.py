@@ -1,4 +1,4 @@
-"""Write the tables of statistics and ``summary.json`` into a run folder."""
+"""Write the tables of statistics and ``summary.json`` of a run folder."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from mic.results.schema import (
     ZONE_STATISTICS,
     Table,
 )
-from mic.system.files import Format, Group, replacing, save_json, together
+from mic.system.files import Format, Group, save_json, together
 
 __all__ = ["write_path_study", "write_summary", "write_tables"]
 
@@ -39,7 +39,7 @@ def write_tables(outcome: Outcome) -> None:
 
     The tables include path effects if :func:`write_path_study` ran before.
     """
-    found = {
+    tables = {
         ZONE_STATISTICS: outcome.zone_statistics,
         CONTACT_STATISTICS: outcome.contact_statistics,
         MEASUREMENT_STATISTICS: outcome.measurement_statistics,
@@ -48,20 +48,16 @@ def write_tables(outcome: Outcome) -> None:
         FRICTION: study_friction(outcome),
     }
     with together() as group:
-        for table, frame in found.items():
+        for table, frame in tables.items():
             _write(outcome.folder, table, frame, group)
 
 
 def _write(folder: Path, table: Table, frame: pd.DataFrame | None, group: Group | None = None) -> None:
-    """Write a table; delete its file if it has no rows."""
-    path = folder / table.place
+    """Write a table, with full precision if it is read again; delete its file if it has no rows."""
     if frame is None or not len(frame):
-        path.unlink(missing_ok=True)
+        (folder / table.place).unlink(missing_ok=True)
         return
-    table.check(frame, path, "this is a fault of the program")
-    with replacing(path, group=group) as temporary:
-        # Studies are read back: full precision.
-        frame.to_csv(temporary, index=False, float_format=None if table in (FRICTION, PATH, PATH_ERRORS) else "%.9g")
+    table.write(folder, frame, exact=table in (FRICTION, PATH, PATH_ERRORS), group=group)
 
 
 def write_summary(outcome: Outcome) -> Path:
