@@ -1,5 +1,4 @@
-"""The studies of algebra, law, mesh, nominal stiffness and of the trade: what they compute, and that they fail on wrong
-answers."""
+"""The studies of algebra, law, mesh, nominal stiffness and trade: their calculations, and planted errors."""
 
 from dataclasses import replace
 from types import SimpleNamespace
@@ -21,7 +20,7 @@ from verification.mesh import study as mesh
 from verification.mesh.study import converge
 from verification.nominal_stiffness import study as nominal
 from verification.path import study as path
-from verification.scenes import going, shipped
+from verification.scenes import shipped, with_path
 from verification.study import Context, Team
 from verification.trade import study as trade
 
@@ -104,11 +103,11 @@ def test_zone_slip_by_hand():
 @pytest.fixture(scope="module")
 def at_once(lap):
     """The lap joint whose stages do all at once, as the study of laws has it."""
-    return tuple(replace(one, scene=going(one.scene, "one-step")) for one in lap)
+    return tuple(replace(one, scene=with_path(one.scene, "one-step")) for one in lap)
 
 
 @pytest.mark.slow
-def test_law_tells_the_programme_from_coulomb(at_once):
+def test_the_study_of_laws_distinguishes_the_associated_law_from_coulomb(at_once):
     model, _ = law.with_friction(at_once, 0.4)
     deviations = draw(model.scene, model.scene.monte_carlo.seed, 0, 3)
     associated, itself = law.compare(model, deviations, "associated"), law.compare(model, deviations, "coulomb")
@@ -135,14 +134,13 @@ def test_law_is_judged_by_finite_elements_with_the_same_friction(at_once):
         ("pressure-dependent", law.FUNCTIONS["table"], "pressure"),
         ("pressure-dependent", law.FUNCTIONS["falling power"], "pressure"),
         ("micro-slip", {"tangential_stiffness": 1e3}, "compliance"),
-        ("coulomb", {"friction": law.BY_STAGE["rising"]}, "friction"),
         ("coulomb", {"friction": law.BY_STAGE["falling"]}, "friction"),
     ],
-    ids=["table", "power", "stiffness", "rising by stage", "falling by stage"],
+    ids=["table", "power", "stiffness", "falling by stage"],
 )
 @pytest.mark.slow
-def test_law_tells_a_wrong_function_stiffness_or_stage(name, keys, field, cache):
-    """What the reduced model holds of the zone's friction is a tenth too large: the full solve does not agree."""
+def test_the_study_of_laws_detects_a_wrong_function_stiffness_or_stage(name, keys, field, cache):
+    """The full solve disagrees with a reduced model whose friction is a tenth too large."""
     model, assembly = law.variant(keys, cache)
     right = law.solved_both_ways((model, assembly), name)
     assert max(right["force"], right["displacement"], right["measurement"]) < 1e-8 and right["slipping"]
@@ -204,14 +202,16 @@ def test_a_mesh_is_off_by_its_difference_from_the_finest_over_6_sigma():
     assert table["fine off"].tolist() == pytest.approx([0.05, 0.05, 2.5, 0.25])
 
 
-def test_curved_sheets_are_not_bent_by_triangles_that_are_taken_for_flat(monkeypatch, tmp_path):
+def test_the_study_of_curved_sheets_rejects_flat_triangles(monkeypatch, tmp_path):
     """The study's quick version keeps its limits, but for two of the panel; with the triangles' own normals none is."""
     context = Context(quick=True, cache=tmp_path, team=Team())
-    missed = {judged.acceptance.name for judged in curved_sheets.STUDY.judge(context) if not judged.passed}
+    monkeypatch.setattr(curved_sheets, "CASES", curved_sheets.JUDGED)
+    monkeypatch.setattr(curved_sheets, "KINDS", dict(list(curved_sheets.KINDS.items())[1:]))
+    missed = {judged.acceptance.name for judged in curved_sheets.STUDY.evaluate(context) if not judged.passed}
     assert missed == {"panel 5 mm", "panel 2.5 mm"}
     flat = ("dkt-opt", "mesh")
-    monkeypatch.setattr(curved_sheets, "KINDS", dict.fromkeys(curved_sheets.KINDS, flat))
-    broken = {judged.acceptance.name for judged in curved_sheets.STUDY.judge(context) if not judged.passed}
+    monkeypatch.setattr(curved_sheets, "KINDS", {"own normals": flat})
+    broken = {judged.acceptance.name for judged in curved_sheets.STUDY.evaluate(context) if not judged.passed}
     assert broken == {name for name, *_ in curved_sheets.JUDGED}
 
 
@@ -249,8 +249,8 @@ def test_stretching_of_a_cylinder_by_hand():
 
 
 def test_the_stiffness_of_the_mean_shape_and_its_derivatives(cache, monkeypatch):
-    """Where shapes scatter by a quarter of their mean, it leaves half of the nominal error, and derivatives little."""
-    built = reduced_and_assembly(going(shipped("lap_joint", "coarse"), "increments", 1), cache)
+    """With shapes that scatter by a quarter of their mean, it halves the nominal error, and derivatives remove most."""
+    built = reduced_and_assembly(with_path(shipped("lap_joint", "coarse"), "increments", 1), cache)
 
     def left():
         means = pd.DataFrame([{"assembly": "lap_joint"} | row for row in nominal.systematic(built, 1.0, 3, cache)])
@@ -259,7 +259,7 @@ def test_the_stiffness_of_the_mean_shape_and_its_derivatives(cache, monkeypatch)
     right = nominal.followed
 
     def planted(assembly, stiffness, mean, sigma, cache):
-        """Goes by the nominal shape where the mean shape is asked for, and the wrong way from there to first order."""
+        """Use the nominal shape instead of the mean one, and derivatives of the wrong sign."""
         if stiffness == "mean":
             return right(assembly, stiffness, 0 * mean, sigma, cache)
         model = right(assembly, stiffness, mean, sigma, cache)
@@ -289,7 +289,7 @@ def test_settings_reach_the_trade():
     assert exact.zones[0].spacing_factor < SETTINGS["reference"]["spacing_factor"]
 
 
-def test_the_trade_finds_the_worst_figure_of_each_kind_and_what_the_truth_leaves():
+def test_the_trade_finds_the_worst_figure_of_each_kind_and_the_error_of_the_reference():
     """Slips that hardly vary are left out, samples that failed too; a version that is off by a share is off by it."""
     exact = pd.DataFrame(np.random.default_rng(1).normal(size=(40, 4)), columns=["a", "b", "c", "d"])
     exact.columns = ["measurement:M1", "measurement:M2", "slip:clamp:near", "slip:clamp:idle"]
@@ -341,7 +341,7 @@ def test_pareto_front():
 
 @pytest.mark.parametrize("elsewhere, kept", [(0.0, True), (1e-4, False)])
 def test_increments_that_near_another_end_than_the_judge_are_caught(elsewhere, kept):
-    """What they leave falls with their number, down to how far the other end is."""
+    """Their error falls with their number, down to the error of the other end."""
     counts = (64, 128, 256, 512)
     nearing = pd.DataFrame(
         [
