@@ -1,16 +1,15 @@
-"""``mic check``."""
+"""``mic check``: validates a scene and prints what will be modelled, the process and the cost."""
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
-from rich.console import Console
-from rich.table import Column, Table
+from rich.table import Column
 
-from mic.commands.invocation import keep_studies, on_one_process, requested
+from mic.commands.invocation import available_cores, first_rank_only, store_study, with_options
+from mic.commands.output import CommandConsole
 from mic.compliance.cache import influence_coefficients, is_cached
 from mic.compliance.provider import check_element
 from mic.compliance.thickness import chebyshev
@@ -28,89 +27,71 @@ from mic.process.description import opening, sentences
 from mic.process.model import ReducedModel
 from mic.process.plan import plan_assembly
 from mic.process.stiffness import derivative_sets, list_sources, select_shapes
+from mic.report.style import number, percent
 from mic.results.cost_estimate import forecast
 from mic.results.run_folder import RunFolder
 from mic.results.run_identity import identity
 from mic.results.schema import DENSITY
 from mic.scene import load_scene
 from mic.studies import pair_convergence
-from mic.studies.optimisation.description import asked as asked_of_optimise
+from mic.studies.optimisation.description import describe as optimisation_sentences
 from mic.studies.optimisation.design import Space
-from mic.studies.optimisation.moved_items import on_their_parts
+from mic.studies.optimisation.moved_items import check_places
 from mic.studies.order import doubts
-from mic.studies.thickness import AWAY, interpolated
+from mic.studies.thickness import DISTANCE, interpolation_errors
 from mic.system.console import plain
 from mic.system.disk_cache import cache_folder
 from mic.system.files import replacing
 
-__all__ = [
-    "check",
-]
+__all__ = ["check"]
 
-ENOUGH = 0.01  # error of a mesh for which `mic check --accuracy` says what it would take
-
-
-LOOKED_AT = 1000  # contact pairs; a check looks no closer at the process of a larger assembly: it would take minutes
+TARGET_ERROR = 0.01  # relative error of a mesh for which `mic check --accuracy` prints the required element size
+MAX_PAIRS = 1000  # contact pairs: with more, a check evaluates no samples, which would take minutes
+MAX_SOURCES = 40  # sources that are listed
 
 
-LISTED = 40  # sources that a check tells one by one
-
-
-@on_one_process
+@first_rank_only
 def check(scene, law, accuracy, converge, normals, overlap, strict, page):
     """``mic check``, with the values of its options (:mod:`mic.options`)."""
-    console = Console()
-    asked = requested(load_scene(scene), law)
-    for script in dict.fromkeys(part.geometry for part in asked.parts if part.geometry is not None):
-        console.print(
-            f"This scene is a program: {plain(asked.folder / script)} is executed to make its meshes.",
-            highlight=False,
-            soft_wrap=True,
-        )
-    say = lambda line: console.print(plain(f"{line} …"), highlight=False, soft_wrap=True)
+    console = CommandConsole()
+    report_step = console.say_step
+    scene = with_options(load_scene(scene), law)
+    for script in dict.fromkeys(part.geometry for part in scene.parts if part.geometry is not None):
+        console.say(f"This scene contains a program: {scene.folder / script} is executed to create its meshes.")
     try:
-        assembly = assemble(asked, cache_folder(), progress=say, check=plan_assembly)
+        assembly = assemble(scene, cache_folder(), progress=report_step, check=plan_assembly)
         plans = plan_assembly(assembly)
         optimisation = _optimisation(assembly)
     except SceneError as error:
-        parts = loadable_parts(asked, cache_folder())
-        warnings, surfaces = find_warnings_unplaced(asked, parts), {one.part.name: one.surface for one in parts}
+        parts = loadable_parts(scene, cache_folder())
+        warnings = find_warnings_unplaced(scene, parts)
         _print_warnings(console, warnings)
-        _draw_check(console, page, asked, surfaces, warnings, errors=str(error).splitlines())
+        surfaces = {loaded.part.name: loaded.surface for loaded in parts}
+        _write_page(console, page, scene, surfaces, warnings, errors=str(error).splitlines())
         raise
-    warnings = find_warnings(asked, assembly, cache_folder())
-    console.print(f"[bold]{plain(asked.name)}[/] {plain(asked.description)}")
-    _print_parts(console, assembly)
-    _print_told(console, asked, assembly)
+    warnings = find_warnings(scene, assembly, cache_folder())
+    console.print(f"[bold]{plain(scene.name)}[/] {plain(scene.description)}")
+    _print_parts(console, scene, assembly)
     _print_normals(console, assembly)
     for sentence in assembly.placed:
-        console.print(plain(sentence), highlight=False, soft_wrap=True)
+        console.say(sentence)
     _print_contacts(console, assembly)
     _print_process(console, assembly, plans)
-    _print_optimisation(console, optimisation)
-    model = _at_hand(assembly)
+    if optimisation:
+        console.print("[bold]Optimisation[/] (mic optimise)")
+        _print_list(console, optimisation)
+    model = _cached_model(assembly)
     _print_doubts(console, assembly, model)
     shapes = _print_sources(console, assembly, model)
-    _print_thicknesses(console, assembly, model, say)
-    _print_cost(console, assembly, plans)
+    _print_thicknesses(console, assembly, model, report_step)
+    _print_list(console, _cost(assembly, plans))
     if accuracy:
-        _print_accuracy(console, assembly, say)
+        _print_accuracy(console, assembly, report_step)
     if converge:
-        converged = pair_convergence.converge(assembly, cache_folder(), asked.report.laws[0], say)
-        _print_convergence(console, assembly, converged)
-        folder = Path("results") / asked.name
-        if _holds(folder, assembly):
-            keep_studies(console, folder, {DENSITY: _density_table(asked, converged)})
-    surfaces = assembly.surfaces
-    solved = {part.name: part.surface for part in assembly.parts}  # on which shapes are known
-    _draw_check(console, page, assembly.scene, solved, warnings, assembly.contacts, plans, shapes=shapes)
-    if normals is not None or overlap is not None:
-        from mic.report.space_pictures import draw_normals, draw_overlap  # drawing libraries are slow to import
-
-        if normals is not None:
-            _keep_picture(console, "normals", draw_normals(surfaces), normals)
-        if overlap is not None:
-            _keep_picture(console, "overlap", draw_overlap(surfaces, assembly.contacts), overlap)
+        _check_convergence(console, scene, assembly, report_step)
+    surfaces = {part.name: part.surface for part in assembly.parts}
+    _write_page(console, page, assembly.scene, surfaces, warnings, assembly.contacts, plans, shapes=shapes)
+    _write_pictures(console, assembly, normals, overlap)
     if strict:
         raise_warnings(warnings)
     _print_warnings(console, warnings)
@@ -118,66 +99,76 @@ def check(scene, law, accuracy, converge, normals, overlap, strict, page):
 
 
 def _print_warnings(console, warnings):
-    for warned in warnings:
-        console.print(f"[yellow]warning:[/] {plain(warned)}", highlight=False, soft_wrap=True)
+    for warning in warnings:
+        console.warn("warning", warning)
 
 
-def _draw_check(console, page, scene, surfaces, warnings, contacts=None, plans=(), errors=(), shapes=()):
-    """The page of the check; where it cannot be written, that is all that is wrong."""
+def _print_list(console, sentences):
+    for sentence in sentences:
+        console.say(f"• {sentence}")
+
+
+def _write_page(console, page, scene, surfaces, warnings, contacts=None, plans=(), errors=(), shapes=()):
+    """Write the page of the check; print a warning if that fails."""
     from mic.report.check_page import write_check  # drawing libraries are slow to import
 
     page = page or Path("results") / (scene.name if scene.name.strip(".") else "scene") / "check.html"
     try:
         write_check(page, scene, surfaces, warnings, contacts, plans, errors, shapes)
     except (StorageError, OSError) as problem:
-        console.print(f"[yellow]no page:[/] {plain(problem)}; name another file with --page", soft_wrap=True)
+        console.warn("no page", f"{problem}; name another file with --page")
     else:
-        console.print(f"page: [bold]{plain(page)}[/]", soft_wrap=True)
+        console.say_files(page=page)
 
 
-def _keep_picture(console, what, picture, file):
-    with replacing(file) as temporary:
-        temporary.write_bytes(picture.data)
-    console.print(f"{what}: [bold]{plain(file)}[/]", soft_wrap=True)
+def _write_pictures(console, assembly, normals, overlap):
+    """Write the pictures of --normals and --overlap."""
+    if normals is None and overlap is None:
+        return
+    from mic.report.space_pictures import draw_normals, draw_overlap  # drawing libraries are slow to import
+
+    for name, file, draw in (
+        ("normals", normals, lambda: draw_normals(assembly.surfaces)),
+        ("overlap", overlap, lambda: draw_overlap(assembly.surfaces, assembly.contacts)),
+    ):
+        if file is not None:
+            with replacing(file) as temporary:
+                temporary.write_bytes(draw().data)
+            console.say_files(**{name: file})
 
 
 def _print_process(console, assembly, plans):
-    """Step by step, in words."""
+    """The steps of each stage."""
     console.print("[bold]Process[/]")
     for plan in plans:
         name = plan.name if plan.name == plan.kind else f"{plan.name} ({plan.kind})"
-        console.print(f"{plain(name)}: {opening(plan, len(assembly.contacts) > 0)}", highlight=False)
-        for number, sentence in enumerate(sentences(assembly.scene, plan), 1):
-            console.print(f"  {number}. {plain(sentence)}", highlight=False, soft_wrap=True)
+        console.say(f"{name}: {opening(plan, len(assembly.contacts) > 0)}")
+        for number_, sentence in enumerate(sentences(assembly.scene, plan), 1):
+            console.say(f"  {number_}. {sentence}")
 
 
 def _optimisation(assembly) -> list[str]:
-    """What the scene asks of `mic optimise`, in words; nothing where it asks nothing."""
+    """Description of the scene's table ``[optimise]``; empty without one."""
     if assembly.scene.optimise is None:
         return []
-    on_their_parts(Space(assembly), assembly)
-    return asked_of_optimise(assembly)
+    check_places(Space(assembly), assembly)
+    return optimisation_sentences(assembly)
 
 
-def _print_optimisation(console, sentences):
-    if sentences:
-        console.print("[bold]Optimisation[/] (mic optimise)")
-    for sentence in sentences:
-        console.print(f"• {plain(sentence)}", highlight=False, soft_wrap=True)
+def _all_cached(assembly) -> bool:
+    """Whether the nominal influence coefficients of all parts are cached."""
+    return all(is_cached(part, cache_folder()) for part in assembly.parts)
 
 
-def _at_hand(assembly):
-    """The reduced model, where the influence coefficients are cached, all of them nominal, and it is not large; else
-    None."""
-    if assembly.scene.stiffness != "nominal":
+def _cached_model(assembly):
+    """The reduced model if that takes no computation: nominal stiffness, cached coefficients, few pairs; else None."""
+    if assembly.scene.stiffness != "nominal" or len(assembly.contacts) > MAX_PAIRS or not _all_cached(assembly):
         return None
-    if len(assembly.contacts) <= LOOKED_AT and all(is_cached(part, cache_folder()) for part in assembly.parts):
-        return ReducedModel.build(assembly, influence_coefficients(assembly, cache_folder())[0])
-    return None
+    return ReducedModel.build(assembly, influence_coefficients(assembly, cache_folder())[0])
 
 
 def _print_sources(console, assembly, model):
-    """What 1 σ of each source makes, as far as it is known without long work; returns the shapes."""
+    """Print the sources with the largest displacement under 1 σ, as far as that is cheap; return the shapes."""
     items, shapes = assembly.scene.deviations, []
     if not items:
         return shapes
@@ -185,159 +176,157 @@ def _print_sources(console, assembly, model):
         try:
             shapes = one_sigma(assembly, model)
         except MissingProvider as problem:
-            console.print(f"[yellow]no shapes:[/] {plain(problem)}", highlight=False, soft_wrap=True)
+            console.warn("no shapes", problem)
     largest = {shape.name: shape.largest for shape in shapes}
-    table = Table("source", "kind", "mean", "σ", "1 σ is at most", title="Sources")
-    for item in items[:LISTED]:
-        table.add_row(item.name, item.kind, f"{item.mean:g}", f"{item.sigma:g}", _one_sigma(assembly, item, largest))
-    console.print(table)
-    if len(items) > LISTED:
-        console.print(f"… and {len(items) - LISTED} more")
+    rows = [
+        (item.name, item.kind, f"{item.mean:g}", f"{item.sigma:g}", _one_sigma(assembly, item, largest))
+        for item in items[:MAX_SOURCES]
+    ]
+    console.table("Sources", ("source", "kind", "mean", "σ", "largest displacement under 1 σ"), rows)
+    if len(items) > MAX_SOURCES:
+        console.print(f"… and {len(items) - MAX_SOURCES} more")
     if model is None:
-        console.print("What 1 σ of a force makes is told once the influence coefficients are computed.")
+        console.print("Displacements under 1 σ of a force: available once the influence coefficients are computed.")
     return shapes
-
-
-def _print_thicknesses(console, assembly, model, say):
-    """What the interpolation in each thickness leaves of the key characteristics."""
-    varied = [item.name for item in assembly.scene.deviations if item.kind == "thickness"]
-    if not varied:
-        return
-    if model is None:
-        console.print(
-            f"How well {plain(', '.join(varied))} is interpolated is told once the influence coefficients are computed."
-        )
-        return
-    try:
-        found = interpolated(assembly, model, cache_folder(), say)
-    except MissingProvider as problem:
-        console.print(f"[yellow]thickness not checked:[/] {plain(problem)}", highlight=False, soft_wrap=True)
-        return
-    for one in found:
-        if np.isnan(one.error).any():
-            said = "the assembly of mean parts cannot be computed there"
-        else:
-            k = int(np.abs(one.error).max(axis=0).argmax())
-            said = (
-                f"key characteristics change by up to {1e3 * np.abs(one.change).max():.3g} µm; interpolating between "
-                f"thicknesses errs by {1e3 * np.abs(one.error).max():.2g} µm at most "
-                f"({assembly.scene.measurements[k].name})"
-            )
-        low, high = one.thickness
-        console.print(
-            f"{plain(one.name)}: {plain(one.part)} {low:.4g} to {high:.4g} mm thick, ±{AWAY:g} σ: {plain(said)}",
-            highlight=False,
-            soft_wrap=True,
-        )
 
 
 def _one_sigma(assembly, item, largest) -> str:
     if item.name in largest:
         part, vertex, length = largest[item.name]
-        surface = next(one.surface for one in assembly.parts if one.name == part)
-        place = ", ".join(f"{x:.0f}" for x in surface.points[vertex])
-        return f"{length:.3g} mm, {part} at ({place})"
+        point = next(own.surface for own in assembly.parts if own.name == part).points[vertex]
+        return f"{length:.3g} mm, {part} at ({', '.join(f'{x:.0f}' for x in point)})"
     if item.kind == "shape":
         return f"{item.sigma * np.abs(item.known).max():.3g} mm at its points"
     return ""
 
 
+def _print_thicknesses(console, assembly, model, report_step):
+    """Print the error of interpolating between thicknesses."""
+    varied = [item.name for item in assembly.scene.deviations if item.kind == "thickness"]
+    if not varied:
+        return
+    if model is None:
+        console.say(
+            f"Interpolation error of {', '.join(varied)}: available once the influence coefficients are computed."
+        )
+        return
+    try:
+        results = interpolation_errors(assembly, model, cache_folder(), report_step)
+    except MissingProvider as problem:
+        console.warn("thickness not checked", problem)
+        return
+    for result in results:
+        if np.isnan(result.error).any():
+            text = "the assembly of mean parts cannot be computed there"
+        else:
+            k = int(np.abs(result.error).max(axis=0).argmax())
+            text = (
+                f"key characteristics change by up to {1e3 * np.abs(result.change).max():.3g} µm; largest "
+                f"interpolation error {1e3 * np.abs(result.error).max():.2g} µm ({assembly.scene.measurements[k].name})"
+            )
+        low, high = result.thickness
+        console.say(
+            f"{result.name}: thickness of {result.part} from {low:.4g} to {high:.4g} mm (±{DISTANCE:g} σ): {text}"
+        )
+
+
 def _print_doubts(console, assembly, model):
-    """What the process leaves to doubt, if a look at it is cheap."""
+    """Print whether friction and placing matter, if a few samples are cheap."""
     if not len(assembly.contacts) or not any(LAWS[law].frictional for law in assembly.scene.report.laws):
         return
     if model is None:
-        at_hand = all(is_cached(part, cache_folder()) for part in assembly.parts)
-        why = "" if at_hand else ", once the influence coefficients are computed"
-        console.print(f"How much hangs on the order of the process, mic order tells{why}.", highlight=False)
+        console.print("Effect of the process order: not computed. Run mic order.", highlight=False)
         return
     for doubt in doubts(model):
-        console.print(f"[yellow]note:[/] {plain(doubt)}; mic order tells more", highlight=False, soft_wrap=True)
+        console.warn("note", f"{doubt}; run mic order for numbers")
 
 
-def _print_parts(console, assembly):
-    table = Table(
-        "part", "nodes", "triangles", "t, mm", "E, MPa", "ν", "functionals", "influence coefficients", title="Parts"
-    )
-    for part in assembly.parts:
-        table.add_row(
+def _print_parts(console, scene, assembly):
+    """Print the parts, and how their mesh files were read."""
+    rows = [
+        (
             part.name,
-            str(len(part.surface.points)),
-            str(len(part.surface.triangles)),
+            len(part.surface.points),
+            len(part.surface.triangles),
             f"{part.thickness:g}",
             f"{part.young:g}",
             f"{part.poisson:g}",
-            str(len(part.functionals)),
+            len(part.functionals),
             _coefficients(part),
         )
-    console.print(table)
-
-
-def _print_told(console, asked, assembly):
-    """What the parts' mesh files were taken for."""
-    for part, source, filled in zip(assembly.parts, asked.parts, assembly.scene.parts):
+        for part in assembly.parts
+    ]
+    heads = ("part", "nodes", "triangles", "t, mm", "E, MPa", "ν", "functionals", "influence coefficients")
+    console.table("Parts", heads, rows)
+    for part, stated, completed in zip(assembly.parts, scene.parts, assembly.scene.parts):
         deck = assembly.decks.get(part.name)
-        for sentence in mesh_summary(source, filled, deck, assembly.surfaces[part.name]) if deck is not None else ():
-            console.print(plain(sentence), highlight=False, soft_wrap=True)
+        if deck is not None:
+            for sentence in mesh_summary(stated, completed, deck, assembly.surfaces[part.name]):
+                console.say(sentence)
 
 
 def _print_normals(console, assembly):
-    """What decided the normals of the curved sheets, and where the mesh tells too little."""
-    table = Table("part", "given by", "given", "estimated", "flat", "refused", title="Normals at triangles' corners")
-    for part, source in zip(assembly.parts, assembly.scene.parts):
+    """Print how the normals of the sheets were obtained, and edges at which the mesh is too coarse for that."""
+    rows = []
+    for part, scene_part in zip(assembly.parts, assembly.scene.parts):
         counts = np.bincount(assembly.surfaces[part.name].curvature.rule.ravel(), minlength=len(Rule))
-        table.add_row(
-            part.name,
-            ("the geometry" if source.geometry is not None else "the deck") if counts[Rule.GIVEN] else "nobody",
-            *(str(counts[rule]) for rule in Rule),
-        )
-    console.print(table)
+        origin = "the geometry" if scene_part.geometry is not None else "the deck"
+        rows.append((part.name, origin if counts[Rule.GIVEN] else "none", *(counts[rule] for rule in Rule)))
+    heads = ("part", "given by", "given", "estimated", "flat", "refused")
+    console.table("Normals at the corners of triangles", heads, rows)
     for part in assembly.parts:
         curvature = assembly.surfaces[part.name].curvature
-        for places, words in (
-            (curvature.coarse, f"turn by more than {COARSE:g}°, too far to follow a bend: mesh it finer"),
+        for points, text in (
+            (curvature.coarse, f"with a bend of more than {COARSE:g}°, too coarse for its curvature: refine the mesh"),
             (
                 curvature.single,
-                "lie between a bend and a single wide row of triangles, of which it cannot be told whether it is flat: "
-                "give it two rows, or normals",
+                "between a bend and a single wide row of triangles, which may be flat or curved: mesh it with two "
+                "rows, or give normals",
             ),
         ):
-            if len(places):
-                where = ", ".join(f"{x:.1f}" for x in places[0])
-                console.print(f"[yellow]{plain(part.name)}: {len(places)} edges {words}; one is at ({where})[/]")
+            if len(points):
+                place = ", ".join(f"{x:.1f}" for x in points[0])
+                console.say(f"{part.name}: {len(points)} edges {text}; one is at ({place})", style="yellow")
 
 
 def _coefficients(part):
-    """Whether the part's influence coefficients are at hand; refuses an element that nobody could compute them by."""
-    many = "" if part.thickness_range is None else f", at {len(chebyshev(*part.thickness_range))} thicknesses"
+    """Where the part's influence coefficients come from.
+
+    Raises
+    ------
+    SceneError
+        If no installed provider can compute its element.
+    """
+    count = "" if part.thickness_range is None else f", at {len(chebyshev(*part.thickness_range))} thicknesses"
     if is_cached(part, cache_folder()):
-        return "cached" + many
-    if part.superelement is None:
-        check_element(part.element)
-    return "to be computed" + many if part.superelement is None else "of a superelement"
+        return "cached" + count
+    if part.superelement is not None:
+        return "of a superelement"
+    check_element(part.element)
+    return "to be computed" + count
 
 
-def _friction_words(zone) -> str:
-    """What a zone says of its friction, in words."""
+def _friction(zone) -> str:
+    """Friction of a zone: coefficient (by stage), dependence on pressure, tangential stiffness."""
     if isinstance(zone.friction, dict):
-        words = ", ".join(f"{stage} {value:g}" for stage, value in zone.friction.items())
+        text = ", ".join(f"{stage} {value:g}" for stage, value in zone.friction.items())
     else:
-        words = f"{zone.friction:g}"
+        text = f"{zone.friction:g}"
     if zone.friction_table is not None:
-        words += f"; by pressure, {len(zone.friction_table)} points"
+        text += f"; by pressure, {len(zone.friction_table)} points"
     if zone.friction_power is not None:
-        words += f"; by pressure, {zone.friction_power.mu0:g} (p/{zone.friction_power.p0:g})^{-zone.friction_power.n:g}"
+        text += f"; by pressure, {zone.friction_power.mu0:g} (p/{zone.friction_power.p0:g})^{-zone.friction_power.n:g}"
     if zone.tangential_stiffness is not None:
-        words += f"; yields, {zone.tangential_stiffness:g} N/mm³"
-    return words
+        text += f"; tangential stiffness {zone.tangential_stiffness:g} N/mm³"
+    return text
 
 
-def _overlap_words(zone, depth, area) -> str:
-    """How far the surfaces of a zone's pairs are drawn into each other, over which area, and what is done about it."""
+def _overlap(zone, depth, area) -> str:
+    """Depth and area of the nominal overlap in a zone, and whether it is kept or closed."""
     if not depth.any():
         return "none"
-    done = "kept" if zone.nominal_overlap == "keep" else "closed"
-    return f"{depth.max():.3f} mm deep, over {area.sum():.0f} mm²: {done}"
+    treatment = "kept" if zone.nominal_overlap == "keep" else "closed"
+    return f"{depth.max():.3f} mm deep, over {area.sum():.0f} mm²: {treatment}"
 
 
 def _print_contacts(console, assembly):
@@ -345,133 +334,145 @@ def _print_contacts(console, assembly):
     if not len(contacts):
         console.print("No contact zones: nothing to resolve.")
         return
-    table = Table(
-        "zone", "between", "pairs", "friction", "area, mm²", "nominal gap, mm", "drawn overlap", title="Contact zones"
-    )
+    rows = []
     for i, zone in enumerate(scene.zones):
         own = contacts.zone == i
-        table.add_row(
-            zone.name,
-            " – ".join(zone.parts),
-            str(own.sum()),
-            _friction_words(zone),
-            f"{contacts.area[own].sum():.0f}",
-            " … ".join(f"{round(gap, 3) + 0.0:.3f}" for gap in (contacts.gap[own].min(), contacts.gap[own].max())),
-            _overlap_words(zone, contacts.overlap[own], contacts.overlapping[own]),
-        )
-    console.print(table)
+        gaps = " … ".join(f"{round(gap, 3) + 0.0:.3f}" for gap in (contacts.gap[own].min(), contacts.gap[own].max()))
+        overlap = _overlap(zone, contacts.overlap[own], contacts.overlapping[own])
+        area = f"{contacts.area[own].sum():.0f}"
+        rows.append((zone.name, " – ".join(zone.parts), own.sum(), _friction(zone), area, gaps, overlap))
+    heads = ("zone", "between", "pairs", "friction", "area, mm²", "nominal gap, mm", "nominal overlap")
+    console.table("Contact zones", heads, rows)
     for sentence in frozen_gaps(assembly):
-        console.print(f"[yellow]note:[/] {plain(sentence)}", highlight=False, soft_wrap=True)
+        console.warn("note", sentence)
     if contacts.dimension == 1:
         console.print(
-            f"Nothing asks for friction or slip: only normals are modelled, {len(contacts)} rows instead of "
+            f"Neither friction nor slip is requested: only normals are modelled, {len(contacts)} rows instead of "
             f"{3 * len(contacts)}."
         )
 
 
-def _print_cost(console, assembly, plans):
+def _cost(assembly, plans) -> list[str]:
+    """Factorisations, size of the reduced model, contact solutions, expected time and disk space."""
     scene, contacts = assembly.scene, assembly.contacts
     sizes = [len(part.functionals) for part in assembly.parts]
     nodes = ", ".join(f"{len(part.surface.points)} nodes" for part in assembly.parts)
     samples, laws = scene.monte_carlo.samples, scene.report.laws
-    console.print(f"• one factorisation per part not cached: {nodes}")
-    console.print(
-        f"• reduced model: {sum(sizes)} functionals, {8 * sum(size**2 for size in sizes) / 1e6:.0f} MB of influence "
-        "coefficients"
-    )
+    megabytes = 8 * sum(size**2 for size in sizes) / 1e6
+    lines = [
+        f"one factorisation for each part that is not cached: {nodes}",
+        f"reduced model: {sum(sizes)} functionals, {megabytes:.0f} MB of influence coefficients",
+    ]
     if scene.stiffness != "nominal":
-        console.print(f"• {plain(_stiffness_words(assembly))}", highlight=False, soft_wrap=True)
+        lines.append(_stiffness(assembly))
     resolved = [plan for plan in plans if plan.resolves and len(contacts)]
     if resolved:
         solves = [sum(plan.solves(LAWS[law]) for plan in resolved) for law in laws]
         each = " + ".join(map(str, solves)) if len(set(solves)) > 1 else str(solves[0])
         followed = any(LAWS[law].followed for law in laws) and any(plan.path == "followed" for plan in resolved)
-        console.print(
-            f"• {samples} samples × {len(laws)} laws ({', '.join(laws)}) × {each} contact resolutions "
+        lines.append(
+            f"{samples} samples × {len(laws)} laws ({', '.join(laws)}) × {each} contact resolutions "
             f"= {samples * sum(solves)} contact solves of {contacts.dimension * len(contacts)} unknowns"
-            + ", and more where a path is followed"
+            + ", and more along followed load paths"
             * followed
         )
     else:
-        console.print(f"• {samples} samples × {len(laws)} laws, no contact to resolve")
+        lines.append(f"{samples} samples × {len(laws)} laws, no contact to resolve")
     if any(item.kind in ("friction", "thickness") and item.sigma for item in scene.deviations):
-        console.print("• friction or thickness varies: each sample is set up by itself, which takes many times as long")
-    console.print(f"• {forecast(assembly, laws, samples, len(os.sched_getaffinity(0)))}")
-    fields = "mean and 6σ fields: a few further solves per part and law"
-    console.print("• " + (fields if scene.report.fields else "no fields asked for: no field solves"))
+        lines.append("friction or thickness varies: each sample needs its own model, which takes many times as long")
+    lines.append(str(forecast(assembly, laws, samples, available_cores())))
+    fields = "mean and 6σ fields: a few more solves for each part and law"
+    return [*lines, fields if scene.report.fields else "no fields are requested: no field solves"]
 
 
-def _stiffness_words(assembly) -> str:
-    """What the stiffness of other shapes takes: where the nominal coefficients are at hand, that, else at most."""
+def _stiffness(assembly) -> str:
+    """Cost of the stiffness of deviated shapes: exact if the nominal coefficients are cached, else an upper bound."""
     if assembly.scene.stiffness == "mean":
         return "stiffness of the mean shape: a second set of influence coefficients for each part"
-    told = "stiffness to first order in {}: {}; each sample is set up by itself, which takes many times as long"
-    if len(assembly.contacts) <= LOOKED_AT and all(is_cached(part, cache_folder()) for part in assembly.parts):
+    text = "stiffness to first order in {}: {}; each sample needs its own model, which takes many times as long"
+    if len(assembly.contacts) <= MAX_PAIRS and _all_cached(assembly):
         try:
             nominal = Reduction.build(assembly, influence_coefficients(assembly, cache_folder())[0])
             shapes = select_shapes(assembly, nominal)
         except MissingProvider:
             pass
         else:
-            further = {part.fingerprint(): part for part in shapes.additional_parts(assembly)}
-            todo = sum(not is_cached(part, cache_folder()) for part in further.values())
-            return told.format(shapes, f"{len(further)} further sets of influence coefficients, {todo} to be computed")
-    names, sets = derivative_sets(assembly)
-    return told.format(f"up to {list_sources(names)}", f"at most {sets} further sets of influence coefficients")
+            sets = {part.fingerprint(): part for part in shapes.additional_parts(assembly)}
+            missing = sum(not is_cached(part, cache_folder()) for part in sets.values())
+            return text.format(shapes, f"{len(sets)} further sets of influence coefficients, {missing} to be computed")
+    names, count = derivative_sets(assembly)
+    return text.format(f"up to {list_sources(names)}", f"at most {count} further sets of influence coefficients")
 
 
-def _print_accuracy(console, assembly, say):
-    from mic.report.style import number, percent  # drawing libraries are slow to import
-
-    found = estimate_accuracy(assembly, cache_folder(), say)
-    table = Table(
-        "part", "influence coefficients", "set down on six", "on all locators", title="Estimated errors of the meshes"
-    )
+def _print_accuracy(console, assembly, report_step):
+    """Print the estimated errors of the meshes, and the cost of finer ones."""
+    found = estimate_accuracy(assembly, cache_folder(), report_step)
+    rows = [
+        (
+            part.part,
+            "H, across the sheet" if i == 0 else estimate.quantity,
+            percent(estimate.set_down, 1),
+            percent(estimate.located, 1),
+        )
+        for part in found
+        for i, estimate in enumerate(part.estimates)
+    ]
+    heads = ("part", "influence coefficients", "error on six locators", "error on all locators")
+    console.table("Estimated errors of the meshes", heads, rows)
     for part in found:
-        for one in part.estimates:
-            name = "H, across the sheet" if one is part.estimates[0] else one.quantity
-            table.add_row(part.part, name, percent(one.set_down, 1), percent(one.located, 1))
-    console.print(table)
-    for part in found:
-        for words, mesh in (("half the size", part.finer), (f"{percent(ENOUGH, 0)} at most", part.mesh_for(ENOUGH))):
+        meshes = [("half the element size", part.finer)]
+        if part.worst > TARGET_ERROR:
+            meshes.append((f"for an error of {percent(TARGET_ERROR, 0)}", part.mesh_for(TARGET_ERROR)))
+        for text, mesh in meshes:
             memory = f" and {mesh.memory:.0f} MB" if mesh.memory else ""
-            if mesh is part.finer or part.worst > ENOUGH:
-                console.print(
-                    f"• {plain(part.part)}, {words}: {mesh.nodes} nodes, {number(mesh.seconds, 2)} s{memory} beside "
-                    f"{part.mesh.nodes} nodes, {number(part.mesh.seconds, 2)} s",
-                    highlight=False,
-                    soft_wrap=True,
-                )
-    console.print("Time and memory as measured here, at the functionals that were compared, and as they grew.")
+            console.say(
+                f"• {part.part}, {text}: {mesh.nodes} nodes, {number(mesh.seconds, 2)} s{memory}; now "
+                f"{part.mesh.nodes} nodes, {number(part.mesh.seconds, 2)} s"
+            )
+    console.print("Time and memory: measured on this machine for the compared functionals, and extrapolated from them.")
+
+
+def _check_convergence(console, scene, assembly, report_step):
+    """Print key characteristics with denser contact pairs; store them in the results folder of this scene."""
+    found = pair_convergence.converge(assembly, cache_folder(), scene.report.laws[0], report_step)
+    _print_convergence(console, assembly, found)
+    folder = Path("results") / scene.name
+    if _belongs(folder, assembly):
+        store_study(console, folder, {DENSITY: _density_table(scene, found)})
 
 
 def _print_convergence(console, assembly, found):
-    """Key characteristics with denser pairs beside those with the pairs as they are."""
-    figures = ("nominal", "mean", "6σ")
-    heads = [Column(head, overflow="fold", justify="right") for name in figures for head in (name, "change")]
-    table = Table(Column("mm", overflow="fold"), *heads, title="Key characteristics and the pairs")
+    """Key characteristics with denser pairs beside those with the pairs of the scene."""
+    figures = [head for name in ("nominal", "mean", "6σ") for head in (name, "change")]
+    heads = [Column("mm", overflow="fold"), *(Column(head, overflow="fold", justify="right") for head in figures)]
+    rows = []
     for k, item in enumerate(assembly.scene.measurements):
-        (nominal, mean, spread), (moves, more, wider) = [
+        (nominal, mean, spread), (denser_nominal, denser_mean, denser_spread) = [
             [values[row, k] for values in (found.nominal, found.mean, found.six_sigma)] for row in (0, 1)
         ]
-        off = f"{1e3 * (more - mean):+.1f} ± {1e3 * found.mean_half[k]:.1f} µm"
-        share = f"{100 * (wider / spread - 1):+.2f} ± {100 * found.six_sigma_half[k] / spread:.2f} %" if spread else ""
-        cells = [f"{nominal:.4f}", f"{1e3 * (moves - nominal):+.1f} µm", f"{mean:.4f}", off, f"{spread:.4f}", share]
-        table.add_row(item.name, *cells)
-    console.print(table)
-    lines = (
-        f"{found.pairs[0]} and {found.pairs[1]} pairs; between them sheets pass through each other by up to "
-        f"{found.unseen[0]:.2g} and {found.unseen[1]:.2g} mm; {found.failed} of {pair_convergence.SAMPLES} samples failed",
-        f"A change is what pairs at {pair_convergence.DENSER:g} of their distance make of the same {pair_convergence.SAMPLES} samples, ± "
-        "the 95 % interval that so few samples leave of it. It is no bound of what the pairs leave: still denser ones, "
-        "and other samples, may move a characteristic that did not move here.",
+        mean_change = f"{1e3 * (denser_mean - mean):+.1f} ± {1e3 * found.mean_half[k]:.1f} µm"
+        spread_change = ""
+        if spread:
+            half = 100 * found.six_sigma_half[k] / spread
+            spread_change = f"{100 * (denser_spread / spread - 1):+.2f} ± {half:.2f} %"
+        nominal_change = f"{1e3 * (denser_nominal - nominal):+.1f} µm"
+        cells = (f"{nominal:.4f}", nominal_change, f"{mean:.4f}", mean_change, f"{spread:.4f}", spread_change)
+        rows.append((item.name, *cells))
+    console.table("Key characteristics and the density of contact pairs", heads, rows)
+    samples = pair_convergence.SAMPLES
+    console.say(
+        f"{found.pairs[0]} and {found.pairs[1]} pairs; largest penetration between the pairs {found.unseen[0]:.2g} and "
+        f"{found.unseen[1]:.2g} mm; {found.failed} of {samples} samples failed"
     )
-    for line in lines:
-        console.print(line, highlight=False, soft_wrap=True)
+    console.say(
+        f"Each change compares the same {samples} samples with pairs at {pair_convergence.DENSER:g} of their distance, "
+        "± the 95 % confidence interval of so few samples. It is an estimate, not a bound: still denser pairs or other "
+        "samples may change a characteristic that did not change here."
+    )
 
 
-def _holds(folder, assembly) -> bool:
-    """Whether a folder holds the results of an assembly."""
+def _belongs(folder, assembly) -> bool:
+    """Whether a results folder is that of an assembly."""
     if not (folder / "run.json").is_file():
         return False
     record = RunFolder(folder).record()
@@ -479,9 +480,10 @@ def _holds(folder, assembly) -> bool:
 
 
 def _density_table(scene, found) -> pd.DataFrame:
-    """As :data:`mic.results.schema.DENSITY` declares it."""
-    change = lambda values: values[1] - values[0]
+    """Changes with denser pairs, as :data:`mic.results.schema.DENSITY` declares them."""
     columns = {"law": scene.report.laws[0], "measurement": [item.name for item in scene.measurements]}
     columns |= {"pairs": int(found.pairs[0]), "denser": int(found.pairs[1])}
-    columns |= {f"{name}_change": change(getattr(found, name)) for name in ("nominal", "mean", "six_sigma")}
+    for name in ("nominal", "mean", "six_sigma"):
+        values = getattr(found, name)
+        columns[f"{name}_change"] = values[1] - values[0]
     return pd.DataFrame(columns | {"failed": found.failed})

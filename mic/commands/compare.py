@@ -5,79 +5,76 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
-from rich.console import Console
-from rich.table import Table
-
-from mic.commands.invocation import counting, on_one_process, studied, threads
+from mic.commands.invocation import available_cores, first_rank_only, load_model
+from mic.commands.output import CommandConsole
 from mic.process.model import ReducedModel
+from mic.report.style import number
 from mic.results.field_changes import field_changes, write_field_changes
 from mic.results.outcome import Outcome, read_outcome
 from mic.results.schema import COMPARISON
 from mic.scene import Scene, load_scene
-from mic.studies.comparison import SAMPLES, need_common
-from mic.studies.comparison import compare as compared
-from mic.system.console import plain
+from mic.studies.comparison import SAMPLES, check_comparable
+from mic.studies.comparison import compare as compare_sides
 
 __all__ = ["compare"]
 
 
-@on_one_process
+@first_rank_only
 def compare(before, after, samples, seed, law, out):
     """``mic compare``, with the values of its options (:mod:`mic.options`)."""
     from mic.report.comparison_page import sentences, write_comparison  # drawing libraries are slow to import
 
-    console = Console()
-    known = [_known(source) for source in (before, after)]
-    need_common(*map(_scene, known))  # before any of them is reduced
+    console = CommandConsole()
+    loaded = [_load(source) for source in (before, after)]
+    check_comparable(*map(_scene, loaded))  # before the slow reduction
     sides = [
-        studied(console, source)[0] if isinstance(one, Scene) else one for source, one in zip((before, after), known)
+        load_model(console, source)[0] if isinstance(side, Scene) else side
+        for source, side in zip((before, after), loaded)
     ]
-    laws = [one.value for one in law or []]
-    with counting(console, "evaluations", 2 * (samples or SAMPLES)) as advance:
-        found = compared(*sides, laws, samples, seed, threads(), advance)
+    laws = [own.value for own in law or []]
+    with console.progress_bar("evaluations", 2 * (samples or SAMPLES)) as advance:
+        found = compare_sides(*sides, laws, samples, seed, available_cores(), advance)
     fields = []
     if found.a.outcome is not None and found.b.outcome is not None:
         fields = field_changes(found.a.outcome, found.a.law, found.b.outcome, found.b.law)
-    folder = out or Path("results") / f"{_short(found.a.name)}_{_short(found.b.name)}"
+    folder = out or Path("results") / f"{_folder_name(found.a.name)}_{_folder_name(found.b.name)}"
     COMPARISON.write(folder, found.table)
     write_field_changes(folder, fields)
     page = write_comparison(folder / "comparison.html", found, fields)
-    _print(console, found)
+    _print_changes(console, found)
     for sentence in sentences(found):
-        console.print(plain(sentence), highlight=False, soft_wrap=True)
-    console.print(f"page: [bold]{plain(page)}[/]   table: {plain(folder / COMPARISON.place)}", soft_wrap=True)
+        console.say(sentence)
+    console.say_files(page=page, table=folder / COMPARISON.place)
 
 
-def _known(source):
-    """What is there before anything is reduced: a run, a saved model or a scene."""
+def _load(source):
+    """A run, a saved model or a scene; nothing is reduced."""
     if (source / "run.json").is_file():
         return read_outcome(source)
     return ReducedModel.load(source) if source.suffix == ".npz" and source.is_file() else load_scene(source)
 
 
-def _scene(known):
-    """The scene of what is known."""
-    if isinstance(known, Scene):
-        return known
-    return known.model.scene if isinstance(known, Outcome) else known.scene
+def _scene(loaded):
+    """The scene of a run, a saved model or a scene."""
+    if isinstance(loaded, Scene):
+        return loaded
+    return loaded.model.scene if isinstance(loaded, Outcome) else loaded.scene
 
 
-def _short(name: str) -> str:
-    """A name for a folder."""
+def _folder_name(name: str) -> str:
+    """A name that every file system accepts."""
     return re.sub(r"[^\w.+-]+", "-", Path(name).name) or "run"
 
 
-def _print(console, found):
-    from mic.report.style import number
-
-    table = Table("", "mean, µm", "change", "6σ, µm", "change", "Cpk", "after", title="Before and after")
+def _print_changes(console, found):
+    rows = []
     for row in found.table.to_dict("records"):
         if not row["quantity"]:
             continue
-        cells = [plain(row["quantity"])]
+        cells = [row["quantity"]]
         for figure in ("mean", "six_sigma"):
-            low, high = (number(1e3 * row[f"{figure}_change_{end}"], 2) for end in ("low", "high"))
-            change = f"{number(1e3 * row[f'{figure}_change'], 2)} ({low} … {high})"
-            cells += [number(1e3 * row[f"{figure}_a"]), change]
-        table.add_row(*cells, number(row["cpk_a"]), number(row["cpk_b"]))
-    console.print(table)
+            change, low, high = (number(1e3 * row[f"{figure}_change{end}"], 2) for end in ("", "_low", "_high"))
+            cells += [number(1e3 * row[f"{figure}_a"]), f"{change} ({low} … {high})"]
+        rows.append((*cells, number(row["cpk_a"]), number(row["cpk_b"])))
+    heads = ("", "mean before, µm", "change (95 %)", "6σ before, µm", "change (95 %)", "Cpk before", "Cpk after")
+    console.table("Before and after", heads, rows)

@@ -1,4 +1,4 @@
-"""``mic predict``: assemblies foretold as their parts come in, and a log that survives."""
+"""``mic predict``: predicts assemblies as their parts are measured, and appends the predictions to a log file."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
-from rich.console import Console
 from rich.progress import Progress, TextColumn
 
-from mic.commands.invocation import law_of, on_one_process, studied
+from mic.commands.invocation import choose_law, first_rank_only, load_model
+from mic.commands.output import CommandConsole
 from mic.errors import FormatError, SceneError, Stopped
 from mic.results.run_identity import identity
 from mic.results.schema import PREDICTIONS
@@ -23,70 +23,76 @@ from mic.system.console import plain
 from mic.system.disk_cache import cache_folder
 from mic.system.files import append_text, write_text
 
-__all__ = ["Log", "predict", "read_parts"]
+__all__ = ["PredictionLog", "predict", "read_parts"]
 
-PAUSE = 0.2  # s between two looks into a folder that is watched
+PAUSE = 0.2  # s between two looks into a watched folder
 STYLES = {"accepted": "green", "rejected": "red", "open": "yellow", "refused": "red", "failed": "red"}
 
 
-@on_one_process
+@first_rank_only
 def predict(source, parts, watch, log, adjust, shim, force, error, exact, law):
     """``mic predict``, with the values of its options (:mod:`mic.options`)."""
-    console = Console()
+    console = CommandConsole()
     if (parts is None) == (watch is None):
-        raise SceneError("predict: give either --parts FILE, a file of parts, or --watch FOLDER, where they come in")
+        raise SceneError("predict: give either --parts FILE with measured parts, or --watch FOLDER for such files")
     if watch is not None and not watch.is_dir():
-        raise SceneError(f"--watch: there is no folder {watch}; make it, or name another")
-    model, _ = studied(console, source)
-    kept = Log(log, identity(model, 0)[:12])
+        raise SceneError(f"--watch {watch}: there is no such folder; create it, or give another")
+    model, _ = load_model(console, source)
+    predictions = PredictionLog(log, identity(model, 0)[:12])
     if parts is not None:
-        list(read_parts(parts, model.parameters))  # before anything is learnt
+        list(read_parts(parts, model.parameters))  # reports errors before the training
     try:
-        predictor = _ready(console, model, law_of(model, law), adjust or (), shim, force, error, exact)
+        predictor = _predictor(console, model, choose_law(model, law), adjust or (), shim, force, error, exact)
     except ValueError as problem:
         raise SceneError(f"predict: {problem}") from None
     if parts is not None:
-        _file(console, predictor, kept, parts)
+        _predict_file(console, predictor, predictions, parts)
         return
-    console.print(f"watching {plain(watch)} for CSV files; end with Ctrl-C", highlight=False)
+    console.say(f"Watching {watch} for CSV files. Press Ctrl-C to stop.")
+    try:
+        _watch_folder(console, predictor, predictions, watch)
+    except (KeyboardInterrupt, Stopped):
+        console.say(f"Stopped: {log} contains {predictions.count} assemblies.")
+
+
+def _watch_folder(console, predictor: Predictor, predictions: PredictionLog, folder: Path) -> None:
+    """Predict the assemblies of all files that appear in a folder, until interrupted."""
     seen: dict[Path, tuple[int, int]] = {}
     done: dict[Path, tuple[int, int]] = {}
-    try:
-        while True:
-            for path in sorted(watch.glob("*.csv")):
-                now = _stamp(path)
-                if seen.get(path) == now != done.get(path):  # not while it is being written
-                    done[path] = now
-                    try:
-                        _file(console, predictor, kept, path)
-                    except SceneError as problem:  # one file at fault stops no line
-                        console.print(plain(str(problem)), style="red", highlight=False, soft_wrap=True)
-                seen[path] = now
-            time.sleep(PAUSE)
-    except (KeyboardInterrupt, Stopped):
-        console.print(f"Ended: {kept.count} assemblies stand in {plain(log)}.", highlight=False, soft_wrap=True)
+    while True:
+        for path in sorted(folder.glob("*.csv")):
+            version = _version(path)
+            if seen.get(path) == version != done.get(path):  # unchanged since the last look: completely written
+                done[path] = version
+                try:
+                    _predict_file(console, predictor, predictions, path)
+                except SceneError as problem:  # an invalid file does not stop the others
+                    console.say(problem, style="red")
+            seen[path] = version
+        time.sleep(PAUSE)
 
 
-def _ready(console, model, law, adjust, shim, factor, error, exact) -> Predictor:
-    """A predictor; what it learns beforehand is shown, and what that errs by said."""
+def _predictor(console, model, law, adjust, shim, factor, error, exact) -> Predictor:
+    """Train a predictor; print the error of its emulator."""
     with Progress(TextColumn("{task.description}"), TextColumn("{task.completed:.0f}"), console=console) as progress:
-        bar = progress.add_task("assemblies evaluated beforehand", total=None, visible=False)
-        advance = lambda count: progress.update(bar, advance=count, visible=True)
+        task = progress.add_task("training evaluations", total=None, visible=False)
+        advance = lambda count: progress.update(task, advance=count, visible=True)
         predictor = Predictor(model, law, adjust, shim, factor, error, exact, cache_folder(), advance)
-    learnt = predictor.learnt
-    if learnt is not None:
-        share = learnt.off / tolerance(model.scene, learnt.h)
+    emulator = predictor.emulator
+    if emulator is not None:
+        share = emulator.error_bound / tolerance(model.scene, emulator.h)
         worst, names = int(share.argmax()), [item.name for item in model.scene.measurements]
-        said = f"Answers lie between {len(learnt.x)} assemblies that were evaluated, and err by "
-        said += f"{1e3 * learnt.off[worst]:.2g} µm at {names[worst]} in 95 %, {share[worst]:.2%} of its tolerance."
-        console.print(plain(said), highlight=False, soft_wrap=True)
+        console.say(
+            f"Emulator trained on {len(emulator.x)} evaluated assemblies; largest error (95 %) "
+            f"{1e3 * emulator.error_bound[worst]:.2g} µm at {names[worst]}, {share[worst]:.2%} of its tolerance."
+        )
     elif not exact:
-        console.print("Every assembly is evaluated: too few could be beforehand.", highlight=False, soft_wrap=True)
+        console.say("No emulator: too few assemblies could be evaluated to train it. Every assembly is evaluated.")
     return predictor
 
 
-def _stamp(path: Path) -> tuple[int, int]:
-    """Size and time of a file; of one that is gone again, none."""
+def _version(path: Path) -> tuple[int, int]:
+    """Size and modification time of a file; zeros if it was deleted."""
     try:
         found = path.stat()
     except OSError:
@@ -94,45 +100,45 @@ def _stamp(path: Path) -> tuple[int, int]:
     return found.st_size, found.st_mtime_ns
 
 
-def _file(console, predictor: Predictor, kept: Log, path: Path) -> None:
-    """Foretell the rows of a file that the log does not have."""
+def _predict_file(console, predictor: Predictor, predictions: PredictionLog, path: Path) -> None:
+    """Predict the assemblies of a file that are not in the log."""
     for row, values in read_parts(path, predictor.model.parameters):
-        if (str(path), row) in kept:
+        if (str(path), row) in predictions:
             continue
-        before = time.perf_counter()
-        found = predictor.judge(values)
-        took = time.perf_counter() - before
-        kept.add(found, path, row)
-        whole = found.iloc[-1]
-        bad = [
-            f"{one['measurement']} {one['value']:+.4g} mm"
-            for one in found.iloc[:-1].to_dict("records")
-            if one["verdict"] != "accepted"
+        start = time.perf_counter()
+        found = predictor.predict(values)
+        milliseconds = 1e3 * (time.perf_counter() - start)
+        predictions.add(found, path, row)
+        assembly = found.iloc[-1]
+        not_accepted = [
+            f"{item['measurement']} {item['value']:+.4g} mm"
+            for item in found.iloc[:-1].to_dict("records")
+            if item["verdict"] != "accepted"
         ]
-        line = f"{path.name} row {row}: {whole['verdict']}"
-        line += f" ({', '.join(bad)})" if bad else ""
-        line += f"; {whole['said']}" if whole["said"] else ""
-        way = ", evaluated" if whole["way"] == "evaluated" else ""
+        line = f"{path.name} row {row}: {assembly['verdict']}"
+        line += f" ({', '.join(not_accepted)})" if not_accepted else ""
+        line += f"; {assembly['said']}" if assembly["said"] else ""
+        method = ", evaluated" if assembly["way"] == "evaluated" else ""
         console.print(
-            f"{plain(line)}   [dim]{1e3 * took:.1f} ms{way}[/]",
-            style=STYLES[whole["verdict"]],
+            f"{plain(line)}   [dim]{milliseconds:.1f} ms{method}[/]",
+            style=STYLES[assembly["verdict"]],
             highlight=False,
             soft_wrap=True,
         )
 
 
 def read_parts(path: Path, names: list[str]) -> Iterator[tuple[int, dict[str, float]]]:
-    """Rows of a CSV file of parts, by their number: values of deviations by name, those that the row gives.
+    """Row numbers of a CSV file of measured parts, each with its measured deviations by name.
 
     Raises
     ------
     SceneError
-        Naming file, row and column.
+        If the file is invalid; the message names file, row and column.
     """
     cells, separator = read_cells(path, "the folder that you are in")
-    strange = [str(name) for name in cells.columns if name not in names]
-    if strange:
-        raise SceneError(f"{path}: row 1: there is no deviation {strange[0]!r}; known: {', '.join(names)}")
+    unknown = [str(name) for name in cells.columns if name not in names]
+    if unknown:
+        raise SceneError(f"{path}: row 1: unknown deviation {unknown[0]!r}; the scene has: {', '.join(names)}")
     for number, record in enumerate(cells.to_dict("records"), 2):
         values = {}
         for column, cell in record.items():
@@ -142,66 +148,68 @@ def read_parts(path: Path, names: list[str]) -> Iterator[tuple[int, dict[str, fl
             value = read_number(text, separator)
             if not np.isfinite(value):
                 raise SceneError(
-                    f"{path}: row {number}, column {column}: {text!r} is no finite number; correct it, or leave the "
-                    "cell empty if it was not measured"
+                    f"{path}: row {number}, column {column}: {text!r} is not a finite number; correct it, or leave the "
+                    "cell empty if the deviation was not measured"
                 )
             values[str(column)] = value
         if values:
             yield number, values
 
 
-class Log:
-    """A CSV file to which rows are added one assembly at a time, each on disk before the next begins.
+class PredictionLog:
+    """CSV file of predictions; each assembly is saved before the next is predicted.
 
     Parameters
     ----------
     path : Path
     model : str
-        Fingerprint of the model, which stands in every row.
+        Checksum of the model, written into every row.
 
     Raises
     ------
     FormatError
-        If the file is no such log.
+        If the file is not a log of predictions.
     """
 
     def __init__(self, path: Path, model: str):
         self.path, self.model = path, model
         self._known: set[tuple[str, int]] = set()
         if path.is_file() and path.stat().st_size:
-            self._mend()
+            self._read()
 
     def __contains__(self, row: tuple[str, int]) -> bool:
         return row in self._known
 
     @property
     def count(self) -> int:
-        """Assemblies of this model in it."""
+        """Number of predicted assemblies of this model."""
         return len(self._known)
 
     def add(self, found: pd.DataFrame, path: Path, row: int) -> None:
-        """Write what was found of a row of a file."""
-        told = found.assign(file=str(path), row=row, model=self.model)
-        text = told.to_csv(index=False, header=not self.path.is_file() or not self.path.stat().st_size)
+        """Append the prediction of a row of a file."""
+        rows = found.assign(file=str(path), row=row, model=self.model)
+        text = rows.to_csv(index=False, header=not self.path.is_file() or not self.path.stat().st_size)
         append_text(self.path, text)
         self._known.add((str(path), row))
 
-    def _mend(self) -> None:
-        """Read what is there. The row of the whole assembly is its last: what stands behind the last such row was cut
-        off when a program was killed, and is taken away, to be done again."""
-        remedy = "name another file with --log, or move this one away"
+    def _read(self) -> None:
+        """Read the predicted rows; remove an incomplete assembly at the end, left by an interrupt.
+
+        The last row of a complete assembly is the one without a measurement.
+        """
+        remedy = "give another file with --log, or move this one away"
         lines = self.path.read_text(encoding="utf-8").splitlines(keepends=True)
         rows = list(csv.reader(lines))
         if not rows or rows[0] != PREDICTIONS.names:
-            raise FormatError(f"{self.path}: this is no log of predictions; {remedy}")
-        place = PREDICTIONS.names.index
+            raise FormatError(f"{self.path}: not a log of predictions; {remedy}")
+        column = PREDICTIONS.names.index
         ends = [
             i
             for i, (row, line) in enumerate(zip(rows, lines))
-            if i and len(row) == len(rows[0]) and line.endswith("\n") and not row[place("measurement")]
+            if i and len(row) == len(rows[0]) and line.endswith("\n") and not row[column("measurement")]
         ]
-        kept = ends[-1] + 1 if ends else 1
-        if kept < len(lines):
-            write_text(self.path, "".join(lines[:kept]))
-        own = (rows[i] for i in ends if rows[i][place("model")] == self.model)
-        self._known = {(row[place("file")], int(row[place("row")])) for row in own}
+        complete = ends[-1] + 1 if ends else 1
+        if complete < len(lines):
+            write_text(self.path, "".join(lines[:complete]))
+        own = (rows[i] for i in ends if rows[i][column("model")] == self.model)
+        self._known = {(row[column("file")], int(row[column("row")])) for row in own}

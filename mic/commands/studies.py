@@ -1,17 +1,23 @@
-"""The commands that ask a model more than a run tells: see :mod:`mic.studies`."""
+"""Commands that study a reduced model: order, contributors, friction, sensitivity, rare and remedy."""
 
 from __future__ import annotations
 
 import json
 import math
 
-from rich.console import Console
-from rich.progress import Progress
-from rich.table import Table
-
-from mic.commands.invocation import counting, keep_studies, law_of, on_one_process, seed_of, studied, threads
+from mic.commands.invocation import (
+    available_cores,
+    choose_law,
+    choose_seed,
+    first_rank_only,
+    load_model,
+    store_study,
+)
+from mic.commands.output import CommandConsole
 from mic.contact.laws import LAWS
 from mic.errors import SceneError
+from mic.report.driver_sentences import design_words, friction_words, linear_words, named, remedy_words
+from mic.report.style import number, percent, probability
 from mic.results.schema import (
     CONTRIBUTORS,
     DESIGN_POINTS,
@@ -24,357 +30,306 @@ from mic.results.schema import (
     SENSITIVITIES,
     SPREADS,
 )
-from mic.studies import contributors as driving
-from mic.studies import friction as rubbing
-from mic.studies import remedy as mending
-from mic.studies import sensitivity as slopes
-from mic.studies.adjustment import written
+from mic.studies import contributors as contributor_study
+from mic.studies import friction as friction_study
+from mic.studies.adjustment import adjustment_tables
 from mic.studies.input_screening import MANY
 from mic.studies.order import PERMUTATIONS, STATED, compare, orders
 from mic.studies.order import variants as read_variants
-from mic.studies.rare import rare as rare_events
-from mic.system.console import plain
+from mic.studies.rare import rare as estimate_rare
+from mic.studies.remedy import remedies
+from mic.studies.sensitivity import effects
 from mic.system.files import write_text
 
-__all__ = [
-    "contributors",
-    "friction",
-    "order",
-    "rare",
-    "remedy",
-    "sensitivity",
-]
+__all__ = ["contributors", "friction", "order", "rare", "remedy", "sensitivity"]
 
-NOTHING = 1e-6  # mm: a step that changes no more changes nothing
-LISTED = 6  # inputs that a characteristic shows
-SIDED = 1e-3  # of the larger: effects to either side of a change that differ by less are one
-FAR = 100.0  # steps: no contact that a step could change
+NO_EFFECT = 1e-6  # mm: smaller effects of a step count as none
+MAX_INPUTS = 6  # inputs listed for a characteristic
+ONE_SIDED = 1e-3  # relative difference of the effects below and above a contact change from which both are printed
+FAR = 100.0  # steps: contact changes farther away are not printed
 
 
-@on_one_process
+@first_rank_only
 def order(source, samples, seed, law, permutations, variants, table):
     """``mic order``, with the values of its options (:mod:`mic.options`)."""
-    console = Console()
-    model, folder = studied(console, source)
-    scene, asked = model.scene, law_of(model, law)
+    console = CommandConsole()
+    model, folder = load_model(console, source)
+    scene, law = model.scene, choose_law(model, law)
     random = PERMUTATIONS if permutations is None else permutations
     others = read_variants(scene, variants) if variants else orders(scene, random)
     if len(others) == 1:
         console.print("The process has one order only: nothing to compare.")
         return
-    with Progress(console=console) as progress:
-        bar = progress.add_task(f"{samples} samples under {asked}", total=len(others))
-        found = compare(
-            model,
-            others,
-            asked,
-            samples,
-            scene.monte_carlo.seed if seed is None else seed,
-            threads(),
-            lambda name: progress.advance(bar),
-        )
+    with console.progress_bar(f"{samples} samples under {law}", len(others)) as advance:
+        seed = choose_seed(scene, seed)
+        found = compare(model, others, law, samples, seed, available_cores(), lambda name: advance(1))
     _print_orders(console, others, found)
     if table:
         found.to_csv(table, index=False)
-        console.print(f"table: {plain(table)}")
-    keep_studies(console, folder, {ORDERS: found.assign(law=asked)[ORDERS.names].astype({"samples": "int64"})})
+        console.say_files(table=table)
+    store_study(console, folder, {ORDERS: found.assign(law=law)[ORDERS.names].astype({"samples": "int64"})})
 
 
 def _print_orders(console, others, found):
-    """By order, the quantity that changes most; by quantity, the order that changes it most."""
+    """For each order the quantity that changes most; for each quantity the order that changes it most."""
+    figures = ("mean_change", "six_sigma_change")
 
-    def change(row, key):
-        share = f" ({100 * abs(row[key]) / row['tolerance']:.1f} %)" if row["tolerance"] > 0 else ""
-        return f"{1000 * row[key]:+.1f} ± {1000 * row[f'{key[:-6]}error']:.1f}{share}".replace("-", "−")
+    def change(row, figure):
+        share = f" ({100 * abs(row[figure]) / row['tolerance']:.1f} %)" if row["tolerance"] > 0 else ""
+        error = row[figure.replace("change", "error")]
+        return f"{1000 * row[figure]:+.1f} ± {1000 * error:.1f}{share}".replace("-", "−")
 
-    def largest(rows, key):
-        return rows.loc[rows[key].abs().idxmax()]
+    def largest(rows, figure):
+        return rows.loc[rows[figure].abs().idxmax()]
 
-    keys = ("mean_change", "six_sigma_change")
-    measured, slips = found[found["tolerance"] > 0], found[found["tolerance"].isna()]
-    for rows, title in (
-        (measured, "Key characteristics: largest change (of the tolerance)"),
-        (slips, "Slip under load"),
-    ):
-        table = Table("order", "mean, µm", "of", "6σ, µm", "of", title=title)
-        for name, own in rows[rows["order"] != STATED].groupby("order", sort=False):
-            worst = [largest(own, key) for key in keys]
-            cells = (cell for row, key in zip(worst, keys) for cell in (change(row, key), row["quantity"]))
-            table.add_row(name, *cells)
-        if table.row_count:
-            console.print(table)
-    table = Table("as stated", "mean, mm", "6σ, mm", "largest change of mean, µm", "of 6σ, µm", title="By quantity")
     rest = found[found["order"] != STATED]
-    for _, stated in found[found["order"] == STATED].iterrows():
+    for rows, title in (
+        (rest[rest["tolerance"] > 0], "Key characteristics: largest change (share of the tolerance)"),
+        (rest[rest["tolerance"].isna()], "Slip under load: largest change"),
+    ):
+        cells = []
+        for name, own in rows.groupby("order", sort=False):
+            changes = [(change(row, figure), row["quantity"]) for figure in figures for row in [largest(own, figure)]]
+            cells.append((name, *changes[0], *changes[1]))
+        console.table(title, ("order", "mean, µm", "quantity", "6σ, µm", "quantity"), cells)
+    cells = []
+    for stated in found[found["order"] == STATED].to_dict("records"):
         own = rest[rest["quantity"] == stated["quantity"]]
-        cells = [f"{change(row, key)}: {row['order']}" for key in keys for row in [largest(own, key)]]
-        table.add_row(stated["quantity"], f"{stated['mean']:.4f}", f"{stated['six_sigma']:.4f}", *cells)
-    console.print(table)
+        changes = [f"{change(row, figure)}: {row['order']}" for figure in figures for row in [largest(own, figure)]]
+        cells.append((stated["quantity"], f"{stated['mean']:.4f}", f"{stated['six_sigma']:.4f}", *changes))
+    heads = ("quantity", "mean, mm", "6σ, mm", "largest change of mean, µm", "largest change of 6σ, µm")
+    console.table("Stated order, and the order that changes each quantity most", heads, cells)
     for other in others:
         if other.name.startswith("random"):
             groups = [f"{stage.name}: order = {json.dumps(stage.order)}" for stage in other.scene.stages if stage.order]
-            console.print(f"{other.name}: {plain('; '.join(groups))}", highlight=False, soft_wrap=True)
+            console.say(f"{other.name}: {'; '.join(groups)}")
 
 
-@on_one_process
+@first_rank_only
 def contributors(source, samples, seed, law):
     """``mic contributors``, with the values of its options (:mod:`mic.options`)."""
-    console = Console()
-    model, folder = studied(console, source)
-    scene, asked = model.scene, law_of(model, law)
+    console = CommandConsole()
+    model, folder = load_model(console, source)
+    scene, law = model.scene, choose_law(model, law)
     if not scene.measurements or not scene.deviations:
-        what = "deviations: nothing varies" if scene.measurements else "measurements: nothing is asked for"
-        raise SceneError(f"scene {scene.name!r} has no {what}; give it some")
+        what = "deviations: nothing varies" if scene.measurements else "measurements"
+        raise SceneError(f"scene {scene.name!r} has no {what}; add some")
     if scene.monte_carlo.values is not None:
         raise SceneError(
-            f"scene {scene.name!r}: it states its samples in a table, which does not say what each deviation does "
-            "alone; take monte_carlo.table out, so that they are drawn"
+            f"scene {scene.name!r}: its samples are given in a table, from which the effect of a single deviation does "
+            "not follow; remove monte_carlo.table, so that samples are drawn"
         )
-    found = len(driving.groups(scene))
-    varying = sum(one.sigma > 0 for one in scene.deviations)
-    count = samples * (found + 2) + 2 * varying if found <= MANY else None
-    with counting(console, f"evaluations under {asked}", count) as advance:
-        found = driving.contributors(model, asked, samples, seed_of(scene, seed), threads(), advance)
+    groups = len(contributor_study.groups(scene))
+    varying = sum(item.sigma > 0 for item in scene.deviations)
+    count = samples * (groups + 2) + 2 * varying if groups <= MANY else None
+    with console.progress_bar(f"evaluations under {law}", count) as advance:
+        seed = choose_seed(scene, seed)
+        found = contributor_study.contributors(model, law, samples, seed, available_cores(), advance)
     _print_contributors(console, scene, found)
-    keep_studies(console, folder, {CONTRIBUTORS: found.table, LINEARITY: found.linearity})
+    store_study(console, folder, {CONTRIBUTORS: found.table, LINEARITY: found.linearity})
 
 
 def _print_contributors(console, scene, found):
-    """By characteristic, what makes its variance; what hurts most overall; where a linear analysis misleads."""
-    from mic.report.driver_sentences import linear_words, named  # drawing libraries are slow to import
-    from mic.report.style import number, percent
-
-    table = Table(
-        "characteristic", "σ, µm", "driven by (share of the variance, with interactions)", "linear analysis", "R²",
-        title="What drives the key characteristics",
-    )  # fmt: skip
+    """The largest contributors of each characteristic and of all together; where a linear analysis misleads."""
+    rows = []
     for row in found.linearity.to_dict("records"):
         own = found.table[found.table["measurement"] == row["measurement"]].sort_values("total", ascending=False)
-        linear = own.sort_values("regression", ascending=False)
-        driven = "\n".join(
-            f"{plain(each['contributor'])} {percent(each['total'])} "
-            f"({percent(each['total_low'])} … {percent(each['total_high'])})"
-            for each in own.head(3).to_dict("records")
+        total = "\n".join(
+            f"{item['contributor']} {percent(item['total'])} "
+            f"({percent(item['total_low'])} … {percent(item['total_high'])})"
+            for item in own.head(3).to_dict("records")
         )
-        said = "\n".join(
-            f"{plain(each['contributor'])} {percent(each['regression'])}" for each in linear.head(3).to_dict("records")
+        linear = "\n".join(
+            f"{item['contributor']} {percent(item['regression'])}"
+            for item in own.sort_values("regression", ascending=False).head(3).to_dict("records")
         )
-        table.add_row(plain(row["measurement"]), number(1e3 * row["sigma"]), driven, said, number(row["r_squared"]))
-    console.print(table)
-    ranked = driving.joint_ranking(found.table, found.linearity, scene)
-    console.print(f"Over all key characteristics: {plain(named(ranked, 'total'))}")
+        rows.append((row["measurement"], number(1e3 * row["sigma"]), total, linear, number(row["r_squared"])))
+    heads = ("characteristic", "σ, µm", "share of the variance, with interactions (95 %)", "linear analysis", "R²")
+    console.table("Contributors", heads, rows)
+    ranked = contributor_study.joint_ranking(found.table, found.linearity, scene)
+    console.say(f"All key characteristics together: {named(ranked, 'total')}")
     for sentence in linear_words(found.table, found.linearity):
-        console.print(plain(sentence), highlight=False, soft_wrap=True)
-    one = found.linearity.iloc[0]
-    console.print(
-        f"{one['evaluations']} evaluations, {one['failed']} of {one['samples'] + one['failed']} samples left out"
-    )
+        console.say(sentence)
+    counts = found.linearity.iloc[0]
+    total = counts["samples"] + counts["failed"]
+    console.say(f"{counts['evaluations']} evaluations; {counts['failed']} of {total} samples failed and are excluded")
 
 
-@on_one_process
+@first_rank_only
 def friction(source, samples, seed, law):
     """``mic friction``, with the values of its options (:mod:`mic.options`)."""
-    console = Console()
-    model, folder = studied(console, source)
-    scene, asked = model.scene, law_of(model, law)
-    if not (
-        scene.measurements and LAWS[asked].frictional and model.contacts.dimension == 3 and model.contacts.frictional
-    ):
-        why = "nothing is measured" if not scene.measurements else "nothing has friction, or the law has none"
-        raise SceneError(f"scene {scene.name!r}: there is no friction to ask for: {why}")
+    console = CommandConsole()
+    model, folder = load_model(console, source)
+    scene, law = model.scene, choose_law(model, law)
+    frictional = LAWS[law].frictional and model.contacts.dimension == 3 and model.contacts.frictional
+    if not (scene.measurements and frictional):
+        why = "it has no measurements" if not scene.measurements else "its zones or its contact law have no friction"
+        raise SceneError(f"scene {scene.name!r}: the effect of friction cannot be computed: {why}")
     zones = sum(zone.frictional for zone in scene.zones)
-    count = samples * (1 + len(rubbing.FACTORS) + (zones > 1) * 2 * zones)
-    with counting(console, f"evaluations under {asked}", count) as advance:
-        found = rubbing.friction_effects(model, asked, samples, seed_of(scene, seed), threads(), advance)
+    count = samples * (1 + len(friction_study.FACTORS) + (zones > 1) * 2 * zones)
+    with console.progress_bar(f"evaluations under {law}", count) as advance:
+        seed = choose_seed(scene, seed)
+        found = friction_study.friction_effects(model, law, samples, seed, available_cores(), advance)
     _print_friction(console, found)
-    keep_studies(console, folder, {FRICTION_EFFECTS: found})
+    store_study(console, folder, {FRICTION_EFFECTS: found})
 
 
 def _print_friction(console, found):
-    from mic.report.driver_sentences import friction_words  # drawing libraries are slow to import
-    from mic.report.style import number
-
-    factors = list(found.loc[found["zone"] == "", "factor"].unique())
-    for figure, word in (("mean_change", "mean"), ("six_sigma_change", "6σ")):
-        table = Table(
-            "characteristic", "6σ, µm", *(f"µ × {factor:g}" for factor in factors), title=f"Change of {word}, µm"
-        )
-        for name, own in found[found["zone"] == ""].groupby("measurement", sort=False):
+    all_zones = found[found["zone"] == ""]
+    heads = ("characteristic", "6σ, µm", *(f"µ × {factor:g}" for factor in all_zones["factor"].unique()))
+    for figure, text in (("mean_change", "mean"), ("six_sigma_change", "6σ")):
+        rows = []
+        for name, own in all_zones.groupby("measurement", sort=False):
             cells = [
-                f"{number(1e3 * row[figure], 2)} ({number(1e3 * row[f'{figure}_low'], 2)} … "
-                f"{number(1e3 * row[f'{figure}_high'], 2)})"
+                "{} ({} … {})".format(*(number(1e3 * row[f"{figure}{end}"], 2) for end in ("", "_low", "_high")))
                 for row in own.to_dict("records")
             ]
-            table.add_row(plain(name), number(1e3 * own["six_sigma"].iloc[0]), *cells)
-        console.print(table)
-    for sentence in friction_words(found, rubbing.friction_needed(found)):
-        console.print(plain(sentence), highlight=False, soft_wrap=True)
+            rows.append((name, number(1e3 * own["six_sigma"].iloc[0]), *cells))
+        console.table(f"Change of {text} with the friction of all zones multiplied, µm", heads, rows)
+    for sentence in friction_words(found, friction_study.friction_needed(found)):
+        console.say(sentence)
 
 
-@on_one_process
+@first_rank_only
 def sensitivity(source, samples, seed, law):
     """``mic sensitivity``, with the values of its options (:mod:`mic.options`)."""
-    console = Console()
-    model, folder = studied(console, source)
-    scene, asked = model.scene, law_of(model, law)
+    console = CommandConsole()
+    model, folder = load_model(console, source)
+    scene, law = model.scene, choose_law(model, law)
     if not scene.measurements:
-        raise SceneError(f"scene {scene.name!r} has no measurements: nothing is asked for; give it some")
-    with counting(console, f"assemblies with derivatives under {asked}", 1 + samples) as advance:
-        found = slopes.effects(model, asked, samples, seed_of(scene, seed), advance)
+        raise SceneError(f"scene {scene.name!r} has no measurements; add some")
+    with console.progress_bar(f"assemblies with derivatives under {law}", 1 + samples) as advance:
+        found = effects(model, law, samples, choose_seed(scene, seed), advance)
+    _print_effects(console, found)
     _print_sensitivity(console, found)
-    keep_studies(console, folder, {SENSITIVITIES: found.table, SPREADS: found.spread})
+    store_study(console, folder, {SENSITIVITIES: found.table, SPREADS: found.spread})
+
+
+def _print_effects(console, found):
+    """Effects of a step of each input on each characteristic, the largest first."""
+    rows = []
+    for name, own in found.table.groupby("measurement", sort=False):
+        own = own[own["effect"].abs() > NO_EFFECT]
+        largest = own["effect"].abs().sort_values(ascending=False, kind="stable").index
+        for i, row in enumerate(own.loc[largest[:MAX_INPUTS]].to_dict("records")):
+            effect, low, high = (number(1e3 * row[f"effect{end}"], 2) for end in ("", "_low", "_high"))
+            below, above = row["effect_below"], row["effect_above"]
+            if abs(above - below) > ONE_SIDED * max(abs(below), abs(above)):
+                effect = f"{number(1e3 * below, 2)} below, {number(1e3 * above, 2)} above"
+            reach = f"{number(row['reach'], 2)} steps" if row["reach"] < FAR else "–"
+            rows.append(("" if i else name, row["input"], number(row["step"], 3), f"{effect} ({low} … {high})", reach))
+        if len(own) > MAX_INPUTS:
+            rows.append(("", f"… {len(own) - MAX_INPUTS} others", "", "less", ""))
+        rows.append(())
+    heads = ("characteristic", "input", "step", "effect, µm (range over the samples)", "next contact change")
+    console.table("Effect of a step of each input", heads, rows)
 
 
 def _print_sensitivity(console, found):
-    """What steps of the inputs change in each characteristic, the largest first."""
-    from mic.report.style import number  # drawing libraries are slow to import
-
-    table = Table(
-        "characteristic", "input", "step", "µm (over the samples)", "contact changes after",
-        title="What a step changes",
-    )  # fmt: skip
-    most = found.table.groupby("input")["effect"].apply(lambda x: x.abs().max()).sort_values(ascending=False)
-    for name, own in found.table.groupby("measurement", sort=False):
-        own = own[own["effect"].abs() > NOTHING]
-        order = own["effect"].abs().sort_values(ascending=False, kind="stable").index
-        for i, row in enumerate(own.loc[order[:LISTED]].to_dict("records")):
-            effect, low, high = (number(1e3 * row[key], 2) for key in ("effect", "effect_low", "effect_high"))
-            if abs(row["effect_above"] - row["effect_below"]) > SIDED * max(
-                abs(row["effect_below"]), abs(row["effect_above"])
-            ):
-                effect = f"{number(1e3 * row['effect_below'], 2)} below, {number(1e3 * row['effect_above'], 2)} above"
-            reach = f"{number(row['reach'], 2)} steps" if row["reach"] < FAR else "–"
-            first = "" if i else plain(str(name))
-            table.add_row(first, plain(row["input"]), number(row["step"], 3), f"{effect} ({low} … {high})", reach)
-        if len(own) > LISTED:
-            table.add_row("", f"… {len(own) - LISTED} others", "", "less", "")
-        table.add_section()
-    console.print(table)
+    """Distance to the next contact change, inputs without effect, failed samples, and 6σ from derivatives."""
     if found.at_change:
-        console.print(
-            f"The mean assembly is at a change of a contact ({plain(found.at_change)}): effects differ below it, "
-            "towards smaller values of the input, and above",
-            highlight=False,
-            soft_wrap=True,
+        console.say(
+            f"In the mean assembly a contact is about to change its state ({found.at_change}): effects differ below "
+            "(towards smaller values of the input) and above."
         )
     elif math.isfinite(found.reach):
-        console.print(
-            f"The mean assembly is {number(found.reach, 2)} σ from the next change of a contact: {plain(found.where)}",
-            highlight=False,
-            soft_wrap=True,
-        )
-    if still := most.index[most <= NOTHING].tolist():
-        console.print(f"Nothing is changed by {plain(', '.join(still))}", highlight=False, soft_wrap=True)
+        console.say(f"Next contact change: {number(found.reach, 2)} σ from the mean assembly ({found.where}).")
+    largest = found.table.groupby("input")["effect"].apply(lambda x: x.abs().max()).sort_values(ascending=False)
+    if inputs := largest.index[largest <= NO_EFFECT].tolist():
+        console.say(f"Inputs without effect: {', '.join(inputs)}.")
     if found.failed:
-        console.print(f"{found.failed} samples failed and are left out")
-    told = found.spread[found.spread["kind"] != "plain"]
-    for row in told.to_dict("records"):
-        by, alone = (
+        console.say(f"{found.failed} samples failed and are excluded.")
+    for row in found.spread[found.spread["kind"] != "plain"].to_dict("records"):
+        with_derivatives, plain = (
             f"{number(1e3 * row[name])} µm ({number(1e3 * row[f'{name}_low'])} … {number(1e3 * row[f'{name}_high'])})"
             for name in ("six_sigma", "plain_six_sigma")
         )
-        console.print(
-            f"6σ of {plain(row['measurement'])} by {row['samples']} samples and their derivatives: {by}; by the "
-            f"samples alone: {alone}",
-            highlight=False,
-            soft_wrap=True,
+        console.say(
+            f"6σ of {row['measurement']}: {with_derivatives} from {row['samples']} samples with derivatives; {plain} "
+            "from the same samples alone."
         )
 
 
-@on_one_process
+@first_rank_only
 def rare(source, measurement, samples, seed, law):
     """``mic rare``, with the values of its options (:mod:`mic.options`)."""
-    from mic.report.style import number  # drawing libraries are slow to import
-
-    console = Console()
-    model, folder = studied(console, source)
-    scene, asked, names = model.scene, law_of(model, law), measurement or []
+    console = CommandConsole()
+    model, folder = load_model(console, source)
+    scene, law, names = model.scene, choose_law(model, law), measurement or []
     known = [item.name for item in scene.measurements]
     unknown = [name for name in names if name not in known]
     if unknown or not known:
-        what = (
-            f"no measurement {unknown[0]!r}; it has: {', '.join(known)}" if known else "no measurements; give it some"
-        )
+        what = f"no measurement {unknown[0]!r}; it has: {', '.join(known)}" if known else "no measurements; add some"
         raise SceneError(f"scene {scene.name!r} has {what}")
     if not scene.deviations or scene.monte_carlo.values is not None:
-        why = "its samples stand in a table; take monte_carlo.table out" if scene.deviations else "nothing varies"
-        raise SceneError(f"scene {scene.name!r}: there are no rare samples to look for: {why}")
-    with counting(console, f"evaluations under {asked}", None) as advance:
-        found = rare_events(model, asked, names, samples - samples % 10, seed_of(scene, seed), threads(), advance)
-    from mic.report.driver_sentences import design_words
-
+        why = "its samples are given in a table; remove monte_carlo.table" if scene.deviations else "nothing varies"
+        raise SceneError(f"scene {scene.name!r}: rare samples cannot be drawn: {why}")
+    with console.progress_bar(f"evaluations under {law}", None) as advance:
+        seed = choose_seed(scene, seed)
+        found = estimate_rare(model, law, names, samples - samples % 10, seed, available_cores(), advance)
     for row in found.table.to_dict("records"):
-        what = f"{row['measurement']} misses its limits" if row["measurement"] else "The assembly misses a limit"
-        share, low, high = (number(1e6 * row[name], 2) for name in ("outside", "outside_low", "outside_high"))
-        how = "a plain Monte Carlo" if row["levels"] == 1 else f"{row['levels']} levels"
-        console.print(
-            f"{plain(what)} in {share} of a million ({low} to {high}): {how}, {row['evaluations']} evaluations"
-            + f", {row['failed']} of which failed and do not count" * bool(row["failed"])
-            + f"; to first order {number(1e6 * row['first_order'], 2)}" * math.isfinite(row["first_order"]),
-            highlight=False,
-            soft_wrap=True,
+        share = probability(row["outside"], row["outside_low"], row["outside_high"])
+        method = "plain Monte Carlo" if row["levels"] == 1 else f"{row['levels']} levels"
+        console.say(
+            f"{row['measurement'] or 'Assemblies'} outside limits: {share}; {method}, "
+            f"{row['evaluations']} evaluations"
+            + f", {row['failed']} of which failed and are excluded" * bool(row["failed"])
+            + f"; first-order estimate {probability(row['first_order'])}" * math.isfinite(row["first_order"])
         )
     for sentence in design_words(found.table, found.points):
-        console.print(plain(sentence), highlight=False, soft_wrap=True)
+        console.say(sentence)
     if found.why_not:
-        console.print(f"No likeliest miss is told: {plain(found.why_not)}", highlight=False, soft_wrap=True)
-    keep_studies(console, folder, {RARE: found.table, DESIGN_POINTS: found.points})
+        console.say(f"Most likely miss: not computed; {found.why_not}.")
+    store_study(console, folder, {RARE: found.table, DESIGN_POINTS: found.points})
 
 
-@on_one_process
+@first_rank_only
 def remedy(source, adjust, shim, force, capability, samples, seed, law, save):
     """``mic remedy``, with the values of its options (:mod:`mic.options`)."""
-    console = Console()
+    console = CommandConsole()
     if save is not None and (not source.is_file() or source.suffix != ".toml"):
-        raise SceneError(f"{source}: --save writes a changed copy of a scene file; name one, or leave --save out")
-    model, folder = studied(console, source)
-    asked = law_of(model, law)
+        raise SceneError(f"{source}: --save writes a changed copy of a scene file; give a scene file, or omit --save")
+    model, folder = load_model(console, source)
+    law, seed = choose_law(model, law), choose_seed(model.scene, seed)
     try:
-        with counting(console, f"assemblies under {asked}", None) as advance:
-            found = mending.remedies(
-                model, asked, samples, seed_of(model.scene, seed), shim, force, adjust, capability, threads(), advance
-            )
+        with console.progress_bar(f"assemblies under {law}", None) as advance:
+            found = remedies(
+                model, law, samples, seed, shim, force, adjust, capability, available_cores(), advance
+            )  # fmt: skip
     except ValueError as problem:
         raise SceneError(str(problem)) from problem
-    _print_remedies(console, model.scene, found)
-    serving = [one for one in found.found if one.reached]
-    if save is not None and serving:
-        text = source.read_text(encoding="utf-8").rstrip("\n")
-        write_text(save, f"{text}\n\n# {serving[-1].name}\n{written(model.scene, serving[-1].changes)}")
-        console.print(f"scene: {plain(save)}")
+    _print_remedies(console, found)
+    for sentence in remedy_words(found.table, found.effects, model.scene):
+        console.say(sentence)
+    successful = [own for own in found.found if own.reached]
+    if successful:
+        tables = adjustment_tables(model.scene, successful[-1].changes)
+        console.say("To apply the last successful remedy, append to the scene file:")
+        console.say(tables)
+        if save is not None:
+            text = source.read_text(encoding="utf-8").rstrip("\n")
+            write_text(save, f"{text}\n\n# {successful[-1].name}\n{tables}")
+            console.say_files(scene=save)
     elif save is not None:
-        console.print(f"No remedy serves, so that {plain(save)} is not written.", highlight=False, soft_wrap=True)
-    keep_studies(console, folder, {REMEDIES: found.table, REMEDY_EFFECTS: found.effects})
+        console.say(f"No remedy succeeds: {save} is not written.")
+    store_study(console, folder, {REMEDIES: found.table, REMEDY_EFFECTS: found.effects})
 
 
-def _print_remedies(console, scene, found):
-    """By remedy: what to set, and what that does to each characteristic, of fresh samples."""
-    from mic.report.driver_sentences import remedy_words  # drawing libraries are slow to import
-    from mic.report.style import number, percent
-
-    if found.found:
-        table = Table(
-            "remedy", "characteristic", "mean, µm", "6σ, µm", "Cpk", "outside", "gain of margin, µm",
-            title="What would mend it",
-        )  # fmt: skip
-        for one in found.found:
-            own = found.effects[found.effects["remedy"] == one.name]
-            own = own[own["fresh"] == own["fresh"].max()]
-            moves = "\n".join(f"{plain(a.name)} {a.now:g} → {a.now + x:g} {a.unit}" for a, x in one.changes.items())
-            for i, row in enumerate(own.to_dict("records")):
-                pairs = (
-                    f"{number(scale * row[f'{name}_before'], 3)} → {number(scale * row[name], 3)}"
-                    for name, scale in (("mean", 1e3), ("six_sigma", 1e3), ("cpk", 1.0))
-                )
-                share = f"{percent(row['outside_before'], 1)} → {percent(row['outside'], 1)}"
-                ends = (number(1e3 * row[f"gain{end}"], 2) for end in ("", "_low", "_high"))
-                gain = "{} ({} … {})".format(*ends)
-                table.add_row("" if i else moves, plain(row["measurement"]), *pairs, share, gain)
-            table.add_section()
-        console.print(table)
-    for sentence in remedy_words(found.table, found.effects, scene):
-        console.print(plain(sentence), highlight=False, soft_wrap=True)
-    serving = [one for one in found.found if one.reached]
-    if serving:
-        console.print("In the scene file, at its end, the last of these that serves:")
-        console.print(plain(written(scene, serving[-1].changes)), highlight=False, soft_wrap=True)
+def _print_remedies(console, found):
+    """The adjustments of each remedy, and their effect on each characteristic on the independent samples."""
+    rows = []
+    for own in found.found:
+        effects_ = found.effects[found.effects["remedy"] == own.name]
+        effects_ = effects_[effects_["fresh"] == effects_["fresh"].max()]
+        moves = "\n".join(f"{item.name} {item.now:g} → {item.now + x:g} {item.unit}" for item, x in own.changes.items())
+        for i, row in enumerate(effects_.to_dict("records")):
+            pairs = [
+                f"{number(scale * row[f'{name}_before'], 3)} → {number(scale * row[name], 3)}"
+                for name, scale in (("mean", 1e3), ("six_sigma", 1e3), ("cpk", 1.0))
+            ]
+            share = f"{percent(row['outside_before'], 1)} → {percent(row['outside'], 1)}"
+            gain = "{} ({} … {})".format(*(number(1e3 * row[f"gain{end}"], 2) for end in ("", "_low", "_high")))
+            rows.append(("" if i else moves, row["measurement"], *pairs, share, gain))
+        rows.append(())
+    heads = ("remedy", "characteristic", "mean, µm", "6σ, µm", "Cpk", "outside limits", "gain of margin, µm")
+    console.table("Remedies", heads, rows)

@@ -1,1 +1,1 @@
-"""Questions to a model beyond a run: what it hangs on, what drives it, how rare a miss is; one file a question."""
+"""Studies of a model beyond a run: contributors, sensitivities, process orders, rare violations, optimisation, …"""

@@ -7,8 +7,9 @@ adjustment is evaluated with any values of them, without being rebuilt.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -16,13 +17,23 @@ from mic.process.model import ReducedModel
 from mic.process.plan import plan_stages
 from mic.scene.deviation import ClampDeviation, LocatorDeviation
 
-__all__ = ["FACTOR", "SHIM", "Adjustment", "adjustments", "as_deviations", "extended", "written"]
+__all__ = [
+    "FACTOR",
+    "SHIM",
+    "Adjustment",
+    "adjustments",
+    "as_deviations",
+    "deviation_tables",
+    "with_adjustments",
+    "new_names",
+    "adjustment_tables",
+]
 
 SHIM = 0.5  #: largest shift of a locator or a clamp, mm
 FACTOR = 2.0  #: largest factor, or divisor, of a clamp's force
 STEPS = 50.0  # ratio of the largest to the smallest change, which is rounded to a power of ten
-TOGETHER = 5.0  # mm: opposing clamps within this distance are one pair of tongs
-AGAINST = -0.9  # largest cosine between their directions
+TONGS_DISTANCE = 5.0  # mm: opposing clamps within this distance form a pair of tongs
+TONGS_COSINE = -0.9  # largest cosine between their directions
 
 
 @dataclass(frozen=True)
@@ -71,7 +82,7 @@ class Adjustment:
         return float(np.clip(math.copysign(count, change) * self.step, self.low, self.high))
 
     def settings(self, start: float, end: float) -> np.ndarray:
-        """(n,) changes that can be set from one to another, the smallest first; both to one side, end the larger."""
+        """(n,) changes that can be set between `start` and the larger `end` of the same sign, the smallest first."""
         count = np.arange(max(math.ceil(abs(start) / self.step - 1e-9), 1), math.ceil(abs(end) / self.step - 1e-9) + 1)
         return np.clip(np.copysign(count, end) * self.step, self.low, self.high)
 
@@ -97,14 +108,14 @@ def adjustments(
     Raises
     ------
     ValueError
-        For names that are neither a locator's nor a clamp's, and bounds that allow nothing.
+        If a name belongs to neither a locator nor a clamp, or the bounds allow no change.
     """
     if not (math.isfinite(shim + factor) or math.isnan(shim + factor)):
         raise ValueError(f"shim and factor must be finite, not {shim:g} and {factor:g}")
     if not (shim > 0 and factor > 1):
         raise ValueError(f"shim must be positive and factor larger than 1, not {shim:g} and {factor:g}")
     scene = model.scene
-    known = [one.name for one in (*scene.locators, *scene.clamps)]
+    known = [item.name for item in (*scene.locators, *scene.clamps)]
     for name in names:
         if name not in known:
             raise ValueError(f"{name!r} is neither a locator nor a clamp of this scene; it has: {', '.join(known)}")
@@ -115,70 +126,82 @@ def adjustments(
         for kind, row in plan.bilateral
         if kind == "locator"
     }
-    found = [
-        Adjustment(f"locators.{one.name}", "locator", (one.name,), 0.0, -shim, shim)
-        for one in scene.locators
-        if (one.name in names if names else one.name not in held)
+    result = [
+        Adjustment(f"locators.{item.name}", "locator", (item.name,), 0.0, -shim, shim)
+        for item in scene.locators
+        if (item.name in names if names else item.name not in held)
     ]
-    for own in _tongs(scene.clamps):
-        if names and not any(one.name in names for one in own):
+    for clamps in _tongs(scene.clamps):
+        if names and not any(item.name in names for item in clamps):
             continue
-        first, targets = own[0], tuple(one.name for one in own)
-        called = "clamps." + "+".join(targets)
+        first, targets = clamps[0], tuple(item.name for item in clamps)
+        key = "clamps." + "+".join(targets)
         if first.force is None:
-            found.append(Adjustment(f"{called}.stroke", "clamp", targets, first.stroke, -shim, shim))
+            result.append(Adjustment(f"{key}.stroke", "clamp", targets, first.stroke, -shim, shim))
         elif first.force:
-            ends = sorted(first.force * by - first.force for by in (1 / factor, factor))
-            found.append(Adjustment(f"{called}.force", "clamp", targets, first.force, ends[0], ends[1]))
-    return found
+            ends = sorted(first.force * ratio - first.force for ratio in (1 / factor, factor))
+            result.append(Adjustment(f"{key}.force", "clamp", targets, first.force, ends[0], ends[1]))
+    return result
 
 
 def _tongs(clamps) -> list[list]:
     """Groups of clamps: two that press two parts on each other with one force in one stage form a pair of tongs."""
-    found: list[list] = []
+    groups: list[list] = []
     for clamp in clamps:
-        other = next((own for own in found if len(own) == 1 and _press(own[0], clamp)), None)
-        if other is None:
-            found.append([clamp])
+        partner = next((group for group in groups if len(group) == 1 and _press(group[0], clamp)), None)
+        if partner is None:
+            groups.append([clamp])
         else:
-            other.append(clamp)
-    return found
+            partner.append(clamp)
+    return groups
 
 
 def _press(a, b) -> bool:
+    """Whether two clamps press two parts on each other with one force in one stage."""
     if a.part == b.part or a.stage != b.stage or a.force is None or a.force != b.force:
         return False
-    near = math.dist(a.point, b.point) <= TOGETHER
-    return near and float(np.dot(a.direction, b.direction)) <= AGAINST * math.hypot(*a.direction) * math.hypot(
-        *b.direction
-    )
+    lengths = math.hypot(*a.direction), math.hypot(*b.direction)
+    opposed = float(np.dot(a.direction, b.direction)) <= TONGS_COSINE * lengths[0] * lengths[1]
+    return opposed and math.dist(a.point, b.point) <= TONGS_DISTANCE
 
 
-def as_deviations(scene, some: Sequence[Adjustment], changes: Sequence[float]) -> list:
+def new_names(scene, prefixes: Sequence[str]) -> list[str]:
+    """Names ``PREFIX-NUMBER`` for further deviations of a scene, different from all others."""
+    names = [item.name for item in scene.deviations]
+    for prefix in prefixes:
+        names.append(next(name for i in range(1, len(names) + 2) if (name := f"{prefix}-{i}") not in names))
+    return names[len(scene.deviations) :]
+
+
+def as_deviations(scene, chosen: Sequence[Adjustment], changes: Sequence[float]) -> list:
     """A deviation of standard deviation 0 for each adjustment, with names that are new in the scene."""
-    taken, found = {one.name for one in scene.deviations}, []
-    for own, change in zip(some, changes):
-        prefix = "shim" if own.kind == "locator" else "set"
-        name = next(f"{prefix}-{i}" for i in range(1, len(taken) + 2) if f"{prefix}-{i}" not in taken)
-        taken.add(name)
-        kind = LocatorDeviation if own.kind == "locator" else ClampDeviation
-        target = own.targets[0] if len(own.targets) == 1 else list(own.targets)
-        found.append(kind(kind=own.kind, name=name, target=target, mean=float(change), sigma=0.0))
-    return found
+    result = []
+    names = new_names(scene, ["shim" if item.kind == "locator" else "set" for item in chosen])
+    for adjustment, name, change in zip(chosen, names, changes):
+        kind = LocatorDeviation if adjustment.kind == "locator" else ClampDeviation
+        target = adjustment.targets[0] if len(adjustment.targets) == 1 else list(adjustment.targets)
+        result.append(kind(kind=adjustment.kind, name=name, target=target, mean=float(change), sigma=0.0))
+    return result
 
 
-def extended(model: ReducedModel, some: Sequence[Adjustment]) -> tuple[ReducedModel, list[str]]:
+def with_adjustments(model: ReducedModel, available: Sequence[Adjustment]) -> tuple[ReducedModel, list[str]]:
     """The model with an additional deviation for each adjustment, and the names of these deviations."""
-    more = as_deviations(model.scene, some, [0.0] * len(some))
-    scene = model.scene.model_copy(update={"deviations": [*model.scene.deviations, *more]})
-    return model.varied(scene), [one.name for one in more]
+    additional = as_deviations(model.scene, available, [0.0] * len(available))
+    scene = model.scene.model_copy(update={"deviations": [*model.scene.deviations, *additional]})
+    return model.varied(scene), [item.name for item in additional]
 
 
-def written(scene, changes: Mapping[Adjustment, float]) -> str:
+def adjustment_tables(scene, changes: Mapping[Adjustment, float]) -> str:
     """TOML tables that apply the adjustments when appended to the scene file."""
+    return deviation_tables(as_deviations(scene, list(changes), list(changes.values())), "{:g}".format)
+
+
+def deviation_tables(deviations: Iterable[Any], number: Callable[[float], str]) -> str:
+    """TOML tables of deviations of standard deviation 0; `number` formats their means."""
     lines: list[str] = []
-    for own in as_deviations(scene, list(changes), list(changes.values())):
-        target = f'"{own.target}"' if isinstance(own.target, str) else str(own.target).replace("'", '"')
-        lines += ["[[deviations]]", f'name = "{own.name}"', f'kind = "{own.kind}"', f"target = {target}"]
-        lines += [f"mean = {own.mean:g}", "sigma = 0", ""]
+    for item in deviations:
+        targets = [f'"{name}"' for name in ([item.target] if isinstance(item.target, str) else item.target)]
+        target = targets[0] if len(targets) == 1 else f"[{', '.join(targets)}]"
+        lines += ["[[deviations]]", f'name = "{item.name}"', f'kind = "{item.kind}"', f"target = {target}"]
+        lines += [f"mean = {number(item.mean)}", "sigma = 0", ""]
     return "\n".join(lines)

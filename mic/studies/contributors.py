@@ -1,14 +1,14 @@
 """Contributors: the share of each deviation in the variance of each key characteristic, under contact.
 
-Sobol' indices (:mod:`mic.statistics.sobol_indices`) of the reduced model, and for comparison those of a linear analysis
-of the same assembly: the shares of a linear regression, and those of the differences at the mean, as a linear
-chain of tolerances takes them. Deviations that belong together, such as the modes of one part's shape, are one
+The shares are Sobol' indices (:mod:`mic.statistics.sobol_indices`) of the reduced model. They are compared with two
+linear analyses of the same assembly: the shares of a linear regression, and those of the differences at the mean, which
+correspond to a linear tolerance chain. Deviations that belong together, such as the modes of one part's shape, are one
 contributor.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,26 +19,25 @@ from mic.results.schema import CONTRIBUTORS, LINEARITY
 from mic.scene import Scene
 from mic.statistics.draw import draw
 from mic.statistics.sobol_indices import Indices, Linear, sobol
-from mic.studies.input_screening import MANY, bounds, left_out
+from mic.studies.input_screening import MANY, bounds, negligible
+from mic.studies.samples import Progress, key_characteristics
 
 __all__ = ["Contributors", "contributors", "groups", "joint_ranking"]
 
-SAMPLES = 128  #: of each of the two sets
-DRAWS = 20_000  #: of the deviations alone, for the moments of what is linear in them
-STEP = 0.1  #: σ, of the differences at the mean
+SAMPLES = 128  #: samples of each of the two sets
+DRAWS = 20_000  #: samples of the deviations alone, for the moments of their linear effects
+STEP = 0.1  #: step of the differences at the mean, σ
 
-# A linear analysis can be believed within these.
-R_SQUARED = 0.95
-INTERACTION = 0.05
-SIGMA = 0.1
-SMALLEST = 1e-4  # mm, of σ: of what varies less no share is told
-
-Progress = Callable[[int], None]
+# Bounds within which a linear analysis is valid.
+R_SQUARED = 0.95  # at least
+INTERACTION = 0.05  # at most
+SIGMA = 0.1  # relative difference of σ, at most
+SMALLEST = 1e-4  # mm: key characteristics with a smaller σ have no shares
 
 
 @dataclass(frozen=True)
 class Contributors:
-    """What drives the key characteristics of a model under one law.
+    """Shares of the deviations in the variance of the key characteristics under one law.
 
     Attributes
     ----------
@@ -51,15 +50,18 @@ class Contributors:
 
 
 def groups(scene: Scene) -> dict[str, list[int]]:
-    """The scene's deviations by contributor: those of one batch, or correlated, are one, all others stand for
-    themselves."""
-    found: dict[str, list[int]] = {}
+    """Numbers of the deviations of each contributor: those of one batch, or correlated ones, form one contributor."""
+    grouped: dict[str, list[int]] = {}
     for j, item in enumerate(scene.deviations):
-        found.setdefault(getattr(item, "batch", None) or item.name, []).append(j)
+        grouped.setdefault(getattr(item, "batch", None) or item.name, []).append(j)
     for table in scene.correlations:
-        joined = [name for name, own in found.items() if {scene.deviations[j].name for j in own} & {*table.deviations}]
-        found[" + ".join(joined)] = sorted(j for name in joined for j in found.pop(name))
-    return found
+        joined = [
+            name
+            for name, columns in grouped.items()
+            if {scene.deviations[j].name for j in columns} & {*table.deviations}
+        ]
+        grouped[" + ".join(joined)] = sorted(j for name in joined for j in grouped.pop(name))
+    return grouped
 
 
 def contributors(
@@ -70,7 +72,7 @@ def contributors(
     threads: int = 1,
     progress: Progress = lambda count: None,
 ) -> Contributors:
-    """Find what drives the key characteristics.
+    """Shares of the deviations in the variance of the key characteristics.
 
     Parameters
     ----------
@@ -78,8 +80,8 @@ def contributors(
     law : str, optional
         Contact law; default: the first of the scene's report.
     samples : int
-        N of each set; N (g + 2) + 2 p evaluations are made of g contributors and p deviations that vary. If there
-        are more than :data:`mic.studies.input_screening.MANY` contributors, those that hardly matter count as one.
+        N of each set; g contributors and p deviations that vary take N (g + 2) + 2 p evaluations. If there are more
+        than :data:`mic.studies.input_screening.MANY` contributors, the negligible ones are joined into one.
     seed : int
     threads : int
     progress : callable, optional
@@ -88,77 +90,62 @@ def contributors(
     Raises
     ------
     ValueError
-        If nothing is measured or nothing varies.
+        If nothing is measured or nothing varies, or the samples are stated in a table.
     """
-    scene, own = model.scene, groups(model.scene)
-    if not scene.measurements or not own:
+    scene, every = model.scene, groups(model.scene)
+    if not scene.measurements or not every:
         raise ValueError(f"scene {scene.name!r} has no {'deviations' if scene.measurements else 'measurements'}")
     if scene.monte_carlo.values is not None:
         raise ValueError(
-            f"scene {scene.name!r} states its samples in a table, which says nothing of what varies alone: take the "
-            "table out, and give each deviation its sigma"
+            f"scene {scene.name!r}: its samples are given in a table, which does not show how a single deviation "
+            "varies; remove monte_carlo.table and give each deviation a sigma"
         )
     independent = scene.monte_carlo.model_copy(update={"design": "independent"})
     scene = scene.model_copy(update={"monte_carlo": independent})
     process = model.process(law, threads=threads)
-
-    def measured(deviations: np.ndarray) -> np.ndarray:
-        """(n, k) key characteristics, mm; NaN where the sample failed."""
-        found = process.attempt(deviations)
-        progress(len(deviations))
-        return np.where(found.failed[:, None], np.nan, found.measurements)
-
+    evaluate = lambda x: key_characteristics(process, x, progress)
     x_a, x_b = draw(scene, seed, 0, samples), draw(scene, seed, samples, samples)
     many = draw(scene, seed, 2 * samples, DRAWS)
-    a, b = measured(x_a), measured(x_b)
-    every, bound = own, np.full((len(own), a.shape[1]), np.nan)
-    if len(own) > MANY:
-        found_bound = bounds(model, process.law, own, seed=seed, progress=progress)
-        if found_bound is not None:
+    a, b = evaluate(x_a), evaluate(x_b)
+    separate, bound = every, np.full((len(every), a.shape[1]), np.nan)
+    if len(every) > MANY:
+        computed = bounds(model, process.law, every, seed=seed, progress=progress)
+        if computed is not None:
             varies = np.nanstd(a, axis=0) > SMALLEST
-            bound = np.where(varies, found_bound, np.nan)
-            own = _joined(own, left_out(found_bound, varies))
-    mixed = np.stack([measured(_with(x_a, columns, x_b)) for columns in own.values()])
+            bound = np.where(varies, computed, np.nan)
+            separate = _joined(every, negligible(computed, varies))
+    mixed = np.stack([evaluate(_mixed(x_a, columns, x_b)) for columns in separate.values()])
     slopes, r_squared = _regression(np.concatenate([x_a, x_b]), np.concatenate([a, b]))
-    linear = Linear(_parts(x_a, own, slopes), _parts(x_b, own, slopes), *_moments(_parts(many, own, slopes)))
-    found = sobol(a, b, mixed, linear)
-    tangent, _ = _moments(_parts(many, own, _tangent(model, many.std(axis=0), measured)))
-    evaluations = samples * (len(own) + 2) + 2 * int((many.std(axis=0) > 0).sum())
-    done = _tabled(model, process.law, list(own), found, r_squared, linear.variance, tangent, evaluations)
-    return Contributors(_with_bounds(done.table, every, own, bound, process.law, scene), done.linearity)
+    parts = [_parts(x, separate, slopes) for x in (x_a, x_b, many)]
+    linear = Linear(parts[0], parts[1], *_moments(parts[2]))
+    sigma = many.std(axis=0)
+    tangent, _ = _moments(_parts(many, separate, _tangent(model, sigma, evaluate)))
+    indices = sobol(a, b, mixed, linear)
+    varies = indices.sigma.value > SMALLEST
+    law, measured = process.law, [item.name for item in scene.measurements]
+    evaluations = samples * (len(separate) + 2) + 2 * int((sigma > 0).sum())
+    return Contributors(
+        _share_table(law, measured, every, list(separate), indices, varies, [linear.variance, tangent], bound),
+        _linearity_table(law, measured, indices, varies, r_squared, tangent, evaluations),
+    )
 
 
-def _joined(own: dict[str, list[int]], out: np.ndarray) -> dict[str, list[int]]:
-    """Contributors of which those that are left out are one."""
-    names = list(own)
-    kept = {name: own[name] for name, left in zip(names, out) if not left}
-    others = sorted(j for name, left in zip(names, out) if left for j in own[name])
-    return kept | ({f"{int(out.sum())} others": others} if others else {})
+def _joined(every: dict[str, list[int]], out: np.ndarray) -> dict[str, list[int]]:
+    """The contributors with those that are left out joined into one."""
+    separate = {name: columns for (name, columns), left in zip(every.items(), out) if not left}
+    others = sorted(j for columns, left in zip(every.values(), out) if left for j in columns)
+    return separate | ({f"{int(out.sum())} others": others} if others else {})
 
 
-def _with_bounds(table, every, own, bound: np.ndarray, law: str, scene) -> pd.DataFrame:
-    """The table with the bounds, and rows of the contributors that were left out."""
-    told = {(item.name, name): bound[i, k] for i, name in enumerate(every) for k, item in enumerate(scene.measurements)}
-    keys = list(zip(table["measurement"], table["contributor"]))
-    table = table.assign(bound=[float(told.get(key, np.nan)) for key in keys])
-    rest = [
-        {"law": law, "measurement": item.name, "contributor": name, "bound": float(told[item.name, name])}
-        for item in scene.measurements
-        for name in every
-        if name not in own
-    ]
-    return pd.concat([table, pd.DataFrame(rest)], ignore_index=True)[CONTRIBUTORS.names] if rest else table
-
-
-def _with(x: np.ndarray, columns: Sequence[int], other: np.ndarray) -> np.ndarray:
-    """Samples with some columns of others."""
+def _mixed(x: np.ndarray, columns: Sequence[int], other: np.ndarray) -> np.ndarray:
+    """Samples with some columns replaced by those of other samples."""
     mixed = x.copy()
     mixed[:, columns] = other[:, columns]
     return mixed
 
 
 def _regression(x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Slopes (p, k) of a linear regression, and its R² (k,), corrected; 0 and NaN with fewer than 2 p samples."""
+    """Slopes (p, k) of a linear regression and its adjusted R² (k,); 0 and NaN with fewer than 2 p + 3 samples."""
     known = np.isfinite(y).all(axis=1)
     x, y = x[known] - x[known].mean(axis=0), y[known] - y[known].mean(axis=0)
     n, p = x.shape
@@ -170,9 +157,9 @@ def _regression(x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         return slopes, 1 - ((y - x @ slopes) ** 2).sum(axis=0) / whole * (n - 1) / (n - 1 - p)
 
 
-def _parts(x: np.ndarray, own: dict[str, list[int]], slopes: np.ndarray) -> np.ndarray:
-    """(g, n, k) what is linear in each contributor."""
-    return np.stack([x[:, columns] @ slopes[columns] for columns in own.values()])
+def _parts(x: np.ndarray, separate: dict[str, list[int]], slopes: np.ndarray) -> np.ndarray:
+    """(g, n, k) linear effect of each contributor in each sample."""
+    return np.stack([x[:, columns] @ slopes[columns] for columns in separate.values()])
 
 
 def _moments(parts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -181,69 +168,50 @@ def _moments(parts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return square.mean(axis=1), square.std(axis=1) / np.sqrt(parts.shape[1])
 
 
-def _tangent(model: ReducedModel, sigma: np.ndarray, measured) -> np.ndarray:
-    """(p, k) central differences at the mean, mm per unit of a deviation; NaN where an evaluation failed."""
-    moving = np.flatnonzero(sigma > 0)
-    step = np.zeros((len(moving), len(sigma)))
-    step[np.arange(len(moving)), moving] = STEP * sigma[moving]
+def _tangent(model: ReducedModel, sigma: np.ndarray, evaluate) -> np.ndarray:
+    """(p, k) central differences at the mean, mm per unit of a deviation; NaN if an evaluation failed."""
+    varied = np.flatnonzero(sigma > 0)
+    step = np.zeros((len(varied), len(sigma)))
+    step[np.arange(len(varied)), varied] = STEP * sigma[varied]
     mean = model.deviations({})
-    y = measured(np.concatenate([mean + step, mean - step]))
-    found = np.zeros((len(sigma), y.shape[1]))
-    found[moving] = (y[: len(moving)] - y[len(moving) :]) / (2 * STEP * sigma[moving, None])
-    return found
+    y = evaluate(np.concatenate([mean + step, mean - step]))
+    slopes = np.zeros((len(sigma), y.shape[1]))
+    slopes[varied] = (y[: len(varied)] - y[len(varied) :]) / (2 * STEP * sigma[varied, None])
+    return slopes
 
 
-def _tabled(model, law, names, found: Indices, r_squared, regression, tangent, evaluations) -> Contributors:
-    items = model.scene.measurements
-    varies = found.sigma.value > SMALLEST
-    shares = [_shares(part, varies) for part in (regression, tangent)]
-    tangent_sigma = np.sqrt(tangent.sum(axis=0))
-    ends = ("interaction", "interaction_low", "interaction_high")
-    rows, told = [], []
-    for k, item in enumerate(items):
-        for i, name in enumerate(names):
-            row = {"law": law, "measurement": item.name, "contributor": name}
-            for index, estimate in (("first", found.first), ("total", found.total)):
-                told_of = (_told(x[i, k], varies[k]) for x in (estimate.value, estimate.low, estimate.high))
-                row |= dict(zip((index, f"{index}_low", f"{index}_high"), told_of))
-            rows.append(row | {"regression": float(shares[0][i, k]), "tangent": float(shares[1][i, k])})
-        sigma, most = ([float(x[k]) for x in (e.value, e.low, e.high)] for e in (found.sigma, found.interaction))
-        holds = (
-            r_squared[k] >= R_SQUARED
-            and most[0] <= INTERACTION
-            and abs(tangent_sigma[k] - sigma[0]) <= SIGMA * sigma[0]
-        )
-        told.append(
-            {
-                "law": law,
-                "measurement": item.name,
-                "samples": int(found.sigma.used),
-                "failed": int(found.sigma.excluded),
-                "evaluations": evaluations,
-                **dict(zip(("sigma", "sigma_low", "sigma_high"), sigma)),
-                "r_squared": _told(r_squared[k], varies[k]),
-                **{end: _told(x, varies[k]) for end, x in zip(ends, most)},
-                "tangent_sigma": float(tangent_sigma[k]),
-                "linear": bool(holds or not varies[k]),
-            }
-        )
-    table, linearity = pd.DataFrame(rows), pd.DataFrame(told)
-    return Contributors(table, linearity[LINEARITY.names])
+def _share_table(law, measured, every, names: list[str], indices: Indices, varies, variances, bound) -> pd.DataFrame:
+    """Shares by key characteristic and contributor, then the bounds of the contributors that are left out."""
+    columns = {"law": law, "measurement": np.repeat(measured, len(names)), "contributor": names * len(measured)}
+    for index, estimate in (("first", indices.first), ("total", indices.total)):
+        for end, values in (("", estimate.value), ("_low", estimate.low), ("_high", estimate.high)):
+            columns[f"{index}{end}"] = np.where(varies, values, np.nan).T.ravel()
+    for name, variance in zip(("regression", "tangent"), variances):
+        with np.errstate(invalid="ignore", divide="ignore"):
+            columns[name] = np.where(varies, variance / variance.sum(axis=0), np.nan).T.ravel()
+    bounds = {"measurement": np.repeat(measured, len(every)), "contributor": [*every] * len(measured)}
+    bound_table = pd.DataFrame(bounds | {"bound": bound.T.ravel()})
+    table = pd.DataFrame(columns).merge(bound_table, how="left")
+    rest = bound_table[~bound_table["contributor"].isin(names)].assign(law=law)
+    return (pd.concat([table, rest], ignore_index=True) if len(rest) else table)[CONTRIBUTORS.names]
 
 
-def _told(value: float, varies: bool) -> float:
-    return float(value) if varies else float("nan")
-
-
-def _shares(variance: np.ndarray, varies: np.ndarray) -> np.ndarray:
-    """(g, k) shares of what the contributors make together."""
-    with np.errstate(invalid="ignore", divide="ignore"):
-        return np.where(varies, variance / variance.sum(axis=0), np.nan)
+def _linearity_table(law, measured, indices: Indices, varies, r_squared, tangent, evaluations: int) -> pd.DataFrame:
+    """By key characteristic, whether a linear analysis is valid, and the figures that decide it."""
+    sigma, interaction, tangent_sigma = indices.sigma, indices.interaction, np.sqrt(tangent.sum(axis=0))
+    linear = (r_squared >= R_SQUARED) & (interaction.value <= INTERACTION)
+    linear &= np.abs(tangent_sigma - sigma.value) <= SIGMA * sigma.value
+    columns = {"law": law, "measurement": measured, "samples": int(sigma.used), "failed": int(sigma.excluded)}
+    columns |= {"evaluations": evaluations, "tangent_sigma": tangent_sigma, "linear": linear | ~varies}
+    columns |= {"sigma": sigma.value, "sigma_low": sigma.low, "sigma_high": sigma.high}
+    ratios = {"r_squared": r_squared, "interaction": interaction.value}
+    ratios |= {"interaction_low": interaction.low, "interaction_high": interaction.high}
+    columns |= {name: np.where(varies, values, np.nan) for name, values in ratios.items()}
+    return pd.DataFrame(columns)[LINEARITY.names]
 
 
 def joint_ranking(table: pd.DataFrame, linearity: pd.DataFrame, scene: Scene) -> pd.DataFrame:
-    """Which contributor hurts most overall: total indices over all key characteristics, weighed by how much of its
-    tolerance each takes,
+    """Total indices over all key characteristics, weighted by the squared share of the tolerance that each takes,
 
         ``T_i = Σ_k T_ik w_k / Σ_k w_k,    w_k = (σ_k / (upper_k − lower_k))²``
 
@@ -255,9 +223,10 @@ def joint_ranking(table: pd.DataFrame, linearity: pd.DataFrame, scene: Scene) ->
         ``law``, ``contributor`` and ``total``, the largest first.
     """
     width = {item.name: item.upper - item.lower for item in scene.measurements}
-    told = linearity.assign(weight=(linearity["sigma"] / linearity["measurement"].map(width)) ** 2)
-    whole = table.merge(told[["law", "measurement", "weight"]]).dropna(subset=["total"])
-    whole["share"] = whole["total"] * whole["weight"]
-    summed = whole.groupby(["law", "contributor"], sort=False)[["share", "weight"]].sum()
-    ranked = (summed["share"] / summed["weight"]).rename("total").reset_index()
+    weight = (linearity["sigma"] / linearity["measurement"].map(width)) ** 2
+    weights = linearity.assign(weight=weight)[["law", "measurement", "weight"]]
+    weighted = table.merge(weights).dropna(subset=["total"])
+    weighted["share"] = weighted["total"] * weighted["weight"]
+    sums = weighted.groupby(["law", "contributor"], sort=False)[["share", "weight"]].sum()
+    ranked = (sums["share"] / sums["weight"]).rename("total").reset_index()
     return ranked.sort_values(["law", "total"], ascending=[True, False], kind="stable", ignore_index=True)

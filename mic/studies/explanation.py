@@ -23,7 +23,7 @@ References
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -40,6 +40,7 @@ from mic.scene import Scene
 from mic.statistics.emulator import Emulator
 from mic.statistics.estimates import LEVEL
 from mic.statistics.normal_space import from_normal
+from mic.studies.samples import Progress, key_characteristics
 
 __all__ = ["Explanation", "Posterior", "explain", "posterior", "with_friction"]
 
@@ -66,7 +67,7 @@ LOOSENED = CLOSE / 2  # largest error of a looser path, relative to the gauge: a
 PROBES = 4  # assemblies at which the error of a looser path is estimated
 TOGETHER = 0.9  # correlation above which two sources cannot be told apart
 KNOWN = 0.75  # reduction of variance above which a source counts as known
-UNTOLD = 0.9  # ratio of posterior to prior standard deviation above which a source counts as undetermined
+UNDETERMINED = 0.9  # ratio of posterior to prior standard deviation above which a source counts as undetermined
 
 
 @dataclass(frozen=True)
@@ -163,7 +164,7 @@ def explain(
     friction: float | None = None,
     seed: int = 0,
     threads: int = 1,
-    progress: Callable[[int], None] = lambda count: None,
+    progress: Progress = lambda count: None,
 ) -> Explanation:
     """Find the most probable sources of the measured deviations.
 
@@ -194,12 +195,12 @@ def explain(
     gauges = dict.fromkeys(measured, gauge) if isinstance(gauge, int | float) else dict(gauge)
     _check_input(scene, measured, gauges, names)
     columns = [names.index(name) for name in measured]
-    y, s = np.array([measured[n] for n in measured]), np.array([gauges[n] for n in measured])
-    found = posterior(model, columns, y, s, law, seed, threads, progress)
-    x, w = from_normal(scene, found.z), found.weight
+    y, gauge_sigma = np.array([measured[n] for n in measured]), np.array([gauges[n] for n in measured])
+    result = posterior(model, columns, y, gauge_sigma, law, seed, threads, progress)
+    x, w = from_normal(scene, result.z), result.weight
     varied = [j for j, item in enumerate(scene.deviations) if item.sigma > 0]
     table = _source_table(scene, x, w, varied)
-    h, spread = _moments(found.response, w)
+    h, spread = _moments(result.response, w)
     reached = pd.DataFrame(
         {
             "measurement": names,
@@ -213,12 +214,12 @@ def explain(
     return Explanation(
         law=law or scene.report.laws[0],
         table=table,
-        further=_further_measurements(scene, names, measured, float(np.median(s)), found, x, varied),
+        further=_further_measurements(scene, names, measured, float(np.median(gauge_sigma)), result, x, varied),
         reached=reached,
-        likely=float(chi2.sf(2 * found.least, len(columns))),
+        likely=float(chi2.sf(2 * result.least, len(columns))),
         together=_indistinguishable_pairs([scene.deviations[j].name for j in varied], x[:, varied], w, reduction),
-        untold=[name for name, share in reduction.items() if share < 1 - UNTOLD**2],
-        posterior=found,
+        untold=[name for name, share in reduction.items() if share < 1 - UNDETERMINED**2],
+        posterior=result,
         scene=scene,
     )
 
@@ -268,7 +269,7 @@ def with_friction(model: ReducedModel, sigma: float) -> ReducedModel:
         if zone.frictional and zone.pressure_pieces() is None
     ]
     if not items:
-        raise SceneError(f"scene {scene.name!r}: no zone has a constant friction that could be unknown")
+        raise SceneError(f"scene {scene.name!r}: no zone has constant friction; omit --friction")
     deviations = [*scene.model_dump(mode="json")["deviations"], *items]
     extended = Scene(**scene.model_dump() | {"deviations": deviations, "folder": scene.folder})
     return model.varied(extended)
@@ -276,16 +277,16 @@ def with_friction(model: ReducedModel, sigma: float) -> ReducedModel:
 
 def _check_input(scene: Scene, measured, gauges, names) -> None:
     if not measured:
-        raise SceneError(f"scene {scene.name!r}: nothing was measured; give one key characteristic at least")
+        raise SceneError(f"scene {scene.name!r}: no measurement is given; give at least one key characteristic")
     for name, value in measured.items():
         if name not in names:
             raise SceneError(f"scene {scene.name!r} has no key characteristic {name!r}; it has: {', '.join(names)}")
         if not np.isfinite(value):
-            raise SceneError(f"{name}: {value} was measured, which is no finite number; correct it, or take it out")
+            raise SceneError(f"{name}: the measured value {value} is not a finite number; correct or remove it")
         if not gauges.get(name, 0.0) > 0 or not np.isfinite(gauges[name]):
-            raise SceneError(f"{name}: its gauge has no standard deviation; give one above 0, mm")
+            raise SceneError(f"{name}: the gauge has no positive standard deviation; give one, mm")
     if not any(item.sigma > 0 for item in scene.deviations):
-        raise SceneError(f"scene {scene.name!r}: nothing varies, so that nothing can be the cause; give it deviations")
+        raise SceneError(f"scene {scene.name!r}: no deviation varies, so there are no possible sources; add deviations")
 
 
 # ----------------------------------------------------------------------------------------------------- the posterior
@@ -299,7 +300,7 @@ def posterior(
     law: str | None = None,
     seed: int = 0,
     threads: int = 1,
-    progress: Callable[[int], None] = lambda count: None,
+    progress: Progress = lambda count: None,
 ) -> Posterior:
     """Sample the posterior (1).
 
@@ -349,23 +350,21 @@ def _sampled(target: _Target, stream: np.random.Generator, p: int) -> Posterior:
     drawn: list[np.ndarray] = []
     responses: list[np.ndarray] = []
     mixtures: list[list] = []
-    found = None
     for _ in range(ROUNDS):
         mixtures.append(components)
         drawn.append(_draw(components, stream, ROUND))
         responses.append(target.emulator(drawn[-1]))
-        every, response = np.concatenate(drawn), np.concatenate(responses)
-        φ = target.misfit(every, response)
+        z, response = np.concatenate(drawn), np.concatenate(responses)
+        φ = target.misfit(z, response)
         # The weight of each sample refers to the mixture of the proposals of all rounds.
-        q = logsumexp([_log_density(mixture, every) for mixture in mixtures], axis=0)
+        q = logsumexp([_log_density(mixture, z) for mixture in mixtures], axis=0)
         weight = np.exp(-φ - q - logsumexp(-φ - q))
-        best, least = (every[int(φ.argmin())], float(φ.min())) if φ.min() < modes[0][1] else modes[0][:2]
-        found = Posterior(every, response, φ, weight, best, least, target)
-        if found.count >= ENOUGH:
+        best, least = (z[int(φ.argmin())], float(φ.min())) if φ.min() < modes[0][1] else modes[0][:2]
+        result = Posterior(z, response, φ, weight, best, least, target)
+        if result.count >= ENOUGH:
             break
-        components = [*components[: len(modes)], _fitted(found, modes[0][2])]
-    assert found is not None
-    return found
+        components = [*components[: len(modes)], _fitted(result, modes[0][2])]
+    return result
 
 
 class _ModelEvaluations:
@@ -414,17 +413,15 @@ class _ModelEvaluations:
         n, p = self._z.shape
         if n < p + 2:
             raise SceneError(
-                f"scene {self._model.scene.name!r}: only {n} of its assemblies can be computed, too few to find a "
-                "cause; see what `mic run` says of the others"
+                f"scene {self._model.scene.name!r}: only {n} assemblies can be computed, too few to infer sources; see "
+                "the messages of `mic run` on the others"
             )
         return Emulator(self._z, self._h)
 
     def _evaluate(self, process: Process, z: np.ndarray) -> np.ndarray:
         """Key characteristics (n, k); NaN for assemblies that cannot be computed."""
-        found = process.attempt(from_normal(self._model.scene, z))
-        self._progress(len(z))
         self.count += len(z)
-        return np.where(found.failed[:, None], np.nan, found.measurements)
+        return key_characteristics(process, from_normal(self._model.scene, z), self._progress)
 
 
 class _Target:
@@ -463,13 +460,13 @@ class _Target:
                 J[better], r[better] = self._slopes(z[better])
             if not active.any():
                 break
-        found: list[tuple[np.ndarray, float, np.ndarray]] = []
+        distinct: list[tuple[np.ndarray, float, np.ndarray]] = []
         for i in np.argsort(φ, kind="stable"):
             covariance = np.linalg.inv(np.eye(p) + J[i].T @ J[i])
             root = np.linalg.cholesky(covariance)
-            if all(np.linalg.norm(np.linalg.solve(root, z[i] - other)) > SAME_MODE for other, _, _ in found):
-                found.append((z[i], float(φ[i]), covariance))
-        return found
+            if all(np.linalg.norm(np.linalg.solve(root, z[i] - other)) > SAME_MODE for other, _, _ in distinct):
+                distinct.append((z[i], float(φ[i]), covariance))
+        return distinct
 
     def _slopes(self, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Scaled derivatives J (n, k, p) and residuals r (n, k)."""
@@ -477,7 +474,7 @@ class _Target:
 
 
 def _shares(components) -> np.ndarray:
-    logs = np.array([one[2] for one in components])
+    logs = np.array([component[2] for component in components])
     return np.exp(logs - logsumexp(logs))
 
 
@@ -488,44 +485,44 @@ def _draw(components, stream, count: int) -> np.ndarray:
     size = np.where(stream.random(count) < WIDE_SHARE, np.sqrt(WIDE), 1.0)
     ξ = stream.standard_normal((count, p)) * size[:, None]
     roots = [np.linalg.cholesky(covariance) for _, covariance, _ in components]
-    return np.stack([components[k][0] + roots[k] @ one for k, one in zip(which, ξ)])
+    return np.stack([components[k][0] + roots[k] @ point for k, point in zip(which, ξ)])
 
 
 def _log_density(components, z: np.ndarray) -> np.ndarray:
     """(n,) logarithm of the density of the samples of :func:`_draw`."""
-    found, p = [], z.shape[1]
+    terms, p = [], z.shape[1]
     for (centre, covariance, _), share in zip(components, _shares(components)):
         root = np.linalg.cholesky(covariance)
         square = (np.linalg.solve(root, (z - centre).T) ** 2).sum(axis=0)
         size = np.log(np.diag(root)).sum() + 0.5 * p * np.log(2 * np.pi)
-        for part, wide in ((1 - WIDE_SHARE, 1.0), (WIDE_SHARE, WIDE)):
+        for part, factor in ((1 - WIDE_SHARE, 1.0), (WIDE_SHARE, WIDE)):
             log_part = np.log(max(share, 1e-300) * part)
-            found.append(log_part - 0.5 * square / wide - size - 0.5 * p * np.log(wide))
-    return np.asarray(logsumexp(found, axis=0))
+            terms.append(log_part - 0.5 * square / factor - size - 0.5 * p * np.log(factor))
+    return np.asarray(logsumexp(terms, axis=0))
 
 
-def _fitted(found: Posterior, known: np.ndarray):
+def _fitted(samples: Posterior, known: np.ndarray):
     """A component fitted to the samples so far, shrunk towards the covariance `known` if few samples are effective."""
-    p = found.z.shape[1]
-    mean = found.weight @ found.z
-    off = found.z - mean
-    covariance = (off * found.weight[:, None]).T @ off
-    trust = found.count / (found.count + p + 1)
+    p = samples.z.shape[1]
+    mean = samples.weight @ samples.z
+    difference = samples.z - mean
+    covariance = (difference * samples.weight[:, None]).T @ difference
+    trust = samples.count / (samples.count + p + 1)
     return mean, trust * covariance + (1 - trust) * known, 0.0
 
 
 # --------------------------------------------------------------------------------------------------------- tables
 
 
-def _further_measurements(scene, names, measured, gauge: float, found: Posterior, x, varied) -> pd.DataFrame:
+def _further_measurements(scene, names, measured, gauge: float, samples: Posterior, x, varied) -> pd.DataFrame:
     """Information that each unmeasured characteristic would give, by a gauge like those that were used."""
-    w, rows = found.weight, []
-    _, spread = _moments(found.response, w)
+    w, rows = samples.weight, []
+    _, spread = _moments(samples.response, w)
     for k, name in enumerate(names):
         if name in measured:
             continue
         share = spread[k] ** 2 / (spread[k] ** 2 + gauge**2)
-        columns = np.column_stack([x[:, varied], found.response[:, k]])
+        columns = np.column_stack([x[:, varied], samples.response[:, k]])
         reduction = np.nan_to_num(_correlation(columns, w)[-1, :-1]) ** 2 * share
         source = int(reduction.argmax())
         rows.append(
@@ -550,8 +547,8 @@ def _moments(x: np.ndarray, w: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 def _correlation(x: np.ndarray, w: np.ndarray) -> np.ndarray:
     mean, sigma = _moments(x, w)
-    off = (x - mean) / np.where(sigma > 0, sigma, np.inf)
-    return (off * w[:, None]).T @ off
+    standardised = (x - mean) / np.where(sigma > 0, sigma, np.inf)
+    return (standardised * w[:, None]).T @ standardised
 
 
 def _quantile(x: np.ndarray, w: np.ndarray, share: float) -> float:

@@ -32,8 +32,9 @@ from scipy.special import ndtr, ndtri
 
 from mic.process.model import ReducedModel
 from mic.results.schema import DESIGN_POINTS
-from mic.statistics.draw import numbers
-from mic.statistics.normal_space import from_normal, normal_slopes
+from mic.statistics.draw import number_count
+from mic.statistics.normal_space import from_normal, normal_derivatives
+from mic.studies.samples import Progress, half_tolerances
 
 __all__ = ["DesignPoints", "design_points", "differentiable", "union_probability", "first_order", "find_design_points"]
 
@@ -78,48 +79,48 @@ def find_design_points(slopes: Slopes, start: np.ndarray) -> DesignPoints:
     start : (s, d) array
         Starting point of each limit, with a nonzero gradient of g.
     """
-    z, every = np.array(start, dtype=float), np.arange(len(start))
-    g, slope = slopes(z, every)
-    found, todo = np.zeros(len(z), dtype=bool), every
+    z, numbers = np.array(start, dtype=float), np.arange(len(start))
+    g, slope = slopes(z, numbers)
+    converged, active = np.zeros(len(z), dtype=bool), numbers
     for _ in range(ROUNDS):
-        steep = np.linalg.norm(slope[todo], axis=1)
-        todo = todo[np.isfinite(g[todo]) & (steep > 0) & (np.linalg.norm(z[todo], axis=1) < 1.5 * FARTHEST)]
-        if not todo.size:
+        steep = np.linalg.norm(slope[active], axis=1)
+        active = active[np.isfinite(g[active]) & (steep > 0) & (np.linalg.norm(z[active], axis=1) < 1.5 * FARTHEST)]
+        if not active.size:
             break
-        own, at, value = slope[todo], z[todo], g[todo]
-        square = (own**2).sum(axis=1)
-        step = (((own * at).sum(axis=1) - value) / square)[:, None] * own - at
+        gradient, at, trial_g = slope[active], z[active], g[active]
+        squared = (gradient**2).sum(axis=1)
+        step = (((gradient * at).sum(axis=1) - trial_g) / squared)[:, None] * gradient - at
         scale = np.maximum(1.0, np.linalg.norm(at, axis=1))
-        near = (np.abs(value) < ENOUGH * np.sqrt(square) * scale) & (np.linalg.norm(step, axis=1) < ENOUGH * scale)
-        found[todo[near]] = True
-        todo, step = todo[~near], step[~near]
-        if not todo.size:
+        close = (np.abs(trial_g) < ENOUGH * np.sqrt(squared) * scale) & (np.linalg.norm(step, axis=1) < ENOUGH * scale)
+        converged[active[close]] = True
+        active, step = active[~close], step[~close]
+        if not active.size:
             break
         # c > ‖z‖/‖∇g‖ makes the step a descent direction
-        c = 2 * np.linalg.norm(z[todo], axis=1) / np.linalg.norm(slope[todo], axis=1) + 1.0
-        merit = 0.5 * (z[todo] ** 2).sum(axis=1) + c * np.abs(g[todo])
-        falls = FALLS * ((z[todo] * step).sum(axis=1) - c * np.abs(g[todo]))  # per length, were g linear
-        waiting, length = np.arange(len(todo)), 1.0
+        c = 2 * np.linalg.norm(z[active], axis=1) / np.linalg.norm(slope[active], axis=1) + 1.0
+        merit = 0.5 * (z[active] ** 2).sum(axis=1) + c * np.abs(g[active])
+        decrease = FALLS * ((z[active] * step).sum(axis=1) - c * np.abs(g[active]))  # per unit of length
+        pending, length = np.arange(len(active)), 1.0
         for _ in range(HALVINGS):
-            which = todo[waiting]
-            there = z[which] + length * step[waiting]
-            value, gradient = slopes(there, which)
-            after = 0.5 * (there**2).sum(axis=1) + c[waiting] * np.abs(value)
-            better = after <= merit[waiting] + length * falls[waiting]
+            trial_limits = active[pending]
+            trial = z[trial_limits] + length * step[pending]
+            trial_g, trial_slope = slopes(trial, trial_limits)
+            after = 0.5 * (trial**2).sum(axis=1) + c[pending] * np.abs(trial_g)
+            better = after <= merit[pending] + length * decrease[pending]
             better |= length < 2.0 ** (2 - HALVINGS)
-            better &= np.isfinite(value)
-            taken = which[better]
-            z[taken], g[taken], slope[taken] = there[better], value[better], gradient[better]
-            waiting, length = waiting[~better], length / 2
-            if not waiting.size:
+            better &= np.isfinite(trial_g)
+            improved = trial_limits[better]
+            z[improved], g[improved], slope[improved] = trial[better], trial_g[better], trial_slope[better]
+            pending, length = pending[~better], length / 2
+            if not pending.size:
                 break
-        todo = np.delete(todo, waiting)  # limits without an improving step end here
+        active = np.delete(active, pending)  # limits without an improving step end here
     steep = np.linalg.norm(slope, axis=1, keepdims=True)
     direction = np.divide(slope, steep, out=np.zeros_like(slope), where=steep > 0)
     # Distance of the tangent plane of the limit.
     flat = np.where(g < 0, -np.inf, np.inf)
     beta = (direction * z).sum(axis=1) - np.divide(g, steep[:, 0], out=flat, where=steep[:, 0] > 0)
-    return DesignPoints(z, beta, direction, found)
+    return DesignPoints(z, beta, direction, converged)
 
 
 def union_probability(direction: np.ndarray, beta: np.ndarray) -> float:
@@ -132,33 +133,33 @@ def union_probability(direction: np.ndarray, beta: np.ndarray) -> float:
     beta : (s,) array
     """
     p = ndtr(-beta)
-    own = p > 0
-    direction, beta, p = direction[own], beta[own], p[own]
+    possible = p > 0
+    direction, beta, p = direction[possible], beta[possible], p[possible]
     if len(p) < 2:
         return float(p.sum())
     stream = np.random.Generator(np.random.Philox(key=len(p)))
-    which = stream.choice(len(p), UNION, p=p / p.sum())
-    along = -ndtri(stream.random(UNION) * p[which])  # standard normal beyond β
+    chosen = stream.choice(len(p), UNION, p=p / p.sum())
+    along = -ndtri(stream.random(UNION) * p[chosen])  # standard normal beyond β
     z = stream.standard_normal((UNION, direction.shape[1]))
-    z += (along - (z * direction[which]).sum(axis=1))[:, None] * direction[which]
+    z += (along - (z * direction[chosen]).sum(axis=1))[:, None] * direction[chosen]
     inside = z @ direction.T > beta
-    inside[np.arange(UNION), which] = True
+    inside[np.arange(UNION), chosen] = True
     return float(p.sum() * (1 / inside.sum(axis=1)).mean())
 
 
 def design_points(
-    model: ReducedModel, law: str | None, z: np.ndarray, y: np.ndarray, progress: Callable[[int], None] = lambda n: None
+    model: ReducedModel, law: str | None, z: np.ndarray, y: np.ndarray, progress: Progress = lambda n: None
 ) -> tuple[pd.DataFrame, DesignPoints, list[tuple[int, str]]]:
     """The design point of each limit of each key characteristic.
 
     Parameters
     ----------
     model : ReducedModel
-        None of its deviations resamples measured parts, which have no derivatives.
+        Must not resample measured parts, which have no derivatives.
     law : str, optional
     z, y : (n, d), (n, k) array
         Numbers and key characteristics of samples. The search starts at the most likely violation of each limit, or at
-        the sample nearest to it.
+        the sample nearest to the limit.
     progress : callable, optional
         Called with the number of assemblies after each round.
 
@@ -185,55 +186,54 @@ def design_points(
     number = np.array([k for k, _ in limits], dtype=int)
     sign = np.array([-1.0 if side == "lower" else 1.0 for _, side in limits])
     limit = np.array([getattr(scene.measurements[k], side) for k, side in limits])
-    half = np.array([(item.upper - item.lower) / 2 for item in scene.measurements])[number]
+    half = half_tolerances(scene)[number]
 
-    def slopes(at: np.ndarray, which: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def slopes(at: np.ndarray, selected: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         at = at.clip(-FARTHEST, FARTHEST)
-        values, turned = from_normal(scene, at), normal_slopes(scene, at)
-        found = model.sensitivities(values, law)
+        values, derivatives = from_normal(scene, at), normal_derivatives(scene, at)
+        result = model.sensitivities(values, law)
         progress(len(at))
-        k, rows = number[which], np.arange(len(at))
-        g = sign[which] * (found.measurements[rows, k] - limit[which]) / half[which]
-        slope = (sign / half)[which, None] * np.einsum("np,npd->nd", found.jacobian[rows, k], turned)
-        return np.where(found.failed, np.nan, g), np.nan_to_num(slope)
+        k, rows = number[selected], np.arange(len(at))
+        g = sign[selected] * (result.measurements[rows, k] - limit[selected]) / half[selected]
+        slope = (sign / half)[selected, None] * np.einsum("np,npd->nd", result.jacobian[rows, k], derivatives)
+        return np.where(result.failed, np.nan, g), np.nan_to_num(slope)
 
     g = sign * (y[:, number] - limit) / half
     g[~np.isfinite(g)] = -np.inf
     length = np.linalg.norm(z, axis=1)[:, None]
     first = np.where(g > 0, FARTHEST**2 - length, g - np.abs(g).max(where=np.isfinite(g), initial=1.0)).argmax(axis=0)
-    found = find_design_points(slopes, z[first])
-    return _tabled(scene, law or scene.report.laws[0], found, limits), found, limits
+    design = find_design_points(slopes, z[first])
+    return _table(scene, law or scene.report.laws[0], design, limits), design, limits
 
 
-def _tabled(scene, law: str, found: DesignPoints, limits: Sequence[tuple[int, str]]) -> pd.DataFrame:
-    values = from_normal(scene, found.z.clip(-FARTHEST, FARTHEST))
-    rows = []
-    for i, (k, side) in enumerate(limits):
-        for j, item in enumerate(scene.deviations):
-            off = values[i, j] - item.mean
-            rows.append(
-                {
-                    "law": law,
-                    "measurement": scene.measurements[k].name,
-                    "limit": side,
-                    "beta": float(found.beta[i]),
-                    "probability": float(ndtr(-found.beta[i])),
-                    "found": bool(found.found[i]),
-                    "deviation": item.name,
-                    "value": float(values[i, j]),
-                    "sigmas": float(off / item.sigma) if item.sigma > 0 else 0.0,
-                    "share": float(found.direction[i, j] ** 2),
-                }
-            )
+def _table(scene, law: str, design: DesignPoints, limits: Sequence[tuple[int, str]]) -> pd.DataFrame:
+    """One row for each limit and deviation."""
+    values = from_normal(scene, design.z.clip(-FARTHEST, FARTHEST))
+    rows = [
+        {
+            "law": law,
+            "measurement": scene.measurements[k].name,
+            "limit": side,
+            "beta": float(design.beta[i]),
+            "probability": float(ndtr(-design.beta[i])),
+            "found": bool(design.found[i]),
+            "deviation": item.name,
+            "value": float(values[i, j]),
+            "sigmas": float((values[i, j] - item.mean) / item.sigma) if item.sigma > 0 else 0.0,
+            "share": float(design.direction[i, j] ** 2),
+        }
+        for i, (k, side) in enumerate(limits)
+        for j, item in enumerate(scene.deviations)
+    ]
     return pd.DataFrame(rows, columns=DESIGN_POINTS.names)
 
 
-def first_order(found: DesignPoints, limits: Sequence[tuple[int, str]], own: Sequence[int]) -> float:
+def first_order(design: DesignPoints, limits: Sequence[tuple[int, str]], group: Sequence[int]) -> float:
     """First-order probability that any limit of some characteristics, given by number, is violated."""
-    some = np.isin([k for k, _ in limits], list(own)) & np.isfinite(found.beta)
-    return union_probability(found.direction[some], found.beta[some])
+    selected = np.isin([k for k, _ in limits], list(group)) & np.isfinite(design.beta)
+    return union_probability(design.direction[selected], design.beta[selected])
 
 
 def differentiable(scene) -> bool:
     """Whether the deviations are differentiable functions of the numbers z."""
-    return numbers(scene) == len(scene.deviations)
+    return number_count(scene) == len(scene.deviations)

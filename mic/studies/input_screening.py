@@ -22,7 +22,7 @@ References
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from scipy.special import chdtri
@@ -30,23 +30,23 @@ from scipy.special import chdtri
 from mic.errors import SceneError
 from mic.process.model import ReducedModel
 from mic.statistics.estimates import LEVEL
-from mic.statistics.normal_space import from_normal, normal_slopes
+from mic.statistics.normal_space import from_normal, normal_derivatives
+from mic.studies.samples import Progress, derivatives
 
-__all__ = ["NEGLECTED", "MANY", "SAMPLES", "bounds", "left_out"]
+__all__ = ["NEGLECTED", "MANY", "SAMPLES", "bounds", "negligible"]
 
 MANY = 20  #: number of contributors above which some are left out
 SAMPLES = 40  #: samples with derivatives
 NEGLECTED = 0.05  #: largest share of any variance for all contributors that are left out together
-BLOCK = 10  # samples between two calls of `progress`
 
 
 def bounds(
     model: ReducedModel,
     law: str,
-    own: Mapping[str, Sequence[int]],
+    contributors: Mapping[str, Sequence[int]],
     samples: int = SAMPLES,
     seed: int = 0,
-    progress: Callable[[int], None] = lambda count: None,
+    progress: Progress = lambda count: None,
 ) -> np.ndarray | None:
     """Upper bounds of the total index of each contributor.
 
@@ -54,50 +54,44 @@ def bounds(
     ----------
     model : ReducedModel
     law : str
-    own : mapping of str to sequence of int
+    contributors : mapping of str to sequence of int
         Numbers of the deviations of each contributor; contributors are independent.
     samples, seed : int
     progress : callable, optional
-        Called with the number of samples that were done.
+        Called with the number of evaluated samples.
 
     Returns
     -------
     (g, k) array or None
-        Infinite for resampled measured parts, which have no derivatives; None if parts are held by contact alone, so
-        that there are no derivatives.
+        Infinite for resampled measured parts, which have no derivatives; None if parts are held by contact alone, which
+        leaves no derivatives, or if fewer than three samples are valid.
     """
     scene = model.scene
     stream = np.random.Generator(np.random.Philox(key=np.array([seed, samples], dtype=np.uint64)))
     z = stream.standard_normal((samples, len(scene.deviations)))
-    values, turned = from_normal(scene, z), normal_slopes(scene, z)
-    y, slopes = [], []
     try:
-        for first in range(0, samples, BLOCK):
-            found = model.sensitivities(values[first : first + BLOCK], law)
-            y.append(np.where(found.failed[:, None], np.nan, found.measurements))
-            slopes.append(np.matmul(found.jacobian, turned[first : first + BLOCK]))
-            progress(len(found.failed))
+        y, jacobian = derivatives(model, from_normal(scene, z), law, progress)
     except SceneError:
         return None
-    whole, slope = np.concatenate(y), np.concatenate(slopes)
-    known = np.isfinite(whole).all(axis=1) & np.isfinite(slope).all(axis=(1, 2))
-    whole, square = whole[known], slope[known] ** 2
-    n = len(whole)
+    slopes = np.matmul(jacobian, normal_derivatives(scene, z))
+    known = np.isfinite(y).all(axis=1) & np.isfinite(slopes).all(axis=(1, 2))
+    y, squares = y[known], slopes[known] ** 2
+    n = len(y)
     if n < 3:
         return None
-    low = whole.var(axis=0, ddof=1) * (n - 1) / chdtri(n - 1, (1 - LEVEL) / 2)
-    told = []
-    for columns in own.values():
+    variance = y.var(axis=0, ddof=1) * (n - 1) / chdtri(n - 1, (1 - LEVEL) / 2)
+    bound = []
+    for columns in contributors.values():
         if any(getattr(scene.deviations[j], "scores", None) is not None for j in columns):
-            told.append(np.full(whole.shape[1], np.inf))
+            bound.append(np.full(y.shape[1], np.inf))
             continue
-        each = square[:, :, list(columns)].sum(axis=2)
-        told.append(each.mean(axis=0) + 2 * each.std(axis=0, ddof=1) / np.sqrt(n))
+        ν = squares[:, :, list(columns)].sum(axis=2)
+        bound.append(ν.mean(axis=0) + 2 * ν.std(axis=0, ddof=1) / np.sqrt(n))
     with np.errstate(invalid="ignore", divide="ignore"):
-        return np.array(told) / low
+        return np.array(bound) / variance
 
 
-def left_out(bound: np.ndarray, varies: np.ndarray) -> np.ndarray:
+def negligible(bound: np.ndarray, varies: np.ndarray) -> np.ndarray:
     """(g,) contributors that may be left out: the smallest, with at most :data:`NEGLECTED` of any variance together.
 
     Parameters
@@ -106,8 +100,8 @@ def left_out(bound: np.ndarray, varies: np.ndarray) -> np.ndarray:
     varies : (k,) bool array
         Characteristics that vary.
     """
-    own = bound[:, varies]
-    order = np.argsort(own.max(axis=1, initial=0.0), kind="stable")
-    out = np.zeros(len(bound), dtype=bool)
-    out[order] = (np.cumsum(own[order], axis=0) <= NEGLECTED).all(axis=1)
-    return out if out.sum() > 1 else np.zeros_like(out)
+    relevant = bound[:, varies]
+    order = np.argsort(relevant.max(axis=1, initial=0.0), kind="stable")
+    negligible = np.zeros(len(bound), dtype=bool)
+    negligible[order] = (np.cumsum(relevant[order], axis=0) <= NEGLECTED).all(axis=1)
+    return negligible if negligible.sum() > 1 else np.zeros_like(negligible)

@@ -36,7 +36,7 @@ __all__ = [
     "Order",
     "compare",
     "doubts",
-    "named",
+    "moved_names",
     "order",
     "orders",
     "quantities",
@@ -62,7 +62,7 @@ class Order:
     Attributes
     ----------
     name : str
-        In words.
+        Description.
     scene : Scene
         The scene with this order.
     """
@@ -72,99 +72,97 @@ class Order:
 
 
 def orders(scene: Scene, permutations: int = PERMUTATIONS, seed: int = 1) -> list[Order]:
-    """The order that a scene states, first, and all that are worth a comparison.
+    """The stated order of a scene, first, and all distinct others of a fixed list of variants.
 
     Parameters
     ----------
     scene : Scene
     permutations : int
-        Random orders of what the clamp stages close.
+        Number of random orders of the clamp stages.
     seed : int
-        Of these.
+        Seed of the random orders.
     """
-    found = {STATED: scene}
-    for name, change in chain(_closing(scene), _welding(scene), _releasing(scene)):
-        found.setdefault(name, change)
+    candidates = [(STATED, scene), *_clamp_orders(scene), *_weld_orders(scene), *_release_orders(scene)]
     settle = scene.stages[0].settle
-    found["parts settle while the first thing closes" if settle else "parts settle first"] = _changed(
-        scene, {0: {"settle": not settle}}
-    )
-    draws = np.random.default_rng(seed)
-    for number in range(permutations):
-        found[f"random {number + 1}"] = _reordered(
-            scene, "clamp", lambda groups: [groups[i] for i in draws.permutation(len(groups))]
-        )
+    name = "parts settle while the first thing closes" if settle else "parts settle first"
+    candidates.append((name, _with_stages(scene, {0: {"settle": not settle}})))
+    stream = np.random.default_rng(seed)
+    shuffle = lambda groups: [groups[i] for i in stream.permutation(len(groups))]
+    candidates += [(f"random {i + 1}", _reordered(scene, "clamp", shuffle)) for i in range(permutations)]
     unique: list[Order] = []
-    for name, other in found.items():
-        same = [each for each in unique if _process(each.scene) == _process(other)]
-        if not same:
-            unique.append(Order(name, other))
+    for name, variant in candidates:
+        if not any(_moves(order.scene) == _moves(variant) for order in unique):
+            unique.append(Order(name, variant))
     return unique
 
 
 def variants(scene: Scene, path: Path) -> list[Order]:
-    """The order that a scene states, first, and those of a file.
+    """The stated order of a scene, first, and the orders of a file.
 
-    The file is a TOML table: each of ``[[orders]]`` has a ``name``, and in ``stages`` by their names the keys that are
-    others in the scene's stages; an empty list takes a key away.
+    The file is a TOML table: each entry of ``[[orders]]`` has a ``name`` and a table ``stages``, which gives the
+    changed keys of each stage by its name; an empty list removes a key.
 
     Raises
     ------
     SceneError
-        Naming the file, the order, the key and the remedy.
+        Names the file, the order, the key and the remedy.
     """
     try:
         table = tomllib.loads(Path(path).read_text(encoding="utf-8"))
     except OSError as error:
         raise SceneError(f"{path}: cannot be read ({str(error.strerror).lower()}); check the path") from None
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise SceneError(f"{path}: not valid TOML: {error}; mend the syntax there") from None
-    found = [Order(STATED, scene)]
+        raise SceneError(f"{path}: not valid TOML: {error}; correct the syntax") from None
     listed = table.get("orders")
     if set(table) != {"orders"} or not isinstance(listed, list) or not listed:
-        raise SceneError(f"{path}: give one or more [[orders]], and nothing else")
-    for i, order in enumerate(listed):
-        key = f"{path}: orders[{i}]"
-        if set(order) != {"name", "stages"} or not isinstance(order["stages"], dict):
-            raise SceneError(f"{key}: give name and stages, the stages by their names, and nothing else")
-        dumped = scene.model_dump(mode="json")
-        own = {str(stage.name): dumped["stages"][number] for number, stage in enumerate(scene.stages)}
-        unknown = set(order["stages"]) - set(own)
-        if unknown:
-            raise SceneError(
-                f"{key}.stages: the scene has no stage called {min(unknown)!r}; name one of: {', '.join(own)}"
-            )
-        for name, keys in order["stages"].items():
-            own[name].update({key: None if value == [] else value for key, value in keys.items()})
-        try:
-            changed = Scene(**dumped).model_copy(update={"folder": scene.folder})
-        except ValidationError as error:
-            told = error.errors()[0]
-            place = ".".join(map(str, told["loc"]))
-            raise SceneError(f"{key}: {place}{': ' * bool(place)}{told['msg'].removeprefix('Value error, ')}") from None
-        found.append(Order(str(order["name"]), changed))
+        raise SceneError(f"{path}: the file must contain at least one [[orders]] and nothing else")
+    found = [Order(STATED, scene), *(_variant(scene, f"{path}: orders[{i}]", entry) for i, entry in enumerate(listed))]
     names = [order.name for order in found]
-    twice = [name for name in names if names.count(name) > 1]
-    if twice:
-        raise SceneError(f"{path}: the name {twice[0]!r} stands more than once; give each order its own")
+    repeated = [name for name in names if names.count(name) > 1]
+    if repeated:
+        raise SceneError(f"{path}: several orders are named {repeated[0]!r}; give each order its own name")
     return found
 
 
-def _process(scene: Scene):
-    """What happens, whatever it is called: what makes two orders one."""
-    told = []
-    for stage, moves in stage_moves(scene):
-        told.append([frozenset(move) for move in (together(moves) if stage.path == "one-step" else moves)])
-    return told, scene.stages[0].settle
+def _variant(scene: Scene, key: str, entry: dict) -> Order:
+    """The order of one entry of a file; `key` names the entry in messages."""
+    if set(entry) != {"name", "stages"} or not isinstance(entry["stages"], dict):
+        raise SceneError(f"{key}: give name and stages, a table of stages by name, and nothing else")
+    dumped = scene.model_dump(mode="json")
+    stages = {str(stage.name): dumped["stages"][i] for i, stage in enumerate(scene.stages)}
+    unknown = set(entry["stages"]) - set(stages)
+    if unknown:
+        raise SceneError(
+            f"{key}.stages: the scene has no stage called {min(unknown)!r}; name one of: {', '.join(stages)}"
+        )
+    for name, keys in entry["stages"].items():
+        stages[name].update({key: None if value == [] else value for key, value in keys.items()})
+    try:
+        changed = Scene(**dumped).model_copy(update={"folder": scene.folder})
+    except ValidationError as error:
+        first = error.errors()[0]
+        place = ".".join(map(str, first["loc"]))
+        raise SceneError(f"{key}: {place}{': ' * bool(place)}{first['msg'].removeprefix('Value error, ')}") from None
+    return Order(str(entry["name"]), changed)
 
 
-def _closing(scene: Scene) -> Iterator[tuple[str, Scene]]:
+def _moves(scene: Scene):
+    """Moves by stage, regardless of names: two orders with equal moves are the same."""
+    stages = [
+        [frozenset(move) for move in (together(moves) if stage.path == "one-step" else moves)]
+        for stage, moves in stage_moves(scene)
+    ]
+    return stages, scene.stages[0].settle
+
+
+def _clamp_orders(scene: Scene) -> Iterator[tuple[str, Scene]]:
     locators = {locator.name for locator in scene.locators}
 
     def by_kind(groups: Groups, first: bool) -> Groups:
-        own = [[name for name in group if name in locators] for group in groups]
-        rest = [[name for name in group if name not in locators] for group in groups]
-        return [group for group in (own + rest if first else rest + own) if group]
+        """The groups split into locators and others; the locators come first if `first`."""
+        kinds = (first, not first)
+        split = [[name for name in group if (name in locators) == kind] for kind in kinds for group in groups]
+        return [group for group in split if group]
 
     yield "reverse", _reordered(scene, "clamp", lambda groups: groups[::-1])
     yield "locators first", _reordered(scene, "clamp", lambda groups: by_kind(groups, True))
@@ -173,50 +171,53 @@ def _closing(scene: Scene) -> Iterator[tuple[str, Scene]]:
     yield "all together", _reordered(scene, "clamp", lambda groups: [list(chain(*groups))])
 
 
-def _welding(scene: Scene) -> Iterator[tuple[str, Scene]]:
-    """A weld that keeps what it finds moves nothing: only those that close their gaps, or have guns, have an order."""
+def _weld_orders(scene: Scene) -> Iterator[tuple[str, Scene]]:
+    """Orders of the welds; only welds that close their gaps or have guns move anything."""
     if any(weld.close or weld.gun is not None for weld in scene.welds):
         yield "welds one by one", _reordered(scene, "weld", lambda groups: [[name] for name in chain(*groups)])
         yield "welds in reverse", _reordered(scene, "weld", lambda groups: [[n] for n in chain(*groups)][::-1])
         yield "welds together", _reordered(scene, "weld", lambda groups: [list(chain(*groups))])
 
 
-def _releasing(scene: Scene) -> Iterator[tuple[str, Scene]]:
+def _release_orders(scene: Scene) -> Iterator[tuple[str, Scene]]:
     yield "opened in the order of closing", _reordered(scene, "release", lambda groups: groups[::-1])
     yield "opened all together", _reordered(scene, "release", lambda groups: [list(chain(*groups))])
 
 
 def _reordered(scene: Scene, kind: str, change: Callable[[Groups], Groups]) -> Scene:
-    """The scene with the groups of all its stages of a kind changed."""
+    """The scene with changed groups in all stages of a kind."""
     updates: dict[int, dict] = {}
     for i, (stage, moves) in enumerate(stage_moves(scene)):
-        groups = [names for move in moves if (names := named(scene, move))]
+        groups = [names for move in moves if (names := moved_names(scene, move))]
         if stage.kind == kind and len(groups) + len(groups[0] if groups else ()) > 2:
             path = None if stage.path == "one-step" else stage.path
             updates[i] = {"order": [group for group in change(groups) if group], "sequence": False, "path": path}
-    return _changed(scene, updates)
+    return _with_stages(scene, updates)
 
 
-def named(scene: Scene, move) -> list[str]:
-    """Names of what a move closes or opens."""
-    found: list[str] = []
+def moved_names(scene: Scene, move) -> list[str]:
+    """Names of the locators, clamps and welds that a move closes or opens."""
+    names: list[str] = []
     for action in move:
-        if isinstance(action, Hold | Open):
-            found += [scene.locators[i].name for i in action.locators]
-        if isinstance(action, Hold):
-            found += [scene.clamps[i].name for i in action.strokes]
-        if isinstance(action, Push):
-            found += [scene.clamps[i].name for i in action.forces]
-        if isinstance(action, Press):
-            found += [scene.clamps[i].name for i in action.limited]
-        if isinstance(action, Withdraw):
-            found += [scene.clamps[i].name for i in action.clamps]
-        if isinstance(action, Close):
-            found += [scene.welds[i].name for i in action.welds]
-    return found
+        match action:
+            case Hold():
+                names += [scene.locators[i].name for i in action.locators]
+                names += [scene.clamps[i].name for i in action.strokes]
+            case Open():
+                names += [scene.locators[i].name for i in action.locators]
+            case Push():
+                names += [scene.clamps[i].name for i in action.forces]
+            case Press():
+                names += [scene.clamps[i].name for i in action.limited]
+            case Withdraw():
+                names += [scene.clamps[i].name for i in action.clamps]
+            case Close():
+                names += [scene.welds[i].name for i in action.welds]
+    return names
 
 
-def _changed(scene: Scene, updates: dict[int, dict]) -> Scene:
+def _with_stages(scene: Scene, updates: dict[int, dict]) -> Scene:
+    """The scene with updated keys of some stages, by number."""
     stages = [stage.model_copy(update=updates.get(i, {})) for i, stage in enumerate(scene.stages)]
     return scene.model_copy(update={"stages": stages})
 
@@ -230,7 +231,7 @@ def compare(
     threads: int = 1,
     done: Callable[[str], None] = lambda name: None,
 ) -> pd.DataFrame:
-    """Key characteristics and slips under each order, and how they differ from the first.
+    """Key characteristics and slips under each order, and their changes from the first order.
 
     Parameters
     ----------
@@ -238,30 +239,30 @@ def compare(
     others : sequence of Order
     law : str
     samples, seed : int
-        The same samples for all.
+        All orders take the same samples.
     threads : int
     done : callable, optional
-        Called with the name of each order that is evaluated.
+        Called with the name of each evaluated order.
 
     Returns
     -------
     DataFrame
-        One row for each order and quantity, the stated order first, then those that change most of a tolerance:
-        ``order``; ``quantity``, a key characteristic's name or ``"slip STAGE ZONE"``, a zone's RMS slip under load in a
-        stage; ``tolerance`` (mm, NaN for slips); ``mean`` and ``six_sigma`` (mm); ``mean_change`` and
-        ``six_sigma_change`` (mm) with jackknife standard errors ``mean_error`` and ``six_sigma_error``; ``samples``
-        that neither order failed.
+        One row for each order and quantity, the stated order first, then by decreasing change relative to the
+        tolerance: ``order``; ``quantity``, the name of a key characteristic or ``"slip STAGE ZONE"``, the RMS slip of a
+        zone under load in a stage; ``tolerance`` (mm, NaN for slips); ``mean`` and ``six_sigma`` (mm); ``mean_change``
+        and ``six_sigma_change`` (mm) with jackknife standard errors ``mean_error`` and ``six_sigma_error``;
+        ``samples``, the number of samples that failed under neither order.
     """
     deviations = draw(model.scene, seed, 0, samples)
     tables, base, base_failed = [], None, None
-    for other in others:
-        own = replace(model, scene=other.scene)
-        evaluation = own.process(law, threads=threads).evaluate(deviations)
-        values = quantities(own, evaluation)
+    for variant in others:
+        reordered = replace(model, scene=variant.scene)
+        evaluation = reordered.process(law, threads=threads).evaluate(deviations)
+        values = quantities(reordered, evaluation)
         if base is None or base_failed is None:
             base, base_failed = values, evaluation.failed
-        tables.append(_changes(other.name, values, base, ~(evaluation.failed | base_failed)))
-        done(other.name)
+        tables.append(_changes(variant.name, values, base, ~(evaluation.failed | base_failed)))
+        done(variant.name)
     table = pd.concat(tables, ignore_index=True)
     tolerance = {item.name: item.upper - item.lower for item in model.scene.measurements}
     table.insert(2, "tolerance", table["quantity"].map(tolerance).astype(float))
@@ -276,13 +277,13 @@ def order(
     seed: int = 0,
     threads: int = 1,
 ) -> pd.DataFrame:
-    """How much hangs on the order of the process: :func:`compare` of all orders that are worth it.
+    """Effect of the process order on the results: :func:`compare` of the orders of :func:`orders`.
 
     Parameters
     ----------
     model : ReducedModel
     others : sequence of Order, optional
-        The order as stated and others; default: those that :func:`orders` finds.
+        The stated order first; default: the orders of :func:`orders`.
     law : str, optional
         Contact law; default: the first of the scene's report.
     samples, seed, threads : int
@@ -295,34 +296,35 @@ def order(
     Raises
     ------
     SceneError
-        If the process has one order only.
+        If the process has a single order.
     """
     others = orders(model.scene) if others is None else others
     if len(others) < 2:
-        raise SceneError(f"scene {model.scene.name!r}: its process has one order only; there is nothing to compare")
-    asked = law or model.scene.report.laws[0]
-    found = compare(model, others, asked, samples, seed, threads)
-    return found.assign(law=asked)[ORDERS.names]
+        raise SceneError(f"scene {model.scene.name!r}: its process has a single order; there is nothing to compare")
+    law = law or model.scene.report.laws[0]
+    return compare(model, others, law, samples, seed, threads).assign(law=law)[ORDERS.names]
 
 
 def quantities(model, evaluation: Evaluation) -> pd.DataFrame:
-    """One column for each key characteristic, under its name, and for the slip under load of each zone with friction in
-    each stage, as ``slip STAGE ZONE`` and as a run's results have it, mm."""
+    """Key characteristics and slips of samples, one column each, mm.
+
+    A slip is the RMS slip under load of a zone with friction in a stage, as in the results of a run; its column is
+    ``slip STAGE ZONE``.
+    """
     names = [item.name for item in model.scene.measurements] if evaluation.measurements.size else []
     columns = dict(zip(names, evaluation.measurements.T))
     if LAWS[evaluation.law].frictional:
         for stage, resolution in evaluation.resolutions.items():
             for i, zone in enumerate(model.scene.zones):
-                own = model.contacts.zone == i
-                if _rubs(model.contacts, stage)[own].any():
-                    columns[f"slip {stage} {zone.name}"] = zone_motion(resolution, model.contacts, own, True)[
-                        "rms_slip"
-                    ]
+                pairs = model.contacts.zone == i
+                if _has_friction(model.contacts, stage)[pairs].any():
+                    motion = zone_motion(resolution, model.contacts, pairs, True)
+                    columns[f"slip {stage} {zone.name}"] = motion["rms_slip"]
     return pd.DataFrame(columns)
 
 
 def _changes(name: str, values: pd.DataFrame, base: pd.DataFrame, valid: np.ndarray) -> pd.DataFrame:
-    """How much mean and 6σ of each column differ from the stated order's, over the samples that are valid in both."""
+    """Changes of mean and 6σ of each column from the stated order, over the samples that are valid in both."""
     a, b, n = values.to_numpy()[valid], base.to_numpy()[valid], int(valid.sum())
 
     def statistics(x):
@@ -350,6 +352,7 @@ def _changes(name: str, values: pd.DataFrame, base: pd.DataFrame, valid: np.ndar
 
 
 def _by_largest(table: pd.DataFrame) -> pd.DataFrame:
+    """The table with the orders sorted by their largest change relative to the tolerance, the stated one first."""
     change = table[["mean_change", "six_sigma_change"]].abs().max(axis=1)
     scale = table["tolerance"].where(table["tolerance"].notna(), np.inf)
     largest = (change / scale).groupby(table["order"]).max()
@@ -358,10 +361,9 @@ def _by_largest(table: pd.DataFrame) -> pd.DataFrame:
 
 
 def doubts(model: ReducedModel) -> list[str]:
-    """What a process as stated leaves to doubt: stages in which friction hardly matters, and an outcome that hangs on
-    how the parts are set down; one sentence each.
+    """Sentences on stages in which friction hardly matters, and on an effect of how the parts settle.
 
-    A few samples under one increment for each step say it: enough for a doubt, not for a number.
+    They result from a few samples with one increment per step, which suffice to raise a doubt but not for a number.
 
     Parameters
     ----------
@@ -376,54 +378,57 @@ def doubts(model: ReducedModel) -> list[str]:
         for i, stage in enumerate(scene.stages)
         if stage.path != "one-step" and stage.kind in FOLLOWING
     }
-    stated = _changed(scene, rough)
-    other = _changed(stated, {0: {"settle": not scene.stages[0].settle}})
+    stated = _with_stages(scene, rough)
+    other = _with_stages(stated, {0: {"settle": not scene.stages[0].settle}})
     deviations = draw(scene, scene.monte_carlo.seed, 0, DOUBT_SAMPLES)
-    rubbing, unsettled = (replace(model, scene=each).process(law).evaluate(deviations) for each in (stated, other))
+    frictional, resettled = (
+        replace(model, scene=variant).process(law).evaluate(deviations) for variant in (stated, other)
+    )
     try:
-        smooth = replace(model, scene=stated).process("frictionless").evaluate(deviations)
-    except SceneError:  # friction holds what rests by contact alone
-        found = []
+        frictionless = replace(model, scene=stated).process("frictionless").evaluate(deviations)
+    except SceneError:  # without friction a part is unconstrained
+        sentences = []
     else:
-        found = [_idle_friction(model, rubbing, smooth, stage) for stage in rubbing.resolutions]
-    return [sentence for sentence in (*found, _hangs_on_settling(model, rubbing, unsettled)) if sentence]
+        sentences = [_small_friction_effect(model, frictional, frictionless, s) for s in frictional.resolutions]
+    return [sentence for sentence in (*sentences, _settling_effect(model, frictional, resettled)) if sentence]
 
 
-def _rubs(contacts, stage: str) -> np.ndarray:
+def _has_friction(contacts, stage: str) -> np.ndarray:
     """(m,) whether a pair has friction in a stage."""
     friction = contacts.friction_in(stage)
     by_pressure = False if contacts.pressure.shape[1] == 0 else ~np.isnan(contacts.pressure[:, 0, 0])
     return (friction.coefficient > 0) | by_pressure
 
 
-def _idle_friction(model, rubbing: Evaluation, smooth: Evaluation, stage: str) -> str | None:
-    """Tangential motion of the contacts that end the stage closed, with friction and without."""
-    with_, without = rubbing.resolutions[stage], smooth.resolutions[stage]
-    closed = (with_.state != OPEN) & _rubs(model.contacts, stage)
+def _small_friction_effect(model, frictional: Evaluation, frictionless: Evaluation, stage: str) -> str | None:
+    """A sentence if friction hardly changes the tangential motion of the contacts that end the stage closed."""
+    with_, without = frictional.resolutions[stage], frictionless.resolutions[stage]
+    closed = (with_.state != OPEN) & _has_friction(model.contacts, stage)
     if not closed.any():
-        return None  # nothing that presses has friction here
-    moved = without.displacement[closed][:, 1:]
-    held = np.linalg.norm(with_.displacement[closed][:, 1:] - moved)
-    if held > FRICTION_MATTERS * np.linalg.norm(moved):
+        return None
+    motion = without.displacement[closed][:, 1:]
+    change = np.linalg.norm(with_.displacement[closed][:, 1:] - motion)
+    if change > FRICTION_MATTERS * np.linalg.norm(motion):
         return None
     return (
-        f"stage {stage}: friction changes where the contacts end by no more than {100 * FRICTION_MATTERS:g} % of their "
-        "motion: what moves here moves before the parts press on each other, or not along them"
+        f"stage {stage}: friction changes the tangential motion of the closed contacts by at most "
+        f"{100 * FRICTION_MATTERS:g} %: the parts move before they press on each other, or not along each other"
     )
 
 
-def _hangs_on_settling(model, stated: Evaluation, other: Evaluation) -> str | None:
-    limits = np.array([item.upper - item.lower for item in model.scene.measurements])
-    a, b = (each.measurements for each in (stated, other))
+def _settling_effect(model, stated: Evaluation, other: Evaluation) -> str | None:
+    """A sentence if a key characteristic depends on when overlapping parts settle."""
+    tolerance = np.array([item.upper - item.lower for item in model.scene.measurements])
+    a, b = stated.measurements, other.measurements
     if not a.size:
         return None
     change = np.maximum(np.abs(a.mean(0) - b.mean(0)), 6 * np.abs(a.std(0, ddof=1) - b.std(0, ddof=1)))
-    worst = int(np.argmax(change / limits))
-    if change[worst] <= SETTLING_MATTERS * limits[worst]:
+    worst = int(np.argmax(change / tolerance))
+    if change[worst] <= SETTLING_MATTERS * tolerance[worst]:
         return None
     when = "while" if model.scene.stages[0].settle else "before"
     return (
-        f"the outcome hangs on how the parts are set down: {model.scene.measurements[worst].name} changes by "
-        f"{1000 * change[worst]:.0f} µm, {100 * change[worst] / limits[worst]:.0f} % of its tolerance, if parts that "
-        f"overlap come to rest on each other {when} the first thing closes"
+        f"the results depend on how the parts are set down: {model.scene.measurements[worst].name} changes by "
+        f"{1000 * change[worst]:.0f} µm, {100 * change[worst] / tolerance[worst]:.0f} % of its tolerance, if "
+        f"overlapping parts settle on each other {when} the first locator or clamp closes"
     )

@@ -15,7 +15,7 @@ from mic.scene import Scene
 from mic.statistics.draw import draw
 from mic.statistics.paired_differences import mean_change, six_sigma_change
 
-__all__ = ["DENSER", "SAMPLES", "Convergence", "converge", "denser"]
+__all__ = ["DENSER", "SAMPLES", "Convergence", "converge", "denser_scene"]
 
 DENSER = 0.7  # factor on the distance between pairs: about twice as many pairs
 SAMPLES = 30
@@ -48,15 +48,15 @@ class Convergence:
     failed: int
 
 
-def denser(assembly: Assembly, share: float = DENSER) -> Scene:
-    """The scene of an assembly with the distance of its contact pairs multiplied by `share`, stated points replaced."""
+def denser_scene(assembly: Assembly, share: float = DENSER) -> Scene:
+    """The scene of an assembly with the distance of its contact pairs multiplied by `share`; points are replaced."""
     zones = []
     for i, zone in enumerate(assembly.scene.zones):
         if zone.pairs:
             zones.append(zone.model_copy(update={"pairs": round(zone.pairs / share**2)}))
         elif zone.points:
-            own = float(np.sqrt(assembly.contacts.area[assembly.contacts.zone == i].mean()))
-            zones.append(zone.model_copy(update={"points": None, "spacing": share * own}))
+            distance = float(np.sqrt(assembly.contacts.area[assembly.contacts.zone == i].mean()))
+            zones.append(zone.model_copy(update={"points": None, "spacing": share * distance}))
         else:
             zones.append(zone.model_copy(update={"spacing_factor": share * zone.spacing_factor}))
     return assembly.scene.model_copy(update={"zones": zones})
@@ -76,29 +76,30 @@ def converge(assembly: Assembly, cache: Path, law: str, progress: Callable[[str]
     Raises
     ------
     SceneError
-        If the elements leave no room for denser pairs.
+        If the elements are too large for denser pairs.
     MissingProvider
     """
     scene = assembly.scene
     samples = draw(scene, scene.monte_carlo.seed, 0, SAMPLES)
-    found = []
-    for one in (assembly, assemble(denser(assembly), cache)):
-        process = ReducedModel.build(one, influence_coefficients(one, cache, progress)[0]).process(law)
-        found.append((one, process.evaluate(np.zeros_like(samples[:1])), process.evaluate(samples)))
-    failed = np.any([evaluation.failed for _, _, evaluation in found], axis=0)
-    kept = [evaluation.measurements[~failed] for _, _, evaluation in found]
+    results = []
+    for variant in (assembly, assemble(denser_scene(assembly), cache)):
+        process = ReducedModel.build(variant, influence_coefficients(variant, cache, progress)[0]).process(law)
+        results.append((variant, process.evaluate(np.zeros_like(samples[:1])), process.evaluate(samples)))
+    failed = np.any([evaluation.failed for _, _, evaluation in results], axis=0)
+    values = [evaluation.measurements[~failed] for _, _, evaluation in results]
     return Convergence(
-        pairs=np.array([len(one.contacts) for one, _, _ in found]),
-        nominal=np.array([nominal.measurements[0] for _, nominal, _ in found]),
-        mean=np.array([values.mean(axis=0) for values in kept]),
-        six_sigma=np.array([6 * values.std(axis=0, ddof=1) for values in kept]),
-        mean_half=_half(mean_change, *kept),
-        six_sigma_half=_half(six_sigma_change, *kept),
-        unseen=np.array([max((r.unseen.max() for r in e.resolutions.values()), default=0.0) for _, _, e in found]),
+        pairs=np.array([len(variant.contacts) for variant, _, _ in results]),
+        nominal=np.array([nominal.measurements[0] for _, nominal, _ in results]),
+        mean=np.array([y.mean(axis=0) for y in values]),
+        six_sigma=np.array([6 * y.std(axis=0, ddof=1) for y in values]),
+        mean_half=_half(mean_change, *values),
+        six_sigma_half=_half(six_sigma_change, *values),
+        unseen=np.array([max((r.unseen.max() for r in e.resolutions.values()), default=0.0) for _, _, e in results]),
         failed=int(failed.sum()),
     )
 
 
 def _half(change, before: np.ndarray, after: np.ndarray) -> np.ndarray:
-    found = [change(a, b) for a, b in zip(before.T, after.T)]
-    return np.array([(one.high - one.low) / 2 for one in found])
+    """(k,) half widths of the intervals of the changes."""
+    changes = [change(a, b) for a, b in zip(before.T, after.T)]
+    return np.array([(estimate.high - estimate.low) / 2 for estimate in changes])

@@ -15,7 +15,7 @@ within its limits; if there is none, the one with the smallest excess (:mod:`mic
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -27,7 +27,8 @@ from mic.process.model import ReducedModel
 from mic.results.schema import PREDICTIONS
 from mic.statistics.estimates import LEVEL
 from mic.studies.adjustment import FACTOR, SHIM, adjustments
-from mic.studies.emulator_training import learn
+from mic.studies.emulator_training import train_emulator
+from mic.studies.samples import Progress, limits
 from mic.studies.smallest_adjustment import AdjustmentSearch
 
 __all__ = ["FARTHEST", "Predictor", "predict"]
@@ -48,17 +49,17 @@ class Predictor:
     shim, factor : float
         Largest adjustments: a shift, mm, and a factor on a force.
     error : float
-        e above, mm.
+        Error e of the model, mm.
     exact : bool
-        Whether every assembly is evaluated. Otherwise some dozens are evaluated beforehand, to train the spline.
+        Whether every assembly is evaluated. Otherwise some dozens are evaluated first to train the spline.
     cache : Path, optional
-        Folder of the disk cache for these.
+        Folder of the disk cache of the training assemblies.
     progress : callable, optional
-        Called with the number of evaluations that were done beforehand.
+        Called with the number of training evaluations since the last call.
 
     Attributes
     ----------
-    learnt : AssemblyEmulator or None
+    emulator : AssemblyEmulator or None
         The spline; None if every assembly is evaluated.
 
     Raises
@@ -79,43 +80,45 @@ class Predictor:
         error: float = 0.0,
         exact: bool = False,
         cache: Path | None = None,
-        progress: Callable[[int], None] = lambda count: None,
+        progress: Progress = lambda count: None,
     ):
         scene = model.scene
         if not scene.measurements or not scene.deviations:
             raise SceneError(
                 f"scene {scene.name!r} has no {'deviations' if scene.measurements else 'measurements'}: there is "
-                "nothing to predict; give it some"
+                "nothing to predict; add some"
             )
         if not error >= 0:
-            raise ValueError(f"error must not be negative, and is {error:g}")
+            raise ValueError(f"error must not be negative, but is {error:g}")
         self.model, self.law, self.error = model, law or scene.report.laws[0], error
         self._process = model.process(self.law)
         self._mean = np.array([item.mean for item in scene.deviations])
         self._sigma = np.array([item.sigma for item in scene.deviations])
-        self._lower, self._upper = np.array([item.bounds for item in scene.measurements]).T
-        some = adjustments(model, shim, factor, list(adjust)) if adjust else []  # raises before the training
-        self.learnt = None if exact else learn(model, self.law, (), None, cache, progress)
+        self._lower, self._upper = limits(scene)
+        available = adjustments(model, shim, factor, list(adjust)) if adjust else []  # raises before the training
+        self.emulator = None if exact else train_emulator(model, self.law, (), None, cache, progress)
         self._adjustment_search: AdjustmentSearch | None = None
-        if some:
-            learnt = learn(model, self.law, some, self.learnt, cache, progress) if self.learnt is not None else None
-            self._adjustment_search = AdjustmentSearch(model, self.law, some, learnt)
+        if available:
+            effects = None
+            if self.emulator is not None:
+                effects = train_emulator(model, self.law, available, self.emulator, cache, progress)
+            self._adjustment_search = AdjustmentSearch(model, self.law, available, effects)
         slopes = model.sensitivities({}, self.law)
         self._slope = np.nan_to_num(slopes.jacobian[0])  # of the mean assembly
 
-    def judge(self, values: Mapping[str, float]) -> pd.DataFrame:
+    def predict(self, values: Mapping[str, float]) -> pd.DataFrame:
         """Predict one assembly.
 
         Parameters
         ----------
         values : mapping of str to float
-            Deviations by name, N or mm; those that are missing are not known.
+            Deviations by name, N or mm; missing ones are unknown.
 
         Returns
         -------
         DataFrame
-            As :data:`mic.results.schema.PREDICTIONS` declares it, ``file`` and ``row`` empty and 0: each key
-            characteristic, then the whole assembly.
+            As :data:`mic.results.schema.PREDICTIONS` declares it, with empty ``file`` and ``row`` 0: a row for each key
+            characteristic, then one for the whole assembly.
 
         Raises
         ------
@@ -125,67 +128,71 @@ class Predictor:
         x = self.model.deviations(dict(values))[0]
         names = self.model.parameters
         given = np.array([name in values for name in names])
-        far = self._distance(x)
-        farthest = int(far.argmax())
-        if far[farthest] > FARTHEST:
+        distance = self._distance(x)
+        farthest = int(distance.argmax())
+        if distance[farthest] > FARTHEST:
             return self._single_row(
-                "refused", f"{names[farthest]} is {far[farthest]:.3g} σ off its mean", far[farthest]
+                "refused", f"{names[farthest]} is {distance[farthest]:.3g} σ off its mean", distance[farthest]
             )
-        unknown = self._slope**2 @ np.where(given, 0.0, self._sigma) ** 2
-        half = float(ndtri(0.5 + LEVEL / 2)) * np.sqrt(self.error**2 + unknown)
-        y, off, way = self._key_characteristics(x, half)
+        unknown_variance = self._slope**2 @ np.where(given, 0.0, self._sigma) ** 2
+        half = float(ndtri(0.5 + LEVEL / 2)) * np.sqrt(self.error**2 + unknown_variance)
+        y, error, source = self._key_characteristics(x, half)
         if y is None:
-            return self._single_row("failed", "its contact problems were not solved", far[farthest])
-        told = np.hypot(half, off)
-        verdict, said, ways = self._verdicts(y, told), "", [way] * (len(y) + 1)
+            return self._single_row("failed", "its contact problems could not be solved", distance[farthest])
+        width = np.hypot(half, error)
+        verdict, proposal, sources = self._verdicts(y, width), "", [source] * (len(y) + 1)
         if self._adjustment_search is not None and (verdict != "accepted").any():
-            found = self._adjustment_search.propose(x, y, half, off, self._covers(x))
-            said, ways[-1] = str(found), "evaluated" if found.evaluated else way
+            adjustment = self._adjustment_search.propose(x, y, half, error, self._covers(x))
+            proposal, sources[-1] = str(adjustment), "evaluated" if adjustment.evaluated else source
         worst = "rejected" if "rejected" in verdict else "open" if "open" in verdict else "accepted"
         items = self.model.scene.measurements
         return self._table(
             [*(item.name for item in items), ""],
-            np.append([y, y - told, y + told], np.full((3, 1), np.nan), axis=1),
+            np.append([y, y - width, y + width], np.full((3, 1), np.nan), axis=1),
             [*verdict, worst],
-            ways,
-            [*("" for _ in items), said],
-            far[farthest],
+            sources,
+            [*("" for _ in items), proposal],
+            distance[farthest],
         )
 
     def _distance(self, x: np.ndarray) -> np.ndarray:
         """(p,) distance of the deviations from their means, in standard deviations."""
-        off = np.abs(x - self._mean)
+        difference = np.abs(x - self._mean)
         with np.errstate(divide="ignore", invalid="ignore"):
-            return np.where(off > 0, off / self._sigma, 0.0)
+            return np.where(difference > 0, difference / self._sigma, 0.0)
 
     def _covers(self, x: np.ndarray) -> bool:
         """Whether an assembly lies within the range of the training."""
-        return self.learnt is not None and self.learnt.covers(x)
+        return self.emulator is not None and self.emulator.covers(x)
 
     def _key_characteristics(self, x: np.ndarray, half: np.ndarray) -> tuple[np.ndarray | None, np.ndarray, str]:
         """Key characteristics (k,) of an assembly, or None if they cannot be computed; their errors (k,) in addition to
         the known half widths; ``learnt`` or ``evaluated``."""
-        learnt = self.learnt
-        if learnt is not None and self._covers(x):
-            y, off = (one[0] for one in learnt(x[None]))
-            if (self._verdicts(y - off, half) == self._verdicts(y + off, half)).all():
-                return y, off, "learnt"
-        found = self._process.attempt(x[None])
-        return None if found.failed[0] else found.measurements[0], np.zeros(len(self._lower)), "evaluated"
+        emulator = self.emulator
+        if emulator is not None and self._covers(x):
+            y, error = (array[0] for array in emulator(x[None]))
+            if (self._verdicts(y - error, half) == self._verdicts(y + error, half)).all():
+                return y, error, "learnt"
+        evaluation = self._process.attempt(x[None])
+        return None if evaluation.failed[0] else evaluation.measurements[0], np.zeros(len(self._lower)), "evaluated"
 
     def _verdicts(self, y: np.ndarray, half: np.ndarray) -> np.ndarray:
+        """(k,) ``accepted``, ``rejected`` or ``open`` for intervals y ± half."""
         within = (y - half >= self._lower) & (y + half <= self._upper)
         beyond = (y + half < self._lower) | (y - half > self._upper)
         return np.where(within, "accepted", np.where(beyond, "rejected", "open")).astype(object)
 
-    def _single_row(self, verdict: str, said: str, far: float) -> pd.DataFrame:
-        return self._table([""], np.full((3, 1), np.nan), [verdict], [""], [said], far)
+    def _single_row(self, verdict: str, remark: str, distance: float) -> pd.DataFrame:
+        """The table of an assembly that is not predicted."""
+        return self._table([""], np.full((3, 1), np.nan), [verdict], [""], [remark], distance)
 
-    def _table(self, names, values: np.ndarray, verdicts: list[str], ways: list[str], said: list[str], far: float):
+    def _table(self, names, values: np.ndarray, verdicts, sources, remarks, distance: float):
         """The table of results, from values, low and high ends (3, rows)."""
-        told = {"file": "", "row": 0, "model": "", "law": self.law, "measurement": names}
-        told |= dict(zip(("value", "low", "high"), values, strict=True)) | {"verdict": verdicts}
-        return pd.DataFrame(told | {"way": ways, "said": said, "far": float(far)}, columns=PREDICTIONS.names)
+        columns = {"file": "", "row": 0, "model": "", "law": self.law, "measurement": names}
+        columns |= dict(zip(("value", "low", "high"), values, strict=True)) | {"verdict": verdicts}
+        return pd.DataFrame(
+            columns | {"way": sources, "said": remarks, "far": float(distance)}, columns=PREDICTIONS.names
+        )
 
 
 def predict(
@@ -199,32 +206,32 @@ def predict(
     exact: bool = False,
     cache: Path | None = None,
 ) -> pd.DataFrame:
-    """Predict assemblies from their measured parts; :class:`Predictor` predicts them one by one.
+    """Predict assemblies from their measured parts, with one :class:`Predictor`.
 
     Parameters
     ----------
     model : ReducedModel
     parts : DataFrame, or sequence of mappings
-        A row or mapping for each assembly: values of deviations by name, N or mm. NaN is unknown.
+        A row or mapping for each assembly: values of deviations by name, N or mm; NaN for unknown ones.
     law, adjust, shim, factor, error, exact, cache
-        As :class:`Predictor` takes them.
+        Parameters of :class:`Predictor`.
 
     Returns
     -------
     DataFrame
-        As :data:`mic.results.schema.PREDICTIONS` declares it, ``file`` empty and ``row`` the number of the assembly,
-        from 0: of each assembly its key characteristics, then the whole of it.
+        As :data:`mic.results.schema.PREDICTIONS` declares it, with empty ``file``, and in ``row`` the number of the
+        assembly from 0: for each assembly its key characteristics, then the whole assembly.
 
     Raises
     ------
     SceneError
-        As :class:`Predictor`; if there is no assembly.
+        As :class:`Predictor`, and if there is no assembly.
     ValueError
-        As :class:`Predictor`; for unknown names and values that are not finite.
+        As :class:`Predictor`, and for unknown names and values that are not finite.
     """
     rows = parts.to_dict("records") if isinstance(parts, pd.DataFrame) else list(parts)
     if not rows:
-        raise SceneError("parts: there is no assembly in them; give a row for each")
+        raise SceneError("parts: the list is empty; give a row for each assembly")
     predictor = Predictor(model, law, adjust, shim, factor, error, exact, cache)
     known = [{str(name): value for name, value in row.items() if not np.isnan(value)} for row in rows]
-    return pd.concat([predictor.judge(row).assign(row=i) for i, row in enumerate(known)], ignore_index=True)
+    return pd.concat([predictor.predict(row).assign(row=i) for i, row in enumerate(known)], ignore_index=True)

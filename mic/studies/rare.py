@@ -32,9 +32,10 @@ from mic.errors import SceneError
 from mic.process.model import ReducedModel
 from mic.results.schema import DESIGN_POINTS, RARE
 from mic.statistics import estimates
-from mic.statistics.draw import numbers, placed
+from mic.statistics.draw import at_probabilities, number_count
 from mic.statistics.estimates import LEVEL
 from mic.studies.first_order_reliability import design_points, differentiable, first_order
+from mic.studies.samples import Progress, half_tolerances, valid
 
 __all__ = ["RareFailures", "Subset", "agree", "rare", "subset_simulation"]
 
@@ -85,8 +86,8 @@ def subset_simulation(
     y = g(z)
     beyond = int((y > 0).sum())
     if beyond >= chains:
-        found = estimates.share(beyond, samples)
-        return Subset(float(found.value), float(found.low), float(found.high), 1, samples)
+        estimate = estimates.share(beyond, samples)
+        return Subset(float(estimate.value), float(estimate.low), float(estimate.high), 1, samples)
     P, ρ, evaluations = 1.0, 0.8, samples
     δ = np.sqrt((1 - SHARE) / (SHARE * samples))  # relative errors of the levels, added as if fully correlated
     for level in range(2, MAX_LEVELS + 1):
@@ -99,9 +100,9 @@ def subset_simulation(
             move = ρ * at + np.sqrt(1 - ρ**2) * stream.standard_normal(at.shape)
             new = g(move)
             evaluations += chains
-            taken = new >= b
-            at, value = np.where(taken[:, None], move, at), np.where(taken, new, value)
-            accepted.append(taken.mean())
+            accepted_moves = new >= b
+            at, value = np.where(accepted_moves[:, None], move, at), np.where(accepted_moves, new, value)
+            accepted.append(accepted_moves.mean())
             zs.append(at)
             ys.append(value)
         # ρ² + λ² = 1: the step λ of the next level grows with the acceptance rate; it is constant within a level.
@@ -110,9 +111,9 @@ def subset_simulation(
         z, y = np.concatenate(zs), np.concatenate(ys)
         inside = np.stack(ys, axis=1) > 0  # (chains, steps)
         last = inside.sum() >= chains or level == MAX_LEVELS
-        next_one = inside if last else np.stack(ys, axis=1) >= np.sort(y)[-chains]
-        p = max(float(next_one.mean()), 1 / samples)
-        δ += np.sqrt((1 - p) / (p * samples) * (1 + _correlation(next_one)))
+        beyond_next = inside if last else np.stack(ys, axis=1) >= np.sort(y)[-chains]
+        p = max(float(beyond_next.mean()), 1 / samples)
+        δ += np.sqrt((1 - p) / (p * samples) * (1 + _correlation(beyond_next)))
         if last:
             break
     P *= float(inside.mean())
@@ -128,8 +129,8 @@ def _correlation(inside: np.ndarray) -> float:
     p = inside.mean()
     if not 0 < p < 1:
         return 0.0
-    off = inside - p
-    lagged = [(off[:, k:] * off[:, : s - k]).sum() / (c * (s - k)) for k in range(1, s)]
+    difference = inside - p
+    lagged = [(difference[:, k:] * difference[:, : s - k]).sum() / (c * (s - k)) for k in range(1, s)]
     return max(0.0, 2 * float(sum((1 - k / s) * r for k, r in zip(range(1, s), lagged))) / (p * (1 - p)))
 
 
@@ -151,7 +152,7 @@ class RareFailures:
 
 
 def agree(row) -> bool:
-    """Whether the first-order probability lies within the interval of subset simulation, or within a fifth."""
+    """Whether the first-order probability agrees with subset simulation: within its interval, or to a fifth."""
     near = 0.8 * row["outside"] <= row["first_order"] <= 1.25 * row["outside"]
     return bool(near or row["outside_low"] <= row["first_order"] <= row["outside_high"])
 
@@ -163,7 +164,7 @@ def rare(
     samples: int = SAMPLES,
     seed: int = 0,
     threads: int = 1,
-    progress: Callable[[int], None] = lambda count: None,
+    progress: Progress = lambda count: None,
 ) -> RareFailures:
     """Probability that any limit is violated, and those of single key characteristics.
 
@@ -175,7 +176,7 @@ def rare(
     names : sequence of str
         Key characteristics that are evaluated individually as well.
     samples, seed : int
-        As :func:`subset_simulation` has them.
+        See :func:`subset_simulation`.
     threads : int
     progress : callable, optional
         Called with the number of evaluations after each batch.
@@ -188,30 +189,30 @@ def rare(
     scene = model.scene
     if not scene.measurements or not scene.deviations or scene.monte_carlo.values is not None:
         what = "states its samples in a table" if scene.monte_carlo.values is not None else "measures or varies nothing"
-        raise ValueError(f"scene {scene.name!r} {what}: there are no rare samples to look for")
+        raise ValueError(f"scene {scene.name!r} {what}: the probability of rare violations cannot be computed")
     process = model.process(law, threads=threads)
     items = scene.measurements
     middle = np.array([(item.lower + item.upper) / 2 for item in items])
-    half = np.array([(item.upper - item.lower) / 2 for item in items])
-    rows, seen = [], []
+    half = half_tolerances(scene)
+    rows, evaluated = [], []
     groups = {name: [k for k, item in enumerate(items) if name in ("", item.name)] for name in ("", *names)}
-    for name, own in groups.items():
+    for name, selected in groups.items():
         failed = 0
 
-        def g(z: np.ndarray, own=own) -> np.ndarray:
+        def g(z: np.ndarray, selected=selected) -> np.ndarray:
             nonlocal failed
-            found = process.attempt(placed(scene, ndtr(z)))
+            evaluation = process.attempt(at_probabilities(scene, ndtr(z)))
             progress(len(z))
-            failed += int(found.failed.sum())
-            seen.append((z, np.where(found.failed[:, None], np.nan, found.measurements)))
-            off = (np.abs(found.measurements - middle) / half)[:, own].max(axis=1) - 1
-            return np.where(found.failed, -np.inf, off)
+            failed += int(evaluation.failed.sum())
+            evaluated.append((z, valid(evaluation)))
+            excess = (np.abs(evaluation.measurements - middle) / half)[:, selected].max(axis=1) - 1
+            return np.where(evaluation.failed, -np.inf, excess)
 
-        subset = subset_simulation(g, numbers(scene), samples, seed)
+        subset = subset_simulation(g, number_count(scene), samples, seed)
         rows.append(
             [process.law, name, subset.probability, subset.low, subset.high, subset.levels, subset.evaluations, failed]
         )
-    z, y = (np.concatenate(each) for each in zip(*seen))
+    z, y = (np.concatenate(each) for each in zip(*evaluated))
     table = pd.DataFrame(rows, columns=RARE.names[: len(rows[0])])
     points, order, why_not = _first_order(model, process.law, z, y, list(groups.values()), progress)
     table["first_order"] = order
@@ -221,11 +222,11 @@ def rare(
 
 def _first_order(model, law, z, y, groups, progress):
     """Design points, first-order probability of each group of characteristics, and the reason if there are none."""
-    nothing = np.full(len(groups), np.nan)
+    unknown = np.full(len(groups), np.nan)
     if not differentiable(model.scene):
-        return DESIGN_POINTS.empty(), nothing, "measured pieces are drawn as they are, and have no derivatives"
+        return DESIGN_POINTS.empty(), unknown, "resampled measured parts have no derivatives"
     try:
-        points, found, limits = design_points(model, law, z, y, progress)
+        points, design, limits = design_points(model, law, z, y, progress)
     except SceneError as problem:
-        return DESIGN_POINTS.empty(), nothing, str(problem)
-    return points, np.array([first_order(found, limits, own) for own in groups]), ""
+        return DESIGN_POINTS.empty(), unknown, str(problem)
+    return points, np.array([first_order(design, limits, group) for group in groups]), ""

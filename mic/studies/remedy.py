@@ -23,7 +23,7 @@ References
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -36,25 +36,25 @@ from mic.statistics import estimates
 from mic.statistics.capability import centred_capability, outside
 from mic.statistics.draw import draw
 from mic.statistics.estimates import LEVEL
-from mic.studies.adjustment import FACTOR, SHIM, Adjustment, adjustments, extended
+from mic.studies.adjustment import FACTOR, SHIM, Adjustment, adjustments, with_adjustments
+from mic.studies.samples import Progress, derivatives, half_tolerances, key_characteristics
+from mic.studies.samples import limits as scene_limits
 
 __all__ = ["CAPABILITY", "SAMPLES", "Limits", "Remedies", "Remedy", "remedies", "smallest"]
 
 SAMPLES = 60
-DERIVED = 20  # first samples that are evaluated with derivatives, which cost several evaluations each
+DERIVATIVE_SAMPLES = 20  # first samples that are evaluated with derivatives, which cost several evaluations each
 CAPABILITY = 1.0  #: required Cpk
-SINGLES = 3  # remedies with a single adjustment that are evaluated in full
-ROUNDS = 10  # largest number of linearisations per remedy
-JUDGED = 3  # largest number of sets of fresh samples
-REACHED = 1e-3  # tolerated excess over a limit, relative to half the tolerance
+MAX_SINGLES = 3  # remedies with a single adjustment that are evaluated in full
+MAX_ROUNDS = 10  # linearisations per remedy
+MAX_CHECKS = 3  # sets of fresh samples
+TOLERATED = 1e-3  # excess over a limit, relative to half the tolerance
 CHEAPER = 0.9  # ratio of costs below which another linearisation is worthwhile
-CUTS = 60  # largest number of cutting planes
-WHOLE = 2.0  # range of a change, relative to the largest allowed change
-SHORT = 1e4  # penalty for an excess of half the tolerance
+MAX_CUTS = 60  # cutting planes
+UNBOUNDED = 2.0  # trust region that contains all allowed changes
+EXCESS_COST = 1e4  # penalty for an excess of half the tolerance
 RESAMPLES = 1000  # bootstrap resamples
 TOGETHER = "together"
-
-Progress = Callable[[int], None]
 
 
 @dataclass(frozen=True)
@@ -64,11 +64,11 @@ class Limits:
     Attributes
     ----------
     lower, upper : (k,) array
-        -∞ where there is no lower one.
+        Infinite where there is none.
     half : (k,) array
         Half the tolerance.
     spread : float
-        How many σ are to lie within them on either side of the mean.
+        Number of σ on either side of the mean that must be within the limits.
     """
 
     lower: np.ndarray
@@ -76,22 +76,16 @@ class Limits:
     half: np.ndarray
     spread: float
 
-    @classmethod
-    def of(cls, scene, capability: float = CAPABILITY) -> Limits:
-        lower, upper = np.array([item.bounds for item in scene.measurements]).T
-        half = np.array([(item.upper - item.lower) / 2 for item in scene.measurements])
-        return cls(lower, upper, half, 3 * capability)
-
     def margin(self, y: np.ndarray, weights: np.ndarray | None = None) -> np.ndarray:
-        """(k,) how far ``mean ± spread σ`` of samples (n, k) lies within the limits, mm, negative beyond; (r, k) under
-        each of weightings (r, n)."""
+        """(k,) distance of ``mean ± spread σ`` of samples (n, k) to the limits, mm, negative beyond them; (r, k) with
+        weights (r, n)."""
         n, off = len(y), y - y.mean(axis=0)
         w = np.full((1, n), 1 / n) if weights is None else weights
         m = w @ off
         sigma = np.sqrt(np.maximum(w @ off**2 - m**2, 0.0) * n / max(n - 1, 1))
         m = m + y.mean(axis=0)
-        found = np.minimum(self.upper - m, m - self.lower) - self.spread * sigma
-        return found[0] if weights is None else found
+        margin = np.minimum(self.upper - m, m - self.lower) - self.spread * sigma
+        return margin[0] if weights is None else margin
 
 
 @dataclass(frozen=True)
@@ -101,16 +95,15 @@ class Remedy:
     Attributes
     ----------
     name : str
-        The adjustment's, or ``together``.
+        Name of the adjustment, or ``together``.
     changes : dict of Adjustment to float
         mm or N.
     reached : bool
-        Whether what was to be within its limits is, of fresh samples: the worst characteristic, or all of them.
+        Whether the worst characteristic, or with ``together`` every one, is within its limits on fresh samples.
     rounds : int
-        Times that the samples were taken through the process with their derivatives.
+        Number of evaluations of the samples with derivatives.
     before, after : list of (n, k) array
-        Key characteristics as they are and with the changes, of the samples that it was found with, and of fresh ones,
-        where there are any.
+        Key characteristics without and with the changes, of the samples of the search and of fresh samples, if any.
     """
 
     name: str
@@ -123,17 +116,18 @@ class Remedy:
 
 @dataclass(frozen=True)
 class Remedies:
-    """What would bring an assembly within its limits under one law.
+    """Changes that bring an assembly within its limits under one law.
 
     Attributes
     ----------
     law : str
     worst : str
-        The key characteristic that is farthest beyond its limits; empty where all are within them.
+        Key characteristic that is farthest beyond its limits; empty if all are within them.
     adjustable : int
-        How many adjustments there are to choose from.
+        Number of available adjustments.
     found : list of Remedy
-        Of one adjustment each, for the worst characteristic, the smallest first; then of all together, for all of them.
+        Remedies of the worst characteristic by one adjustment each, the smallest first; then one of all characteristics
+        by all adjustments together.
     table, effects : DataFrame
         As :data:`mic.results.schema.REMEDIES` and :data:`mic.results.schema.REMEDY_EFFECTS` declare them.
     """
@@ -153,10 +147,10 @@ def smallest(
     low: np.ndarray,
     high: np.ndarray,
     at: np.ndarray | None = None,
-    trust: float = WHOLE,
-    ask: np.ndarray | None = None,
+    trust: float = UNBOUNDED,
+    margin: np.ndarray | None = None,
 ) -> tuple[np.ndarray, float]:
-    """The smallest changes that bring samples within limits, by their derivatives.
+    """The smallest changes that bring linearised samples within limits.
 
     Parameters
     ----------
@@ -166,69 +160,70 @@ def smallest(
         Their derivatives, mm per unit of each change.
     limits : Limits
     low, high : (a,) array
-        Bounds of the changes, ``low ≤ 0 ≤ high``; those between 0 and 0 are not made.
+        Bounds of the changes, ``low ≤ 0 ≤ high``; changes between 0 and 0 are not made.
     at : (a,) array, optional
-        The changes that `y` and `slopes` belong to; default: none.
+        Changes at which `y` and `slopes` were evaluated; default: none.
     trust : float
-        By how much changes may differ from those, as a share of the largest that is allowed; 2 is no bound.
-    ask : (k,) array, optional
-        How far within the limits ``mean ± spread σ`` is to lie, mm; -∞ where it does not matter. Default: 0.
+        Trust region: largest distance from `at` relative to the allowed change.
+    margin : (k,) array, optional
+        Required distance of ``mean ± spread σ`` to the limits, mm; -∞ for characteristics without a requirement.
+        Default: 0.
 
     Returns
     -------
     (a,) array, float
-        Changes; and by how much they fall short of what is asked, the most over the characteristics, as a share of half
-        the tolerance. That is made as small as it can be; the changes are the smallest that do.
+        Changes, and their largest excess over the requirement relative to half the tolerance. The excess is minimised;
+        the changes are the smallest with this excess.
     """
     n, k, a = slopes.shape
-    at, ask = np.zeros(a) if at is None else at, np.zeros(k) if ask is None else ask
+    at, margin = np.zeros(a) if at is None else at, np.zeros(k) if margin is None else margin
     size = np.maximum(-low, high)
     mean, gradient = y.mean(axis=0), slopes.mean(axis=0)
     joint = np.concatenate([y[..., None], slopes], axis=2)
     joint = (joint - joint.mean(axis=0)) / np.sqrt(max(n - 1, 1))
-    square = np.einsum("nki,nkj->kij", joint, joint)
+    covariance = np.einsum("nki,nkj->kij", joint, joint)
 
     def sigma(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """(k,) σ, and (k, a) its derivative."""
         q = np.concatenate([[1.0], x - at])
-        found = np.sqrt(np.maximum(np.einsum("i,kij,j->k", q, square, q), 0.0))
-        turned = (square @ q)[:, 1:]
-        return found, np.divide(turned, found[:, None], out=np.zeros_like(turned), where=found[:, None] > 0)
+        σ = np.sqrt(np.maximum(np.einsum("i,kij,j->k", q, covariance, q), 0.0))
+        product = (covariance @ q)[:, 1:]
+        return σ, np.divide(product, σ[:, None], out=np.zeros_like(product), where=σ[:, None] > 0)
 
-    # Unknowns: changes up and down, and the shortfall.
-    own = np.divide(1.0, size, out=np.zeros(a), where=size > 0)
-    costs = np.concatenate([own, own, [SHORT]])
+    # Unknowns: changes up and down, and the excess.
+    unit_costs = np.divide(1.0, size, out=np.zeros(a), where=size > 0)
+    costs = np.concatenate([unit_costs, unit_costs, [EXCESS_COST]])
     up, down = np.minimum(high, at + trust * size), np.maximum(low, at - trust * size)
     bounds = [*zip(np.maximum(down, 0), np.maximum(up, 0)), *zip(np.maximum(-up, 0), np.maximum(-down, 0)), (0, None)]
     A: list[np.ndarray] = []
     b: list[np.ndarray] = []
     sides = [
-        (sign, limit, np.flatnonzero(np.isfinite(limit) & np.isfinite(ask)))
+        (sign, limit, np.flatnonzero(np.isfinite(limit) & np.isfinite(margin)))
         for sign, limit in ((1.0, limits.upper), (-1.0, limits.lower))
     ]
-    x, found = at, np.zeros(2 * a + 1)
-    for _ in range(CUTS):
-        value, turned = sigma(x)
+    x, solution = at, np.zeros(2 * a + 1)
+    for _ in range(MAX_CUTS):
+        σ, dσ = sigma(x)
         worst = -np.inf
-        for sign, limit, own in sides:
-            beyond = sign * (mean + gradient @ (x - at) - limit) + limits.spread * value + ask
-            worst = max(worst, (beyond / limits.half - found[-1])[own].max(initial=-np.inf))
-            line = (sign * gradient + limits.spread * turned) / limits.half[:, None]
-            A.append(np.column_stack([line, -line, -np.ones(k)])[own])
-            b.append((line @ x - beyond / limits.half)[own])
-        if len(A) > 2 and worst <= REACHED / 10:
+        for sign, limit, limited in sides:
+            excess = sign * (mean + gradient @ (x - at) - limit) + limits.spread * σ + margin
+            worst = max(worst, (excess / limits.half - solution[-1])[limited].max(initial=-np.inf))
+            tangent = (sign * gradient + limits.spread * dσ) / limits.half[:, None]
+            A.append(np.column_stack([tangent, -tangent, -np.ones(k)])[limited])
+            b.append((tangent @ x - excess / limits.half)[limited])
+        if len(A) > 2 and worst <= TOLERATED / 10:
             break
-        done = linprog(costs, np.concatenate(A), np.concatenate(b), bounds=bounds, method="highs")
-        if done.x is None:
+        program = linprog(costs, np.concatenate(A), np.concatenate(b), bounds=bounds, method="highs")
+        if program.x is None:
             break
-        found = done.x
-        x = found[:a] - found[a : 2 * a]
-    return x, float(found[-1])
+        solution = program.x
+        x = solution[:a] - solution[a : 2 * a]
+    return x, float(solution[-1])
 
 
 @dataclass(frozen=True)
-class _Place:
-    """Changes x (a,), key characteristics y (n, k) of the samples there, and their derivatives (n, k, a)."""
+class _Linearisation:
+    """Changes x (a,), key characteristics y (n, k) of the samples at them, and their derivatives (n, k, a)."""
 
     x: np.ndarray
     y: np.ndarray
@@ -236,100 +231,109 @@ class _Place:
 
 
 class _Search:
-    """Samples and their derivatives at any changes of the adjustments."""
+    """Evaluates samples and their derivatives at any changes of the adjustments."""
 
-    def __init__(self, model, law, some, limits, samples, seed, threads, progress):
-        self.extended, self.names = extended(model, some)
-        self.some, self.limits, self.law = some, limits, law
+    def __init__(self, model, law, available, limits, samples, seed, threads, progress):
+        self.extended, self.names = with_adjustments(model, available)
+        self.available, self.limits, self.law = available, limits, law
         self.scene, self.samples, self.seed, self.progress = model.scene, samples, seed, progress
         self.process = self.extended.process(law, threads=threads)
-        self.low, self.high = (np.array([getattr(one, end) for one in some]) for end in ("low", "high"))
-        self.drawn = self._drawn(0)[:DERIVED]
+        self.low, self.high = (np.array([getattr(item, end) for item in available]) for end in ("low", "high"))
+        self.deviations = self._draw(0)[:DERIVATIVE_SAMPLES]
 
-    def _drawn(self, batch: int) -> np.ndarray:
-        """(n, p) deviations of a set of samples: 0 those that remedies are found with, others fresh ones."""
+    def _draw(self, batch: int) -> np.ndarray:
+        """(n, p) deviations of a set of samples: 0 for the search, others are fresh."""
         if not self.scene.deviations:
             return np.zeros((1 if batch == 0 else 0, 0))
         return draw(self.scene, self.seed, batch * self.samples, self.samples)
 
     def values(self, batch: int, x: np.ndarray) -> np.ndarray:
-        """(n, k) of a set of samples with changes; NaN where one failed."""
-        drawn = self._drawn(batch)
-        if not len(drawn):
+        """(n, k) key characteristics of a set of samples with changes (a,); NaN for failed samples."""
+        deviations = self._draw(batch)
+        if not len(deviations):
             return np.zeros((0, len(self.scene.measurements)))
-        found = self.process.attempt(np.column_stack([drawn, np.tile(x, (len(drawn), 1))]))
-        self.progress(len(drawn))
-        return np.where(found.failed[:, None], np.nan, found.measurements)
+        whole = np.column_stack([deviations, np.tile(x, (len(deviations), 1))])
+        return key_characteristics(self.process, whole, self.progress)
 
-    def place(self, x: np.ndarray, own: np.ndarray) -> _Place:
-        """The samples at changes (a,), with derivatives with respect to some of them, and without those that failed."""
-        whole = np.column_stack([self.drawn, np.tile(x, (len(self.drawn), 1))])
-        found = self.extended.sensitivities(whole, self.law, [self.names[i] for i in own])
-        self.progress(len(whole))
-        known = ~found.failed & np.isfinite(found.jacobian).all(axis=(1, 2))
-        slopes = np.zeros((int(known.sum()), found.measurements.shape[1], len(self.some)))
-        slopes[:, :, own] = found.jacobian[known]
-        return _Place(x, found.measurements[known], slopes)
+    def linearise(self, x: np.ndarray, moving: np.ndarray) -> _Linearisation:
+        """The valid samples at changes (a,), with derivatives by the adjustments with the numbers `moving`."""
+        whole = np.column_stack([self.deviations, np.tile(x, (len(self.deviations), 1))])
+        names = [self.names[i] for i in moving]
+        y, jacobian = derivatives(self.extended, whole, self.law, self.progress, names)
+        known = np.isfinite(y).all(axis=1) & np.isfinite(jacobian).all(axis=(1, 2))
+        slopes = np.zeros((int(known.sum()), y.shape[1], len(self.available)))
+        slopes[:, :, moving] = jacobian[known]
+        return _Linearisation(x, y[known], slopes)
 
-    def short(self, y: np.ndarray, ask: np.ndarray) -> float:
-        """By how much samples fall short, the most over the characteristics, as a share of half the tolerance."""
+    def excess(self, y: np.ndarray, margin: np.ndarray) -> float:
+        """Largest excess of samples over the required margin, relative to half the tolerance."""
         y = y[np.isfinite(y).all(axis=1)]
         if not len(y):
             return np.inf
-        return float(((ask - self.limits.margin(y)) / self.limits.half).max())
+        return float(((margin - self.limits.margin(y)) / self.limits.half).max())
 
-    def sought(self, own: np.ndarray, ask: np.ndarray, start: _Place) -> tuple[_Place, int]:
-        """Changes of some adjustments that bring the samples to what is asked, or as near as they come, and the rounds
-        that took."""
-        inside = np.isin(np.arange(len(self.some)), own)
-        low, high = np.where(inside, self.low, 0.0), np.where(inside, self.high, 0.0)
+    def _minimise(self, moving: np.ndarray, margin: np.ndarray, start: _Linearisation) -> tuple[_Linearisation, int]:
+        """The best changes of some adjustments on the samples of the search, and the number of linearisations."""
+        free = np.isin(np.arange(len(self.available)), moving)
+        low, high = np.where(free, self.low, 0.0), np.where(free, self.high, 0.0)
         size = np.maximum(-low, high).clip(np.finfo(float).tiny)
-        at, trust = start, WHOLE
-        best, rounds = (max(0.0, self.short(at.y, ask)), float(np.abs(at.x / size).sum()), at), 0
-        for rounds in range(1, ROUNDS + 1):
-            step, _ = smallest(at.y, at.slopes, self.limits, low, high, at.x, trust, ask)
-            way = float(np.abs((step - at.x) / size).max())
-            cost = float(np.abs(step / size).sum())
-            reached = best[0] <= REACHED
-            if way < 1e-3 or (reached and cost > CHEAPER * best[1]):
+        at, trust = start, UNBOUNDED
+        best, rounds = (max(0.0, self.excess(at.y, margin)), float(np.abs(at.x / size).sum()), at), 0
+        for rounds in range(1, MAX_ROUNDS + 1):
+            x, _ = smallest(at.y, at.slopes, self.limits, low, high, at.x, trust, margin)
+            step = float(np.abs((x - at.x) / size).max())
+            cost = float(np.abs(x / size).sum())
+            reached = best[0] <= TOLERATED
+            if step < 1e-3 or (reached and cost > CHEAPER * best[1]):
                 return best[2], rounds - 1
-            there = self.place(step, own)
-            short = max(0.0, self.short(there.y, ask))
-            if short <= REACHED or short < best[0]:
-                if short <= REACHED and reached and cost >= best[1]:
+            trial = self.linearise(x, moving)
+            excess = max(0.0, self.excess(trial.y, margin))
+            if excess <= TOLERATED or excess < best[0]:
+                if excess <= TOLERATED and reached and cost >= best[1]:
                     return best[2], rounds
-                best = (short, cost, there)
-                at, trust = there, min(WHOLE, 2 * trust)
+                best = (excess, cost, trial)
+                at, trust = trial, min(UNBOUNDED, 2 * trust)
             else:
-                trust = way / 3
+                trust = step / 3
         return best[2], rounds
 
-    def remedy(self, name: str, own: np.ndarray, wanted: np.ndarray, at: _Place, before: dict) -> Remedy:
-        """Found, set as it can be set, and judged on fresh samples."""
-        ask, rounds = np.where(wanted, 0.0, -np.inf), 0
-        for batch in range(1, JUDGED + 1):
-            at, more = self.sought(own, ask, at)
+    def remedy(self, name: str, moving: np.ndarray, required: np.ndarray, at: _Linearisation, before: dict) -> Remedy:
+        """The remedy of the required characteristics, rounded to changes that can be set and checked on fresh samples.
+
+        Parameters
+        ----------
+        name : str
+        moving : int array
+            Numbers of the adjustments.
+        required : (k,) bool array
+        at : _Linearisation
+            Start of the search.
+        before : dict of int to (n, k) array
+            Key characteristics without changes by set of samples; missing sets are added.
+        """
+        margin, rounds = np.where(required, 0.0, -np.inf), 0
+        for batch in range(1, MAX_CHECKS + 1):
+            at, more = self._minimise(moving, margin, at)
             rounds += more
-            x = np.array([one.settable(change) for one, change in zip(self.some, at.x)])
+            x = np.array([item.settable(change) for item, change in zip(self.available, at.x)])
             for b in (0, batch):
                 if b not in before:
                     before[b] = self.values(b, np.zeros(len(x)))
             after = [self.values(b, x) for b in (0, batch)]
             fresh = after[1] if len(after[1]) else after[0]
-            plain = np.where(wanted, 0.0, -np.inf)
-            short = self.short(fresh, plain)
-            if short <= REACHED or self.short(at.y, ask) > REACHED:  # done, or nothing more can be asked for
+            excess = self.excess(fresh, np.where(required, 0.0, -np.inf))
+            if excess <= TOLERATED or self.excess(at.y, margin) > TOLERATED:  # reached, or out of reach
                 break
             known = fresh[np.isfinite(fresh).all(axis=1)]
-            ask = ask + np.maximum(0.0, -self.limits.margin(known))
-        keep = [i for i, y in enumerate(after) if len(y)]
+            margin = margin + np.maximum(0.0, -self.limits.margin(known))
+        nonempty = [i for i, y in enumerate(after) if len(y)]
         return Remedy(
             name,
-            {one: float(change) for one, change in zip(self.some, x) if change},
-            short <= REACHED,
+            {item: float(change) for item, change in zip(self.available, x) if change},
+            excess <= TOLERATED,
             rounds,
-            [[before[0], before[batch]][i] for i in keep],
-            [after[i] for i in keep],
+            [[before[0], before[batch]][i] for i in nonempty],
+            [after[i] for i in nonempty],
         )
 
 
@@ -345,7 +349,7 @@ def remedies(
     threads: int = 1,
     progress: Progress = lambda count: None,
 ) -> Remedies:
-    """Find what would bring the key characteristics within their limits.
+    """Find changes that bring the key characteristics within their limits.
 
     Parameters
     ----------
@@ -353,106 +357,110 @@ def remedies(
     law : str, optional
         Contact law; default: the first of the scene's report.
     samples, seed : int
-        Of each set of samples; derivatives are taken of the first 20 of the first set.
+        Size of each set of samples, and seed; the first 20 samples of the first set are evaluated with derivatives.
     shim, factor, names
-        What may be adjusted, as :func:`mic.studies.adjustment.adjustments` has it.
+        Allowed adjustments, see :func:`mic.studies.adjustment.adjustments`.
     capability : float
-        Cpk that is asked for.
+        Required Cpk.
     threads : int
     progress : callable, optional
-        Called with the number of samples that were taken through the process.
+        Called with the number of evaluated samples.
 
     Raises
     ------
     ValueError
         If nothing is measured or nothing can be adjusted, and as :func:`mic.studies.adjustment.adjustments`.
     SceneError
-        Where parts rest by contact alone.
+        If parts are held by contact alone.
     """
     scene = model.scene
-    some = adjustments(model, shim, factor, names)
-    if not scene.measurements or not some:
-        what = "be adjusted but what it is measured from" if scene.measurements else "be remedied: nothing is measured"
-        raise ValueError(f"scene {scene.name!r} has nothing that can {what}")
-    limits = Limits.of(scene, capability)
-    search = _Search(model, law, some, limits, samples, seed, threads, progress)
-    before = {0: search.values(0, np.zeros(len(some)))}
+    available = adjustments(model, shim, factor, names)
+    if not scene.measurements:
+        raise ValueError(f"scene {scene.name!r} has no measurements: there is nothing to remedy")
+    if not available:
+        raise ValueError(f"scene {scene.name!r} has nothing to adjust besides the datum of its measurements")
+    limits = Limits(*scene_limits(scene), half_tolerances(scene), 3 * capability)
+    search = _Search(model, law, available, limits, samples, seed, threads, progress)
+    before = {0: search.values(0, np.zeros(len(available)))}
     known = before[0][np.isfinite(before[0]).all(axis=1)]
     if not len(known):
-        raise ValueError(f"scene {scene.name!r}: no sample can be evaluated as it is")
-    short = -limits.margin(known) / limits.half
-    worst, every = int(short.argmax()), np.arange(len(some))
+        raise ValueError(f"scene {scene.name!r}: every sample fails without any change; see the messages of `mic run`")
+    excess = -limits.margin(known) / limits.half
+    worst, every = int(excess.argmax()), np.arange(len(available))
     found: list[Remedy] = []
-    if short[worst] > REACHED:
-        first = search.place(np.zeros(len(some)), every)
-        alone = np.arange(len(short)) == worst
-        for i in _promising(search, first, alone):
-            found.append(search.remedy(some[i].name, np.array([i]), alone, first, before))
-        found.sort(key=lambda one: (not one.reached, sum(abs(x) / a.size for a, x in one.changes.items())))
-        together = search.remedy(TOGETHER, every, np.ones(len(short), dtype=bool), first, before)
-        if not any(one.changes == together.changes for one in found):
+    if excess[worst] > TOLERATED:
+        start = search.linearise(np.zeros(len(available)), every)
+        only_worst = np.arange(len(excess)) == worst
+        for i in _promising(search, start, only_worst):
+            found.append(search.remedy(available[i].name, np.array([i]), only_worst, start, before))
+        found.sort(key=lambda remedy: (not remedy.reached, sum(abs(x) / a.size for a, x in remedy.changes.items())))
+        together = search.remedy(TOGETHER, every, np.ones(len(excess), dtype=bool), start, before)
+        if not any(remedy.changes == together.changes for remedy in found):
             found.append(together)
-    name = scene.measurements[worst].name if short[worst] > REACHED else ""
-    return Remedies(search.process.law, name, len(some), found, *_tabled(scene, search.process.law, limits, found))
+    name = scene.measurements[worst].name if excess[worst] > TOLERATED else ""
+    law = search.process.law
+    return Remedies(
+        law, name, len(available), found, _change_table(law, found), _effect_table(scene, law, limits, found)
+    )
 
 
-def _promising(search: _Search, first: _Place, wanted: np.ndarray) -> list[int]:
-    """The adjustments that alone, by their derivatives, bring the wanted characteristics within their limits, the
-    smallest first; if none does, the one that brings them nearest."""
-    ask, told = np.where(wanted, 0.0, -np.inf), []
-    for i in range(len(search.some)):
-        own = np.arange(len(search.some)) == i
-        x, short = smallest(
-            first.y,
-            first.slopes,
-            search.limits,
-            np.where(own, search.low, 0.0),
-            np.where(own, search.high, 0.0),
-            ask=ask,
-        )
-        told.append((short, abs(x[i]) / search.some[i].size, i))
-    reach = sorted((cost, i) for short, cost, i in told if short <= REACHED)
-    return [i for _, i in reach[:SINGLES]] or [min(told)[2]]
+def _promising(search: _Search, start: _Linearisation, required: np.ndarray) -> list[int]:
+    """Numbers of the adjustments that alone, by their derivatives, bring the required characteristics within their
+    limits, the smallest first; if there is none, the one with the smallest excess."""
+    margin, results = np.where(required, 0.0, -np.inf), []
+    for i, item in enumerate(search.available):
+        free = np.arange(len(search.available)) == i
+        low, high = np.where(free, search.low, 0.0), np.where(free, search.high, 0.0)
+        x, excess = smallest(start.y, start.slopes, search.limits, low, high, margin=margin)
+        results.append((excess, abs(x[i]) / item.size, i))
+    sufficient = sorted((cost, i) for excess, cost, i in results if excess <= TOLERATED)
+    return [i for _, i in sufficient[:MAX_SINGLES]] or [min(results)[2]]
 
 
-def _tabled(scene, law, limits: Limits, found: Sequence[Remedy]) -> tuple[pd.DataFrame, pd.DataFrame]:
-    moves, effects = [], []
-    for one in found:
-        for own, change in one.changes.items():
-            moves.append((law, one.name, own.name, change, own.now + change, one.reached, one.rounds))
-        for i, (a, b) in enumerate(zip(one.before, one.after)):
-            effects += _effects(scene, limits, a, b, {"law": law, "remedy": one.name, "fresh": i == 1})
+def _change_table(law: str, found: Sequence[Remedy]) -> pd.DataFrame:
+    """One row for each change of each remedy."""
+    rows = [
+        (law, remedy.name, item.name, change, item.now + change, remedy.reached, remedy.rounds)
+        for remedy in found
+        for item, change in remedy.changes.items()
+    ]
     types = {"change": "float64", "value": "float64", "reached": "bool", "rounds": "int64"}
-    table = pd.DataFrame(moves, columns=REMEDIES.names).astype(types)
-    return table, pd.DataFrame(effects, columns=REMEDY_EFFECTS.names) if effects else REMEDY_EFFECTS.empty()
+    return pd.DataFrame(rows, columns=REMEDIES.names).astype(types)
+
+
+def _effect_table(scene, law: str, limits: Limits, found: Sequence[Remedy]) -> pd.DataFrame:
+    """One row for each remedy, set of samples and key characteristic."""
+    rows = []
+    for remedy in found:
+        for i, (a, b) in enumerate(zip(remedy.before, remedy.after)):
+            rows += _effects(scene, limits, a, b, {"law": law, "remedy": remedy.name, "fresh": i == 1})
+    return pd.DataFrame(rows, columns=REMEDY_EFFECTS.names) if rows else REMEDY_EFFECTS.empty()
 
 
 def _effects(scene, limits: Limits, a: np.ndarray, b: np.ndarray, keys: dict) -> list[dict]:
-    """Rows of samples (n, k) before and after, of those that did not fail in either."""
+    """Rows by key characteristic of samples (n, k) before and after, without those that failed in either."""
     known = np.isfinite(a).all(axis=1) & np.isfinite(b).all(axis=1)
     a, b, n = a[known], b[known], int(known.sum())
     stream = np.random.Generator(np.random.Philox(key=n))
     weights = stream.multinomial(n, np.full(n, 1 / max(n, 1)), size=RESAMPLES) / max(n, 1)
-    gain = limits.margin(b) - limits.margin(a)
-    drawn = limits.margin(b, weights) - limits.margin(a, weights)
-    low, high = np.quantile(drawn, [(1 - LEVEL) / 2, (1 + LEVEL) / 2], axis=0)
-    rows = [
-        keys | {"measurement": item.name, "samples": n, "failed": int((~known).sum())} for item in scene.measurements
-    ]
+    resampled = limits.margin(b, weights) - limits.margin(a, weights)
+    low, high = np.quantile(resampled, [(1 - LEVEL) / 2, (1 + LEVEL) / 2], axis=0)
+    columns = {"gain": limits.margin(b) - limits.margin(a), "gain_low": low, "gain_high": high}
     lower, upper = limits.lower, limits.upper
-    for word, y in (("_before", a), ("", b)):
-        columns = {
-            f"mean{word}": y.mean(axis=0),
-            f"six_sigma{word}": 6 * y.std(axis=0, ddof=min(1, n - 1)),
-            f"cpk{word}": np.asarray(centred_capability(y, lower, upper).value),
-            f"margin{word}": limits.margin(y),
-        }
+    for suffix, y in (("_before", a), ("", b)):
         share = estimates.share(outside(y, lower, upper), n)
         columns |= {
-            f"outside{word}{e}": getattr(share, at) for e, at in (("", "value"), ("_low", "low"), ("_high", "high"))
+            f"mean{suffix}": y.mean(axis=0),
+            f"six_sigma{suffix}": 6 * y.std(axis=0, ddof=min(1, n - 1)),
+            f"cpk{suffix}": np.asarray(centred_capability(y, lower, upper).value),
+            f"margin{suffix}": limits.margin(y),
+            f"outside{suffix}": share.value,
+            f"outside{suffix}_low": share.low,
+            f"outside{suffix}_high": share.high,
         }
-        for k, row in enumerate(rows):
-            row |= {name: float(np.atleast_1d(value)[k]) for name, value in columns.items()}
-    for k, row in enumerate(rows):
-        row |= {"gain": float(gain[k]), "gain_low": float(low[k]), "gain_high": float(high[k])}
-    return rows
+    return [
+        keys
+        | {"measurement": item.name, "samples": n, "failed": int((~known).sum())}
+        | {name: float(np.atleast_1d(value)[k]) for name, value in columns.items()}
+        for k, item in enumerate(scene.measurements)
+    ]

@@ -1,13 +1,12 @@
-"""What a step of each input changes: exact derivatives of the key characteristics, about the mean and over samples.
+"""Effects of steps of the inputs: exact derivatives of the key characteristics, about the mean and over samples.
 
-The inputs are the scene's deviations, each by one standard deviation, and what the scene holds fixed: positions of
-locators and clamps, forces of clamps and guns, friction of zones, and places in sheets that the scene's report asks for
-(:mod:`mic.process.inputs`).
+The inputs are the deviations of the scene, with steps of one standard deviation, and its constants: positions of
+locators and clamps, forces of clamps and guns, friction of zones, and the places in sheets that the report of the scene
+names (:mod:`mic.process.inputs`).
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,40 +15,40 @@ import pandas as pd
 from mic.process.model import ReducedModel
 from mic.process.sensitivity import AT_CHANGE, known_inputs
 from mic.results.schema import SENSITIVITIES, SPREADS
-from mic.statistics.derivative_regression import by_slopes
+from mic.statistics.derivative_regression import estimates_with_derivatives
 from mic.statistics.draw import draw
 from mic.statistics.estimates import six_sigma
+from mic.studies.samples import Progress, derivatives
 
 __all__ = ["SAMPLES", "Effects", "effects", "steps"]
 
 SAMPLES = 20
-BLOCK = 10  # samples between two calls of `progress`
 
-# By how much inputs are moved that the scene holds fixed.
+# Steps of the constants of the scene.
 POSITION = 0.1  # mm
-FORCE = 0.1  # of the clamp's
+FORCE = 0.1  # relative to the force of the clamp or gun
 FRICTION = 0.05
 
 
 @dataclass(frozen=True)
 class Effects:
-    """What steps of the inputs change under one law.
+    """Effects of steps of the inputs under one law.
 
     Attributes
     ----------
     table : DataFrame
         As :data:`mic.results.schema.SENSITIVITIES` declares it.
     spread : DataFrame
-        As :data:`mic.results.schema.SPREADS` declares it: what the samples and their derivatives tell of 6σ.
+        As :data:`mic.results.schema.SPREADS` declares it: mean and 6σ from the samples and their derivatives.
     reach : float
-        How far the mean assembly is from the next change of a contact's state, in standard deviations of the deviations
-        together; infinite if none changes any.
+        Distance of the mean assembly to the next change of a contact state, in joint standard deviations of the
+        deviations; infinite if they change none.
     where : str
-        What changes there.
+        Description of that change.
     at_change : str
-        What changes where the mean assembly is, if it is at a change; else empty.
+        Description of the change if the mean assembly lies on it; else empty.
     failed : int
-        Samples that failed, of those asked for, the mean among them.
+        Number of failed samples, including the mean.
     """
 
     table: pd.DataFrame
@@ -61,35 +60,28 @@ class Effects:
 
 
 def steps(model: ReducedModel) -> dict[str, float]:
-    """By how much each input is moved: a deviation by its standard deviation, a position by 0.1 mm, the force of a
-    clamp or a gun, or its limit, by a tenth of it, a coefficient of friction by 0.05."""
+    """Step of each input: the standard deviation of a deviation, 0.1 mm for a position, a tenth of the force of a clamp
+    or gun or of its limit, 0.05 for a coefficient of friction."""
     clamps, welds = model.scene.clamps, model.scene.welds
-    forces = {f"clamps.{one.name}": FORCE * abs(one.force) for one in clamps if one.force}
-    forces |= {f"clamps.{one.name}.limit": FORCE * one.limit for one in clamps if one.limit}
-    forces |= {f"welds.{one.name}.gun": FORCE * one.gun for one in welds if one.gun}
-    found = {}
+    forces = {f"clamps.{item.name}": FORCE * abs(item.force) for item in clamps if item.force}
+    forces |= {f"clamps.{item.name}.limit": FORCE * item.limit for item in clamps if item.limit}
+    forces |= {f"welds.{item.name}.gun": FORCE * item.gun for item in welds if item.gun}
+    result = {}
     for name, sigma in known_inputs(model).items():
-        if name in model.parameters:
-            if sigma > 0:
-                found[name] = sigma
-        else:
-            found[name] = forces.get(name, FRICTION if name.endswith(".friction") else POSITION)
-    return found
+        if name not in model.parameters:
+            result[name] = forces.get(name, FRICTION if name.endswith(".friction") else POSITION)
+        elif sigma > 0:
+            result[name] = sigma
+    return result
 
 
-def _spread(scene, law: str, inputs: list[str], drawn, values, jacobians) -> pd.DataFrame:
-    """What samples with their derivatives tell of mean and 6σ, as :data:`mic.results.schema.SPREADS` declares it."""
+def _spread(scene, law: str, inputs: list[str], x: np.ndarray, y: np.ndarray, jacobian: np.ndarray) -> pd.DataFrame:
+    """Mean and 6σ from samples (n, p), their key characteristics (n, k) and derivatives (n, k, inputs)."""
     names = [item.name for item in scene.deviations]
-    x, y = (
-        np.concatenate([np.zeros((0, len(names))), *drawn]),
-        np.concatenate([*values]) if values else np.zeros((0, 0)),
-    )
-    if not len(x):
-        return SPREADS.empty()
     slopes = np.zeros((*y.shape, len(names)))
-    own = [name for name in inputs if name in names]
-    slopes[:, :, [names.index(name) for name in own]] = np.concatenate(jacobians)[:, :, [inputs.index(n) for n in own]]
-    best, plain = by_slopes(scene, x, y, slopes), six_sigma(y)
+    columns = [i for i, name in enumerate(inputs) if name in names]
+    slopes[:, :, [names.index(inputs[i]) for i in columns]] = jacobian[:, :, columns]
+    best, plain = estimates_with_derivatives(scene, x, y, slopes), six_sigma(y)
     if best is None:
         return SPREADS.empty()
     return pd.DataFrame(
@@ -102,8 +94,8 @@ def _spread(scene, law: str, inputs: list[str], drawn, values, jacobians) -> pd.
             "plain_six_sigma_high": plain.high,
             "kind": best.kind.astype(str),
             "explained": best.explained,
-            **{f"mean{end}": one for end, one in zip(("", "_low", "_high"), best.mean)},
-            **{f"six_sigma{end}": 6 * one for end, one in zip(("", "_low", "_high"), best.sigma)},
+            **dict(zip(("mean", "mean_low", "mean_high"), best.mean)),
+            **{name: 6 * end for name, end in zip(("six_sigma", "six_sigma_low", "six_sigma_high"), best.sigma)},
         }
     )[SPREADS.names]
 
@@ -113,9 +105,9 @@ def effects(
     law: str | None = None,
     samples: int = SAMPLES,
     seed: int = 0,
-    progress: Callable[[int], None] = lambda count: None,
+    progress: Progress = lambda count: None,
 ) -> Effects:
-    """Find what steps of all inputs change.
+    """Effects of steps of all inputs on the key characteristics.
 
     Parameters
     ----------
@@ -123,47 +115,44 @@ def effects(
     law : str, optional
         Contact law; default: the first of the scene's report.
     samples : int
-        Beside the mean assembly, over which the derivatives' range is told.
+        Number of samples, besides the mean assembly, from which the range of the derivatives is taken.
     seed : int
     progress : callable, optional
-        Called with the number of samples that were done.
+        Called with the number of evaluated samples.
 
     Raises
     ------
     ValueError
         If nothing is measured.
     SceneError
-        Where parts rest by contact alone, and places in sheets are inputs.
+        If parts are held by contact alone and places in sheets are inputs.
     """
     scene = model.scene
     if not scene.measurements:
-        raise ValueError(f"scene {scene.name!r} has no measurements: nothing is asked for")
-    step, name = steps(model), law or scene.report.laws[0]
-    drawn, values = [], []
-    mean = model.sensitivities({}, name, step)
-    own = [one for one in step if one in model.parameters]
-    near = model.sensitivities({}, name, own) if own else mean
+        raise ValueError(f"scene {scene.name!r} has no measurements: there are no effects to compute")
+    inputs, law = steps(model), law or scene.report.laws[0]
+    mean = model.sensitivities({}, law, inputs)
+    deviations = [name for name in inputs if name in model.parameters]
+    nearest = model.sensitivities({}, law, deviations) if deviations else mean
     progress(1)
-    size = np.array(list(step.values()))
-    found = [mean.jacobian]
-    for first in range(0, samples, BLOCK):
-        some = draw(scene, seed, first, min(BLOCK, samples - first))
-        told = model.sensitivities(some, name, step)
-        found.append(told.jacobian)
-        drawn.append(some)
-        values.append(np.where(told.failed[:, None], np.nan, told.measurements))
-        progress(len(some))
-    slopes = np.concatenate(found) * size
-    failed = np.isnan(slopes).any(axis=(1, 2))
-    known = slopes[~failed] if not failed.all() else slopes[:1]
+    size = np.array(list(inputs.values()))
+    x = draw(scene, seed, 0, samples)
+    jacobian, spread = mean.jacobian, SPREADS.empty()
+    if len(x):
+        y, sampled = derivatives(model, x, law, progress, inputs)
+        jacobian = np.concatenate([jacobian, sampled])
+        spread = _spread(scene, law, list(inputs), x, y, sampled)
+    effect = jacobian * size
+    failed = np.isnan(effect).any(axis=(1, 2))
+    known = effect[~failed] if not failed.all() else effect[:1]
     rows = [
         {
-            "law": name,
+            "law": law,
             "measurement": item.name,
-            "input": one,
+            "input": name,
             "step": size[i],
             "samples": int((~failed).sum()),
-            "effect": slopes[0, k, i],
+            "effect": effect[0, k, i],
             "effect_low": known[:, k, i].min(),
             "effect_high": known[:, k, i].max(),
             "effect_below": mean.sides[0, k, i, 0] * size[i],
@@ -171,9 +160,8 @@ def effects(
             "reach": mean.reach_along[0, i],
         }
         for k, item in enumerate(scene.measurements)
-        for i, one in enumerate(step)
+        for i, name in enumerate(inputs)
     ]
     at_change = str(mean.where[0]) if mean.reach[0] <= AT_CHANGE else ""
     table = pd.DataFrame(rows, columns=SENSITIVITIES.names)
-    spread = _spread(scene, name, list(step), drawn, values, found[1:])
-    return Effects(table, spread, float(near.reach[0]), str(near.where[0]), at_change, int(failed.sum()))
+    return Effects(table, spread, float(nearest.reach[0]), str(nearest.where[0]), at_change, int(failed.sum()))

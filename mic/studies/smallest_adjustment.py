@@ -13,12 +13,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from mic.process.model import ReducedModel
-from mic.studies.adjustment import Adjustment, extended
+from mic.studies.adjustment import Adjustment, with_adjustments
 from mic.studies.emulator_training import AssemblyEmulator
+from mic.studies.samples import limits
 
 __all__ = ["AdjustmentSearch", "ProposedAdjustment"]
 
@@ -29,6 +31,14 @@ WORTH = 1e-3  # mm: an adjustment with a smaller effect does not count
 
 #: Key characteristics (n, k) of changes (n,) of one adjustment, and half widths (n, k) or (k,) of their intervals.
 _Prediction = Callable[[int, np.ndarray], tuple[np.ndarray, np.ndarray]]
+
+
+class _Candidate(NamedTuple):
+    """Number of an adjustment, its change, and the excess over the limits with it, mm."""
+
+    number: int
+    change: float
+    excess: float
 
 
 @dataclass(frozen=True)
@@ -55,12 +65,12 @@ class ProposedAdjustment:
     evaluated: bool
 
     def __str__(self) -> str:
-        own = self.adjustment
+        adjustment = self.adjustment
         if self.beyond > 0 and self.beyond > self.before - WORTH:
-            return f"no adjustment helps; {own.name} would do most"
-        left = f"{1e3 * abs(self.beyond):.3g} µm"
-        reached = f"within all limits by {left}" if self.beyond <= 0 else f"still {left} beyond"
-        return f"{own.name} by {self.change:+.4g} {own.unit}: {reached}"
+            return f"no adjustment helps; {adjustment.name} has the largest effect"
+        distance = f"{1e3 * abs(self.beyond):.3g} µm"
+        reached = f"within all limits by {distance}" if self.beyond <= 0 else f"still {distance} beyond a limit"
+        return f"{adjustment.name} by {self.change:+.4g} {adjustment.unit}: {reached}"
 
 
 class AdjustmentSearch:
@@ -71,21 +81,21 @@ class AdjustmentSearch:
     model : ReducedModel
     law : str
         Contact law.
-    some : sequence of Adjustment
+    available : sequence of Adjustment
         At least one.
     emulator : AssemblyEmulator, optional
         Emulator of the changes that these adjustments cause.
     """
 
     def __init__(
-        self, model: ReducedModel, law: str, some: Sequence[Adjustment], emulator: AssemblyEmulator | None = None
+        self, model: ReducedModel, law: str, available: Sequence[Adjustment], emulator: AssemblyEmulator | None = None
     ):
-        self._model, self._names = extended(model, some)
-        self._law, self._some, self._emulator = law, list(some), emulator
-        self._lower, self._upper = np.array([item.bounds for item in model.scene.measurements]).T
+        self._model, self._names = with_adjustments(model, available)
+        self._law, self._available, self._emulator = law, list(available), emulator
+        self._lower, self._upper = limits(model.scene)
 
     def propose(
-        self, x: np.ndarray, y: np.ndarray, half: np.ndarray, off: np.ndarray, covered: bool
+        self, x: np.ndarray, y: np.ndarray, half: np.ndarray, error: np.ndarray, covered: bool
     ) -> ProposedAdjustment:
         """The smallest adjustment of an assembly.
 
@@ -95,7 +105,7 @@ class AdjustmentSearch:
             Its deviations.
         y, half : (k,) array
             Its key characteristics and the half widths of their intervals, mm.
-        off : (k,) array
+        error : (k,) array
             Error of y, mm; 0 if it was evaluated.
         covered : bool
             Whether it lies within the range of the emulator.
@@ -104,15 +114,15 @@ class AdjustmentSearch:
         if emulator is not None and covered:
 
             def predict(a: int, changes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-                more, errs = emulator(self._adjusted(x, a, changes))
-                return y + more, half + off + errs
+                effect, effect_error = emulator(self._adjusted(x, a, changes))
+                return y + effect, half + error + effect_error
 
-            which, change, beyond = self._smallest(predict)
-            told, wide = predict(which, np.array([change]))
-            if beyond <= 0 or self._beyond(told, 2 * half - wide)[0] > 0:  # even with the error subtracted
-                return ProposedAdjustment(self._some[which], change, beyond, before, False)
-        which, change, beyond = self._smallest_by_evaluation(x, y, half)
-        return ProposedAdjustment(self._some[which], change, beyond, before, True)
+            number, change, beyond = self._smallest(predict)
+            predicted, width = predict(number, np.array([change]))
+            if beyond <= 0 or self._beyond(predicted, 2 * half - width)[0] > 0:  # even with the error subtracted
+                return ProposedAdjustment(self._available[number], change, beyond, before, False)
+        number, change, beyond = self._smallest_by_evaluation(x, y, half)
+        return ProposedAdjustment(self._available[number], change, beyond, before, True)
 
     def _beyond(self, y: np.ndarray, half: np.ndarray):
         """(...) largest excess of intervals (..., k) over their limits, mm; negative within."""
@@ -120,66 +130,77 @@ class AdjustmentSearch:
 
     def _adjusted(self, x: np.ndarray, a: int, changes: np.ndarray) -> np.ndarray:
         """(n, p + a) an assembly with changes (n,) of one adjustment."""
-        found = np.zeros((len(changes), len(x) + len(self._some)))
-        found[:, : len(x)], found[:, len(x) + a] = x, changes
-        return found
+        whole = np.zeros((len(changes), len(x) + len(self._available)))
+        whole[:, : len(x)], whole[:, len(x) + a] = x, changes
+        return whole
 
-    def _smallest(self, predict: _Prediction) -> tuple[int, float, float]:
-        """Number of the adjustment, its change and the excess that remains, by the prediction."""
-        best, enough = (0, 0.0, np.inf), []
-        for a, own in enumerate(self._some):
-            for end in (own.low, own.high):
+    def _smallest(self, predict: _Prediction) -> _Candidate:
+        """The smallest sufficient change by the prediction, or the one with the smallest excess."""
+        best, sufficient = _Candidate(0, 0.0, np.inf), []
+        for a, adjustment in enumerate(self._available):
+            for end in (adjustment.low, adjustment.high):
                 coarse = np.linspace(0.0, end, GRID + 1)
-                beyond = self._beyond(*predict(a, coarse))
-                first = int(np.argmax(beyond[1:] <= 0)) + 1 if (beyond[1:] <= 0).any() else int(beyond.argmin())
+                excess = self._beyond(*predict(a, coarse))
+                within = excess[1:] <= 0
+                first = int(np.argmax(within)) + 1 if within.any() else int(excess.argmin())
                 if not first:
-                    best = min(best, (a, 0.0, float(beyond[0])), key=lambda one: one[2])
+                    best = _least_excess([best, _Candidate(a, 0.0, float(excess[0]))])
                     continue
-                fine = own.settings(float(coarse[first - 1]), float(coarse[first]))
-                left = self._beyond(*predict(a, fine))
-                i = int(np.argmax(left <= 0)) if (left <= 0).any() else int(left.argmin())
-                found = a, float(fine[i]), float(left[i])
-                best = min(best, found, key=lambda one: one[2])
-                enough += [found] if left[i] <= 0 else []
-        return self._least(enough) or best
+                fine = adjustment.settings(float(coarse[first - 1]), float(coarse[first]))
+                excess = self._beyond(*predict(a, fine))
+                within = excess <= 0
+                i = int(np.argmax(within)) if within.any() else int(excess.argmin())
+                candidate = _Candidate(a, float(fine[i]), float(excess[i]))
+                best = _least_excess([best, candidate])
+                sufficient += [candidate] if within.any() else []
+        return self._least_change(sufficient) or best
 
-    def _smallest_by_evaluation(self, x: np.ndarray, y: np.ndarray, half: np.ndarray) -> tuple[int, float, float]:
+    def _smallest_by_evaluation(self, x: np.ndarray, y: np.ndarray, half: np.ndarray) -> _Candidate:
         """As :meth:`_smallest`, by evaluations of the assembly."""
         process, start = self._model.process(self._law), self._adjusted(x, 0, np.zeros(1))[0]
         slope = np.nan_to_num(self._model.sensitivities(start, self._law, self._names).jacobian[0])  # (k, a)
-        known: dict[tuple[int, float], np.ndarray] = {}
+        evaluated: dict[tuple[int, float], np.ndarray] = {}
 
         def predict(a: int, changes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
             """Interpolate between evaluations on the same side; extrapolate along the derivatives."""
-            found = np.empty((len(changes), len(y)))
+            result = np.empty((len(changes), len(y)))
             for i, change in enumerate(changes):
-                own = {0.0: y} | {abs(at): told for (b, at), told in known.items() if b == a and at * change > 0}
-                at, way = np.array(sorted(own)), abs(change)
-                near = int(np.clip(np.searchsorted(at, way) - 1, 0, len(at) - 1))
-                before = own[at[near]]
-                if near + 1 < len(at):
-                    found[i] = before + (way - at[near]) / (at[near + 1] - at[near]) * (own[at[near + 1]] - before)
+                values = {0.0: y}
+                values |= {abs(at): value for (b, at), value in evaluated.items() if b == a and at * change > 0}
+                at, size = np.array(sorted(values)), abs(change)
+                j = int(np.clip(np.searchsorted(at, size) - 1, 0, len(at) - 1))
+                before, distance = values[at[j]], size - at[j]
+                if j + 1 < len(at):
+                    result[i] = before + distance / (at[j + 1] - at[j]) * (values[at[j + 1]] - before)
                 else:
-                    found[i] = before + (way - at[near]) * np.sign(change) * slope[:, a]
-            return found, half
+                    result[i] = before + distance * np.sign(change) * slope[:, a]
+            return result, half
 
         def evaluate(a: int, change: float) -> None:
-            answer = process.attempt(self._adjusted(x, a, np.array([change])))
-            known[a, change] = np.full(len(y), UNKNOWN) if answer.failed[0] else answer.measurements[0]
+            evaluation = process.attempt(self._adjusted(x, a, np.array([change])))
+            evaluated[a, change] = np.full(len(y), UNKNOWN) if evaluation.failed[0] else evaluation.measurements[0]
 
         for _ in range(MAX_EVALUATIONS):
             a, change, _ = self._smallest(predict)
-            if (a, change) in known or (not change and known):
+            if (a, change) in evaluated or (not change and evaluated):
                 break
             if change:
                 evaluate(a, change)
             else:  # no small change has an effect: try the largest
-                for b, own in enumerate(self._some):
-                    evaluate(b, own.low)
-                    evaluate(b, own.high)
-        tried = [(a, change, float(self._beyond(own, half))) for (a, change), own in known.items()]
-        tried = tried or [(0, 0.0, float(self._beyond(y, half)))]
-        return self._least([one for one in tried if one[2] <= 0]) or min(tried, key=lambda one: one[2])
+                for b, adjustment in enumerate(self._available):
+                    evaluate(b, adjustment.low)
+                    evaluate(b, adjustment.high)
+        candidates = [_Candidate(*key, float(self._beyond(values, half))) for key, values in evaluated.items()]
+        candidates = candidates or [_Candidate(0, 0.0, float(self._beyond(y, half)))]
+        return self._least_change([candidate for candidate in candidates if candidate.excess <= 0]) or _least_excess(
+            candidates
+        )
 
-    def _least(self, some: list[tuple[int, float, float]]) -> tuple[int, float, float] | None:
-        return min(some, key=lambda one: abs(one[1]) / self._some[one[0]].size, default=None)
+    def _least_change(self, candidates: list[_Candidate]) -> _Candidate | None:
+        """The candidate with the smallest change relative to its allowed range; None without candidates."""
+        relative = lambda candidate: abs(candidate.change) / self._available[candidate.number].size
+        return min(candidates, key=relative, default=None)
+
+
+def _least_excess(candidates: list[_Candidate]) -> _Candidate:
+    return min(candidates, key=lambda candidate: candidate.excess)

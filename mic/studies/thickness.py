@@ -1,4 +1,4 @@
-"""Error of the interpolated compliance of a sheet of varying thickness, against the computed one."""
+"""Error of the interpolated compliance of a sheet of varying thickness, relative to the computed one."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from mic.compliance.thickness import Thicknesses
 from mic.model.assembly import Assembly
 from mic.process.model import ReducedModel
 
-__all__ = ["AWAY", "Interpolated", "interpolated"]
+__all__ = ["DISTANCE", "InterpolationError", "interpolation_errors"]
 
-AWAY = 3.0  # distance of the compared thicknesses from the mean, in standard deviations
+DISTANCE = 3.0  # distance of the compared thicknesses from the mean, in standard deviations
 
 
 @dataclass(frozen=True)
-class Interpolated:
-    """Error of the key characteristics with one part at its thinnest and thickest, all else at its mean.
+class InterpolationError:
+    """Errors of the key characteristics with one part at its extreme thicknesses and all else at its mean.
 
     Attributes
     ----------
@@ -42,9 +42,9 @@ class Interpolated:
     error: np.ndarray
 
 
-def interpolated(
+def interpolation_errors(
     assembly: Assembly, model: ReducedModel, cache: Path, progress: Callable[[str], None] | None = None
-) -> list[Interpolated]:
+) -> list[InterpolationError]:
     """Compare interpolated coefficients with computed ones, for each thickness that varies.
 
     Parameters
@@ -62,23 +62,24 @@ def interpolated(
     MissingProvider
         If coefficients must be computed and no provider is installed.
     """
-    found = []
+    results = []
     mean = model.deviations({})
-    for j, item in enumerate(model.scene.deviations):
-        if item.kind != "thickness" or not model.scene.measurements:
+    for j, deviation in enumerate(model.scene.deviations):
+        if deviation.kind != "thickness" or not model.scene.measurements:
             continue
-        part = next(one for one in assembly.parts if one.name == item.part)
-        known = model.thicknesses[part.name]
-        t = np.clip(part.thickness + item.mean + AWAY * item.sigma * np.array([-1.0, 1.0]), known.low, known.high)
-        ends = tuple(part.at(float(each)) for each in t)
-        computed, _ = influence_coefficients(replace(assembly, parts=ends), cache, progress)
-        sets = [computed[one.name] for one in ends]
-        H, G = (np.array([getattr(one, name) for one in sets]) for name in ("H", "G"))
+        part = next(item for item in assembly.parts if item.name == deviation.part)
+        thicknesses = model.thicknesses[part.name]
+        t = part.thickness + deviation.mean + DISTANCE * deviation.sigma * np.array([-1.0, 1.0])
+        t = np.clip(t, thicknesses.low, thicknesses.high)
+        end_parts = tuple(part.at(float(value)) for value in t)
+        computed, _ = influence_coefficients(replace(assembly, parts=end_parts), cache, progress)
+        coefficients = [computed[item.name] for item in end_parts]
+        H, G = (np.array([getattr(item, name) for item in coefficients]) for name in ("H", "G"))
         exact = replace(model, thicknesses={**model.thicknesses, part.name: Thicknesses(t, t[0], t[1], H, G)})
         samples = np.repeat(mean, 2, axis=0)
         samples[:, j] = t - part.thickness
-        read = model.process().attempt(samples).measurements
-        change = read - model.process().attempt(mean).measurements
-        error = read - exact.process().attempt(samples).measurements
-        found.append(Interpolated(item.name, part.name, (float(t[0]), float(t[1])), change, error))
-    return found
+        y = model.process().attempt(samples).measurements
+        change = y - model.process().attempt(mean).measurements
+        error = y - exact.process().attempt(samples).measurements
+        results.append(InterpolationError(deviation.name, part.name, (float(t[0]), float(t[1])), change, error))
+    return results
