@@ -17,7 +17,7 @@ import mic
 from mic import examples
 from mic.studies.optimisation.design import Space
 from mic.studies.optimisation.evaluations import BudgetExceeded, DesignEvaluator
-from mic.studies.optimisation.optimum import judged, optimise
+from mic.studies.optimisation.optimum import evaluate_design, optimise
 from mic.studies.optimisation.search import random_design
 
 
@@ -53,7 +53,11 @@ def main():
     before = time.process_time()
     trials = DesignEvaluator(model, Space(model), law, found.samples, given.seed, found.evaluations, ledger=ledger)
     best, count = by_chance(trials, np.random.default_rng(given.seed))
-    show(f"best of {count} at random", judged(trials, best, found.samples, given.fresh), time.process_time() - before)
+    show(
+        f"best of {count} at random",
+        evaluate_design(trials, best, found.samples, given.fresh),
+        time.process_time() - before,
+    )
 
 
 def show(name, found, took):

@@ -1,4 +1,4 @@
-"""What to change so that an assembly becomes better: forces, shims, orders, places, and which parts go together."""
+"""Optimisation of an assembly: forces, shims, process orders, places of items, and matching of measured parts."""
 
 from mic.studies.optimisation.design import Change, Design
 from mic.studies.optimisation.matching import Matched

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 from mic.studies.optimisation.design import Space
-from mic.studies.optimisation.matching import combinations, read_kinds
+from mic.studies.optimisation.matching import Kind, combinations, read_kinds
 from mic.studies.optimisation.optimum import BUDGET, FRESH
 
-__all__ = ["OBJECTIVES", "asked"]
+__all__ = ["OBJECTIVES", "describe"]
 
 #: Description of each objective.
 OBJECTIVES = {
@@ -19,14 +20,14 @@ OBJECTIVES = {
     "six-sigma": "the sum of 6σ, mm,",
     "cost": "the cost",
 }
-_GROWS = ("cpk", "yield")
+_MAXIMISED = ("cpk", "yield")
 _QUANTITIES = {"cpk": "Cpk", "six-sigma": "6σ", "mean": "the mean", "force": "the sum of the forces"}
 _UNITS = {"cpk": "", "six-sigma": " mm", "mean": " mm", "force": " N"}
 MAX_NAMES = 6  # names in an enumeration
 MAX_GROUP_NAMES = 2  # names of a group that are all listed
 
 
-def asked(model: Any) -> list[str]:
+def describe(model: Any) -> list[str]:
     """Sentences on the objective, the allowed changes, the constraints and the effort of `mic optimise`.
 
     Parameters
@@ -39,54 +40,71 @@ def asked(model: Any) -> list[str]:
     SceneError
         If a file of measured parts cannot be read.
     """
-    scene, space = model.scene, Space(model)
-    own = space.asked
-    what, items = OBJECTIVES[own.objective].removesuffix(", mm,"), _join(own.of) or "all measurements"
-    way = "as large" if own.objective in _GROWS else "as small"
-    found = [f"wanted: {what} of {items} becomes {way} as it can, over the variation of the inputs"]
-    if own.reject:
-        found[0] += f"; an assembly outside its limits costs {own.reject:g}"
-    if own.weights:
-        found[0] += f"; weights: {_join([f'{name} {weight:g}' for name, weight in own.weights.items()])}"
-    for one in space.settings:
-        low, high = (one.now + end for end in (one.low, one.high))
-        kind = "force" if one.unit == "N" else "shim" if one.kind == "locator" else "stroke"
-        found.append(
-            f"may change: {kind} of {_join(one.targets)}, {low:g} to {high:g} {one.unit} ({one.now:g} as it is)"
-        )
+    space = Space(model)
+    kinds = read_kinds(model.scene) if space.request.matching else []
+    return [
+        _objective(space.request),
+        *_changes(space),
+        *_matching(model.scene, kinds),
+        *_constraints(space.request),
+        _effort(space, kinds),
+    ]
+
+
+def _objective(request) -> str:
+    what, items = OBJECTIVES[request.objective].removesuffix(", mm,"), _join(request.of) or "all measurements"
+    direction = "maximise" if request.objective in _MAXIMISED else "minimise"
+    sentence = f"objective: {direction} {what} of {items} over the variation of the inputs"
+    if request.reject:
+        sentence += f"; an assembly outside its limits costs {request.reject:g}"
+    if request.weights:
+        sentence += f"; weights: {_join([f'{name} {weight:g}' for name, weight in request.weights.items()])}"
+    return sentence
+
+
+def _changes(space: Space) -> Iterator[str]:
+    for setting in space.settings:
+        low, high = (setting.now + end for end in (setting.low, setting.high))
+        kind = "force" if setting.unit == "N" else "shim" if setting.kind == "locator" else "stroke"
+        targets, unit = _join(setting.targets), setting.unit
+        yield f"may change: {kind} of {targets}, {low:g} to {high:g} {unit} (now {setting.now:g})"
     for stage, groups in zip(space.stages, space.groups):
-        row, count = _join([_join_group(each) for each in groups]), math.factorial(len(groups))
-        found.append(f"may change: order of stage {stage}: {row}; {count:,} orders")
+        names, count = _join([_join_group(group) for group in groups]), math.factorial(len(groups))
+        yield f"may change: order of stage {stage}: {names}; {count:,} orders"
     for item, points in zip(space.items, space.points):
         places = "; ".join("(" + ", ".join(f"{x:g}" for x in point) + ")" for point in points[1 : MAX_NAMES + 1])
         more = f" and {len(points) - 1 - MAX_NAMES} more" if len(points) - 1 > MAX_NAMES else ""
-        found.append(f"may change: place of {item}, to {places}{more}")
-    kinds = read_kinds(scene) if own.matching else []
-    for batch in kinds:
-        names = [scene.deviations[column].name for column in batch.columns]
-        found.append(f"may be matched: {len(batch.rows)} parts {batch.name}, measured: {_join(names)}")
-    for limit in own.constraints:
-        ends = [f"at least {limit.at_least:g}{_UNITS[limit.quantity]}"] if limit.at_least is not None else []
-        ends += [f"at most {limit.at_most:g}{_UNITS[limit.quantity]}"] if limit.at_most is not None else []
-        every = "all clamps" if limit.quantity == "force" else "each measurement"
-        found.append(f"kept: {_QUANTITIES[limit.quantity]} of {_join(limit.of) or every} is {' and '.join(ends)}")
-    return [*found, _effort(space, kinds)]
+        yield f"may change: place of {item}, to {places}{more}"
 
 
-def _effort(space: Space, kinds) -> str:
+def _matching(scene, kinds: Sequence[Kind]) -> Iterator[str]:
+    for kind in kinds:
+        names = [scene.deviations[column].name for column in kind.columns]
+        yield f"to be matched: {len(kind.rows)} parts {kind.name} with measured {_join(names)}"
+
+
+def _constraints(request) -> Iterator[str]:
+    for limit in request.constraints:
+        unit = _UNITS[limit.quantity]
+        ends = [f"at least {limit.at_least:g}{unit}"] if limit.at_least is not None else []
+        ends += [f"at most {limit.at_most:g}{unit}"] if limit.at_most is not None else []
+        default = "all clamps" if limit.quantity == "force" else "each measurement"
+        yield f"constraint: {_QUANTITIES[limit.quantity]} of {_join(limit.of) or default} is {' and '.join(ends)}"
+
+
+def _effort(space: Space, kinds: Sequence[Kind]) -> str:
     """Number of designs, and the evaluations of a search."""
-    there = []
-    designs = math.prod([math.factorial(len(own)) for own in space.groups] + [len(own) for own in space.points])
+    choices = []
+    designs = math.prod(math.factorial(len(groups)) for groups in space.groups) * math.prod(map(len, space.points))
     if designs > 1:
-        there.append(f"{designs:,} designs of orders and places")
+        choices.append(f"{designs:,} designs of orders and places")
     if space.settings:
-        there.append(f"{len(space.settings)} setting{'s' * (len(space.settings) > 1)} between bounds")
+        choices.append(f"{len(space.settings)} setting{'s' * (len(space.settings) > 1)} between bounds")
     if kinds:
-        there.append(f"{combinations(kinds):,} combinations of parts")
-    choices = " × ".join(there)
+        choices.append(f"{combinations(kinds):,} combinations of parts")
     return (
-        f"takes: {choices}; at most {BUDGET:,} evaluations of an assembly to find the best, unless --budget says "
-        f"another number, and up to {2 * FRESH:,} to judge it (--fresh)"
+        f"effort: {' × '.join(choices)}; at most {BUDGET:,} evaluations of an assembly for the search (--budget), and "
+        f"up to {2 * FRESH:,} to evaluate the best design on fresh samples (--fresh)"
     )
 
 

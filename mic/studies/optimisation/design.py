@@ -12,9 +12,9 @@ import numpy as np
 from mic.process.actions import stage_moves, tongs
 from mic.process.model import ReducedModel
 from mic.scene import Scene
-from mic.scene.optimisation import jaws, mover, standing
-from mic.studies.adjustment import Adjustment, as_deviations, extended
-from mic.studies.order import named
+from mic.scene.optimisation import jaws, locator_or_clamp, named_items
+from mic.studies.adjustment import Adjustment, as_deviations, with_adjustments
+from mic.studies.order import moved_names
 
 __all__ = ["Change", "Design", "Space"]
 
@@ -39,11 +39,6 @@ class Design:
     settings: tuple[float, ...]
     orders: tuple[Sequenced, ...]
     places: tuple[int, ...]
-
-    @property
-    def structure(self) -> tuple[Any, ...]:
-        """Orders and places: designs that differ in them need different models."""
-        return self.orders, self.places
 
 
 @dataclass(frozen=True)
@@ -85,6 +80,8 @@ class Space:
 
     Attributes
     ----------
+    request : mic.scene.optimisation.Optimise
+        The table ``optimise``.
     settings : list of Adjustment
     costs : (a,) array
         Cost of a change by one unit of each setting.
@@ -99,23 +96,23 @@ class Space:
     """
 
     def __init__(self, model: ReducedModel):
-        self.scene, asked = model.scene, model.scene.optimise
-        assert asked is not None
-        self.asked, settings = asked, [_force(self.scene, one) for one in asked.forces]
-        settings += [_shim(self.scene, one) for one in asked.shims]
-        self.settings: list[Adjustment] = settings
-        self.costs = np.array([*(one.cost for one in asked.forces), *(one.cost for one in asked.shims)], dtype=float)
-        self.stages = [str(one.stage) for one in asked.orders]
-        self.groups = [_groups(self.scene, one) for one in asked.orders]
+        self.scene, request = model.scene, model.scene.optimise
+        assert request is not None
+        self.request = request
+        self.settings = [_force(self.scene, choice) for choice in request.forces]
+        self.settings += [_shim(self.scene, choice) for choice in request.shims]
+        self.costs = np.array([choice.cost for choice in (*request.forces, *request.shims)], dtype=float)
+        self.stages = [str(choice.stage) for choice in request.orders]
+        self.groups = [_groups(self.scene, choice) for choice in request.orders]
         together = {
-            stage.name: [set(names) for move in moves if (names := named(self.scene, move))]
+            stage.name: [set(names) for move in moves if (names := moved_names(self.scene, move))]
             for stage, moves in stage_moves(self.scene)
         }
         self.stated_groups = [together[stage] for stage in self.stages]
-        self.items = [one.item for one in asked.places]
-        self.points = [[standing(self.scene, one.item)[0].point, *one.points] for one in asked.places]
-        self.low = np.array([one.low for one in settings], dtype=float)
-        self.high = np.array([one.high for one in settings], dtype=float)
+        self.items = [choice.item for choice in request.places]
+        self.points = [[named_items(self.scene, choice.item)[0].point, *choice.points] for choice in request.places]
+        self.low = np.array([setting.low for setting in self.settings], dtype=float)
+        self.high = np.array([setting.high for setting in self.settings], dtype=float)
 
     @cached_property
     def stated(self) -> Design:
@@ -125,11 +122,11 @@ class Space:
     @property
     def discrete(self) -> bool:
         """Whether there are orders or places to choose from."""
-        return bool(self.items) or any(len(own) > 1 for own in self.groups)
+        return bool(self.items) or any(len(groups) > 1 for groups in self.groups)
 
     def with_setting_deviations(self, model: ReducedModel) -> tuple[ReducedModel, list[str]]:
         """A model with a deviation of standard deviation 0 for each setting, and the names of these deviations."""
-        return extended(model, self.settings)
+        return with_adjustments(model, self.settings)
 
     def with_orders_of(self, model: ReducedModel, design: Design) -> ReducedModel:
         """A model with the orders of a design."""
@@ -139,70 +136,65 @@ class Space:
 
     def settable(self, settings: Sequence[float] | np.ndarray) -> tuple[float, ...]:
         """Settings rounded to steps that can be set, within their bounds."""
-        return tuple(_round_change(one, float(x)) for one, x in zip(self.settings, settings))
+        return tuple(_round_change(setting, float(x)) for setting, x in zip(self.settings, settings))
 
     def changes(self, design: Design) -> list[Change]:
         """Changes of the scene under a design."""
-        found = []
-        for own, change in zip(self.settings, design.settings):
+        changes = []
+        for setting, change in zip(self.settings, design.settings):
             if change:
-                kind = "force" if own.unit == "N" else "shim"
-                found.append(Change(kind, own.targets, own.now, own.now + change))
+                kind = "force" if setting.unit == "N" else "shim"
+                changes.append(Change(kind, setting.targets, setting.now, setting.now + change))
         for stage, order in zip(self.stages, design.orders):
             if order is not None:
-                found.append(Change("order", (stage,), None, [list(group) for group in order]))
-        for item, points, at in zip(self.items, self.points, design.places):
-            if at:
-                found.append(Change("place", (item,), list(points[0]), list(points[at])))
-        return found
+                changes.append(Change("order", (stage,), None, [list(group) for group in order]))
+        for item, points, number in zip(self.items, self.points, design.places):
+            if number:
+                changes.append(Change("place", (item,), list(points[0]), list(points[number])))
+        return changes
 
     def with_places_of(self, design: Design) -> Scene:
         """The scene with its items at the places of a design."""
-        moved: dict[str, dict[str, Any]] = {}
-        for item, points, at in zip(self.items, self.points, design.places):
-            if at:
-                for one in standing(self.scene, item):
-                    moved.setdefault(item.partition(".")[0], {})[one.name] = points[at]
-        return self.scene.model_copy(
-            update={
-                table: [
-                    one.model_copy(update={"point": own[one.name], "node": None, "set": None})
-                    if one.name in own
-                    else one
-                    for one in getattr(self.scene, table)
+        tables: dict[str, list[Any]] = {}
+        for key, points, number in zip(self.items, self.points, design.places):
+            if number:
+                table = key.partition(".")[0]
+                names = {item.name for item in named_items(self.scene, key)}
+                update = {"point": points[number], "node": None, "set": None}
+                tables[table] = [
+                    item.model_copy(update=update) if item.name in names else item
+                    for item in tables.get(table, getattr(self.scene, table))
                 ]
-                for table, own in moved.items()
-            }
-        )
+        return self.scene.model_copy(update=tables)
 
     def with_design(self, design: Design) -> Scene:
         """The scene under a design: forces, strokes, orders and points in their keys, shims as fixed deviations."""
         scene = _with_orders(self.with_places_of(design), dict(zip(self.stages, design.orders)))
-        more = {
+        changes = {
             name: change
-            for own, change in zip(self.settings, design.settings)
-            if own.kind == "clamp"
-            for name in own.targets
+            for setting, change in zip(self.settings, design.settings)
+            if setting.kind == "clamp"
+            for name in setting.targets
         }
         clamps = []
-        for one in scene.clamps:
-            key = "stroke" if one.force is None else "force"
-            clamps.append(one.model_copy(update={key: getattr(one, key) + more.get(one.name, 0.0)}))
-        shims = [(own, x) for own, x in zip(self.settings, design.settings) if own.kind == "locator" and x]
-        moved = as_deviations(scene, [own for own, _ in shims], [x for _, x in shims])
-        return scene.model_copy(update={"clamps": clamps, "deviations": [*scene.deviations, *moved]})
+        for clamp in scene.clamps:
+            key = "stroke" if clamp.force is None else "force"
+            clamps.append(clamp.model_copy(update={key: getattr(clamp, key) + changes.get(clamp.name, 0.0)}))
+        shims = [(setting, x) for setting, x in zip(self.settings, design.settings) if setting.kind == "locator" and x]
+        shim_deviations = as_deviations(scene, [setting for setting, _ in shims], [x for _, x in shims])
+        return scene.model_copy(update={"clamps": clamps, "deviations": [*scene.deviations, *shim_deviations]})
 
 
 def _force(scene, choice) -> Adjustment:
-    targets = tuple(one.name for name in choice.clamps for one in jaws(scene, name))
-    now = next(one.force for one in scene.clamps if one.name == targets[0])
+    targets = tuple(clamp.name for name in choice.clamps for clamp in jaws(scene, name))
+    now = next(clamp.force for clamp in scene.clamps if clamp.name == targets[0])
     low, high = choice.between
     return Adjustment(f"clamps.{'+'.join(targets)}.force", "clamp", targets, now, low - now, high - now)
 
 
 def _shim(scene, choice) -> Adjustment:
-    kind = "clamp" if hasattr(mover(scene, choice.of[0]), "stroke") else "locator"
-    now = mover(scene, choice.of[0]).stroke if kind == "clamp" and len(choice.of) == 1 else 0.0
+    kind = "clamp" if hasattr(locator_or_clamp(scene, choice.of[0]), "stroke") else "locator"
+    now = locator_or_clamp(scene, choice.of[0]).stroke if kind == "clamp" and len(choice.of) == 1 else 0.0
     name = f"{kind}s.{'+'.join(choice.of)}" + ".stroke" * (kind == "clamp")
     return Adjustment(name, kind, tuple(choice.of), now, *choice.between)
 
@@ -211,15 +203,15 @@ def _groups(scene, choice) -> tuple[tuple[str, ...], ...]:
     """Groups that close, or open, together in a stage, in the order of the scene."""
     stage, moves = next((stage, moves) for stage, moves in stage_moves(scene) if stage.name == choice.stage)
     if choice.groups is not None:
-        called = lambda name: [one.name for one in jaws(scene, name)] or [name]
-        return tuple(tuple(one for name in group for one in called(name)) for group in choice.groups)
+        expand = lambda name: [item.name for item in jaws(scene, name)] or [name]
+        return tuple(tuple(item for name in group for item in expand(name)) for group in choice.groups)
     if stage.order is None and stage.kind == "clamp":
-        own = [i for i, one in enumerate(scene.clamps) if one.stage == stage.name]
-        locators = [(one.name,) for one in scene.locators if one.stage == stage.name]
-        return (*locators, *(tuple(scene.clamps[i].name for i in group) for group in tongs(scene, own)))
+        numbers = [i for i, item in enumerate(scene.clamps) if item.stage == stage.name]
+        locators = [(item.name,) for item in scene.locators if item.stage == stage.name]
+        return (*locators, *(tuple(scene.clamps[i].name for i in group) for group in tongs(scene, numbers)))
     if stage.order is None and stage.kind == "weld":
-        return tuple((one.name,) for one in scene.welds if one.stage == stage.name)
-    return tuple(tuple(names) for move in moves if (names := named(scene, move)))
+        return tuple((item.name,) for item in scene.welds if item.stage == stage.name)
+    return tuple(tuple(names) for move in moves if (names := moved_names(scene, move)))
 
 
 def _with_orders(scene: Scene, orders: dict[str, Sequenced]) -> Scene:
@@ -231,7 +223,7 @@ def _with_orders(scene: Scene, orders: dict[str, Sequenced]) -> Scene:
     return scene.model_copy(update={"stages": stages})
 
 
-def _round_change(own: Adjustment, change: float) -> float:
+def _round_change(setting: Adjustment, change: float) -> float:
     """The nearest change that can be set; the step is at most a hundredth of the range."""
-    step = 10.0 ** np.floor(np.log10((own.high - own.low) / 100.0))
-    return float(np.clip(np.round((own.now + change) / step) * step - own.now, own.low, own.high))
+    step = 10.0 ** np.floor(np.log10((setting.high - setting.low) / 100.0))
+    return float(np.clip(np.round((setting.now + change) / step) * step - setting.now, setting.low, setting.high))

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import json
-from collections import OrderedDict
 from collections.abc import Callable
+from dataclasses import replace
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -116,7 +117,7 @@ class DesignEvaluator:
         self._drawing = model.scene.model_copy(update={"monte_carlo": carlo})
         self._ledger = EvaluationLog(ledger, f"{identity(model, seed)} {law}")
         self._bases = {(0,) * len(space.items): space.with_setting_deviations(model)}
-        self._models: OrderedDict[tuple[Any, ...], ReducedModel] = OrderedDict()
+        self._ordered_model = lru_cache(maxsize=MODELS)(self._build_model)
         self._blocks: dict[tuple[Design, int], tuple[np.ndarray, np.ndarray]] = {}
         self._slopes: dict[Design, tuple[np.ndarray, np.ndarray]] = {}
 
@@ -128,28 +129,26 @@ class DesignEvaluator:
 
     def model(self, design: Design) -> tuple[ReducedModel, list[str]]:
         """The model of a design with a deviation for each setting, and the names of these deviations."""
+        ordered = self._ordered_model(replace(design, settings=self.space.stated.settings))
+        return ordered, self._bases[design.places][1]
+
+    def _build_model(self, design: Design) -> ReducedModel:
+        """The model with the orders and places of a design."""
         if design.places not in self._bases:
             assert self._relocated is not None
-            self._bases[design.places] = self.space.with_setting_deviations(
-                self._relocated.model(self.space.with_places_of(design))
-            )
-        base, names = self._bases[design.places]
-        if design.structure not in self._models:
-            self._models[design.structure] = self.space.with_orders_of(base, design)
-            if len(self._models) > MODELS:
-                self._models.popitem(last=False)
-        self._models.move_to_end(design.structure)
-        return self._models[design.structure], names
+            relocated = self._relocated.model(self.space.with_places_of(design))
+            self._bases[design.places] = self.space.with_setting_deviations(relocated)
+        return self.space.with_orders_of(self._bases[design.places][0], design)
 
-    def at(self, design: Design, deviations: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def evaluate(self, design: Design, deviations: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Key characteristics (n, k) of samples (n, p) under a design, and which failed or could not be built."""
         model, names = self.model(design)
         settings = np.tile(np.array(design.settings, dtype=float).reshape(1, len(names)), (len(deviations), 1))
         process = model.process(self.law, threads=self.threads)
-        found = process.attempt(np.column_stack([deviations, settings]))
+        evaluation = process.attempt(np.column_stack([deviations, settings]))
         self.progress(len(deviations))
-        unfit = found.failed | ~found.built
-        return np.where(found.failed[:, None], 0.0, found.measurements), unfit
+        unfit = evaluation.failed | ~evaluation.built
+        return np.where(evaluation.failed[:, None], 0.0, evaluation.measurements), unfit
 
     def block(self, design: Design, number: int) -> tuple[np.ndarray, np.ndarray]:
         """Key characteristics and failures of a block of samples under a design: from memory, log or evaluation."""
@@ -158,31 +157,31 @@ class DesignEvaluator:
             def evaluate() -> dict[str, np.ndarray]:
                 deviations = self.draw_deviations(number * BLOCK, BLOCK)
                 try:
-                    y, unfit = self.at(design, deviations)
-                except SceneError:  # the order leaves a part free, or contact cannot hold it
-                    y, unfit = (
-                        np.zeros((len(deviations), len(self.space.scene.measurements))),
-                        np.ones(len(deviations), bool),
-                    )
+                    y, unfit = self.evaluate(design, deviations)
+                except SceneError:  # with this order a part is unconstrained
+                    y = np.zeros((len(deviations), len(self.space.scene.measurements)))
+                    unfit = np.ones(len(deviations), bool)
                 return {"y": y, "unfit": unfit.astype(float)}
 
-            kept = self.once(design, f"values {number}", evaluate)
-            self._blocks[design, number] = kept["y"].reshape(len(kept["unfit"]), -1), kept["unfit"].astype(bool)
+            arrays = self.load_or_evaluate(design, f"values {number}", evaluate)
+            self._blocks[design, number] = arrays["y"].reshape(len(arrays["unfit"]), -1), arrays["unfit"].astype(bool)
         return self._blocks[design, number]
 
-    def once(self, design: Design, what: str, evaluate: Callable[[], dict[str, np.ndarray]]) -> dict[str, np.ndarray]:
+    def load_or_evaluate(
+        self, design: Design, what: str, evaluate: Callable[[], dict[str, np.ndarray]]
+    ) -> dict[str, np.ndarray]:
         """Arrays of a design from the log, or evaluated and stored there."""
-        key = f"{json.dumps([str(one) for one in self.space.changes(design)])} {what}"
-        kept = self._ledger.find(key)
-        if kept is None:
-            kept = evaluate()
-            self._ledger.store(key, kept)
-        return kept
+        key = f"{json.dumps([str(change) for change in self.space.changes(design)])} {what}"
+        arrays = self._ledger.find(key)
+        if arrays is None:
+            arrays = evaluate()
+            self._ledger.store(key, arrays)
+        return arrays
 
     def values(self, design: Design, first: int, count: int) -> tuple[np.ndarray, np.ndarray]:
         """Key characteristics and failures of samples under a design; they do not count towards the budget."""
         blocks = range(first // BLOCK, -(-(first + count) // BLOCK))
-        y, unfit = (np.concatenate(own) for own in zip(*(self.block(design, number) for number in blocks)))
+        y, unfit = (np.concatenate(parts) for parts in zip(*(self.block(design, number) for number in blocks)))
         start = first - blocks[0] * BLOCK
         return y[start : start + count], unfit[start : start + count]
 
@@ -196,12 +195,12 @@ class DesignEvaluator:
         BudgetExceeded
         """
         count = self.samples if count is None else min(count, self.samples)
-        whole = -(-count // BLOCK)
-        new = sum((design, number) not in self._blocks for number in range(whole)) * BLOCK
-        self._spend(min(new, self.samples))
+        blocks = -(-count // BLOCK)
+        missing = sum((design, number) not in self._blocks for number in range(blocks)) * BLOCK
+        self._spend(min(missing, self.samples))
         return self.values(design, 0, count)
 
-    def derived(self, design: Design) -> tuple[np.ndarray, np.ndarray]:
+    def values_with_derivatives(self, design: Design) -> tuple[np.ndarray, np.ndarray]:
         """Samples (n, k) under a design that have derivatives, and these derivatives (n, k, a).
 
         Raises
@@ -211,29 +210,29 @@ class DesignEvaluator:
         if design not in self._slopes:
             deviations = self.draw_deviations(0, self.samples)
             self._spend(len(deviations) * (DERIVATIVE_COST + SETTING_COST * len(self.space.settings)))
-            pieces = [self._derived(design, deviations, first) for first in range(0, len(deviations), BLOCK)]
-            y, slopes = (np.concatenate(own) for own in zip(*pieces))
+            pieces = [self._derivative_block(design, deviations, first) for first in range(0, len(deviations), BLOCK)]
+            y, slopes = (np.concatenate(arrays) for arrays in zip(*pieces))
             known = np.isfinite(y).all(axis=1) & np.isfinite(slopes).all(axis=(1, 2))
             self._slopes[design] = y[known], slopes[known]
         return self._slopes[design]
 
-    def _derived(self, design: Design, deviations: np.ndarray, first: int) -> tuple[np.ndarray, np.ndarray]:
-        own = deviations[first : first + BLOCK]
+    def _derivative_block(self, design: Design, deviations: np.ndarray, first: int) -> tuple[np.ndarray, np.ndarray]:
+        block = deviations[first : first + BLOCK]
 
         def evaluate() -> dict[str, np.ndarray]:
             model, names = self.model(design)
-            whole = np.column_stack([own, np.tile(np.array(design.settings), (len(own), 1))])
-            found = model.sensitivities(whole, self.law, names)
-            self.progress(len(own))
-            fine = ~found.failed[:, None]
+            x = np.column_stack([block, np.tile(np.array(design.settings), (len(block), 1))])
+            result = model.sensitivities(x, self.law, names)
+            self.progress(len(block))
+            valid = ~result.failed[:, None]
             return {
-                "y": np.where(fine, found.measurements, np.nan),
-                "slopes": np.where(fine[..., None], found.jacobian, np.nan),
+                "y": np.where(valid, result.measurements, np.nan),
+                "slopes": np.where(valid[..., None], result.jacobian, np.nan),
             }
 
-        kept = self.once(design, f"slopes {first}", evaluate)
+        arrays = self.load_or_evaluate(design, f"slopes {first}", evaluate)
         k, a = len(self.space.scene.measurements), len(self.space.settings)
-        return kept["y"].reshape(len(own), k), kept["slopes"].reshape(len(own), k, a)
+        return arrays["y"].reshape(len(block), k), arrays["slopes"].reshape(len(block), k, a)
 
     def merit(self, design: Design, count: int | None = None) -> float:
         """Merit of a design on the first samples; infinite if more of them fail than under the stated scene.
@@ -267,12 +266,13 @@ class DesignEvaluator:
     def _clearly_worse(self, design: Design, other: Design, part: int) -> bool:
         if not np.isfinite(self.merit(design, part)):
             return True
-        sides = [(one, *self.search_values(one, part)) for one in (design, other)]
+        sides = [(candidate, *self.search_values(candidate, part)) for candidate in (design, other)]
         groups = np.arange(part) % min(10, part)
 
         def difference(selected: np.ndarray) -> float:
             a, b = (
-                self.objective.merit(y[selected], unfit[selected], np.array(one.settings)) for one, y, unfit in sides
+                self.objective.merit(y[selected], unfit[selected], np.array(candidate.settings))
+                for candidate, y, unfit in sides
             )
             return a - b
 

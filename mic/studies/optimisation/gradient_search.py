@@ -57,11 +57,11 @@ class _Problem:
         x = self.settings(z)
         key = x.tobytes()
         if key not in self._cached:
-            design = replace(self.start, settings=tuple(float(one) for one in x))
-            y, slopes = self.evaluator.derived(design)
-            found = self.objective.figures(y, slopes)
-            φ, dφ = self.objective.largest(found)
-            c, dc = self.objective.inequalities(found, x)
+            design = replace(self.start, settings=tuple(float(setting) for setting in x))
+            y, slopes = self.evaluator.values_with_derivatives(design)
+            figures = self.objective.figures(y, slopes)
+            φ, dφ = self.objective.objective_terms(figures)
+            c, dc = self.objective.inequalities(figures, x)
             self._cached[key] = φ, dφ * self.width, c, dc * self.width
         return self._cached[key]
 
@@ -124,13 +124,13 @@ def descend(start: Design, evaluator: DesignEvaluator, better: Callable[[Design]
             better(best)
 
     try:
-        if len(evaluator.derived(start)[0]) < 2:  # too few samples have derivatives
+        if len(evaluator.values_with_derivatives(start)[0]) < 2:  # too few samples have derivatives
             return best
         problem = _Problem(start, evaluator)
         z = problem.first()
         a = len(problem.width)
         gradient = np.concatenate([np.zeros(a), np.ones(len(z) - a - 1), [SLACK]])
-        found = minimize(
+        result = minimize(
             lambda z: float(gradient @ z),
             z,
             jac=lambda z: gradient,
@@ -140,7 +140,7 @@ def descend(start: Design, evaluator: DesignEvaluator, better: Callable[[Design]
             method="SLSQP",
             options={"maxiter": STEPS, "ftol": ENOUGH},
         )
-        accept_if_better(found.x)
+        accept_if_better(result.x)
     except BudgetExceeded:
         pass
     return best

@@ -33,9 +33,9 @@ from mic.studies.optimisation.design import Design
 from mic.studies.optimisation.evaluations import BLOCK, DesignEvaluator
 from mic.system.files import fingerprint
 
-__all__ = ["FARTHEST", "Kind", "Matched", "assigned", "combinations", "matched", "read_kinds"]
+__all__ = ["FARTHEST", "Kind", "Matched", "assign_parts", "combinations", "match_parts", "read_kinds"]
 
-FARTHEST = 6.0  #: standard deviations from the mean, beyond which a part is taken not to belong to the scene
+FARTHEST = 6.0  #: standard deviations from the mean beyond which a part is refused
 ROUNDS = 50
 FRESH_SAMPLES = 1000  # largest number of fresh samples of the unmeasured deviations
 SHARE = 1e-3  # weight of the loss beside the share outside
@@ -97,20 +97,20 @@ def read_kinds(scene: Scene) -> list[Kind]:
         not belong to the scene; the message names file, row and column.
     """
     assert scene.optimise is not None
-    names = [one.name for one in scene.deviations]
+    names = [entry.name for entry in scene.deviations]
     kinds: list[Kind] = []
-    for i, one in enumerate(scene.optimise.matching):
-        path = scene.folder / one.file
+    for i, entry in enumerate(scene.optimise.matching):
+        path = scene.folder / entry.file
         try:
-            kind = _read(one.name, path, scene, names)
+            kind = _read(entry.name, path, scene, names)
         except SceneError as problem:
-            raise SceneError(f"optimise.matching[{i}].file ({one.name}): {problem}") from None
+            raise SceneError(f"optimise.matching[{i}].file ({entry.name}): {problem}") from None
         for other in kinds:
-            twice = [names[j] for j in kind.columns if j in other.columns]
-            if twice:
+            repeated = [names[j] for j in kind.columns if j in other.columns]
+            if repeated:
                 raise SceneError(
-                    f"optimise.matching[{i}].file ({one.name}): {twice[0]!r} is measured on {other.name} as well; each "
-                    "deviation belongs to one kind of part"
+                    f"optimise.matching[{i}].file ({entry.name}): {repeated[0]!r} is measured on {other.name} as well; "
+                    "list each deviation for a single kind of part"
                 )
         kinds.append(kind)
     return kinds
@@ -118,35 +118,37 @@ def read_kinds(scene: Scene) -> list[Kind]:
 
 def _read(name: str, path: Path, scene: Scene, names: list[str]) -> Kind:
     cells, separator = read_cells(path)
-    strange = [str(column) for column in cells.columns if column not in names]
-    if strange:
+    unknown = [str(column) for column in cells.columns if column not in names]
+    if unknown:
         raise SceneError(
-            f"{path}: row 1: there is no deviation {strange[0]!r} in this scene; known: {', '.join(names)}"
+            f"{path}: row 1: there is no deviation {unknown[0]!r} in this scene; known: {', '.join(names)}"
         )
     columns = [names.index(str(column)) for column in cells.columns]
     values, rows = [], []
     for number, record in enumerate(cells.to_numpy().tolist(), 2):
         if not any(str(cell).strip() for cell in record):
             continue
-        own = [read_number(str(cell).strip(), separator) for cell in record]
-        for j, value, cell in zip(columns, own, record):
+        numbers = [read_number(str(cell).strip(), separator) for cell in record]
+        for j, value, cell in zip(columns, numbers, record):
             item = scene.deviations[j]
             if not np.isfinite(value):
-                raise SceneError(f"{path}: row {number}, column {item.name}: {cell!r} is no finite number; correct it")
+                raise SceneError(
+                    f"{path}: row {number}, column {item.name}: {cell!r} is not a finite number; correct it"
+                )
             if abs(value - item.mean) > FARTHEST * item.sigma:
                 raise SceneError(
                     f"{path}: row {number}, column {item.name}: {value:g} is more than {FARTHEST:g} standard "
-                    f"deviations ({item.sigma:g}) off the mean, {item.mean:g}; these are no parts of this scene, or it "
-                    "must be told how much they vary"
+                    f"deviations ({item.sigma:g}) off the mean, {item.mean:g}; give the parts of this scene, or "
+                    "increase the sigma of the deviation"
                 )
-        values.append(own)
+        values.append(numbers)
         rows.append(number)
     if len(rows) < 2:
-        raise SceneError(f"{path}: there are not two parts in it; fill it in")
+        raise SceneError(f"{path}: the file has fewer than two parts; add rows")
     return Kind(name, columns, np.array(values), rows)
 
 
-def assigned(kinds: Sequence[Kind], cost: Callable[[np.ndarray], np.ndarray]) -> Matched:
+def assign_parts(kinds: Sequence[Kind], cost: Callable[[np.ndarray], np.ndarray]) -> Matched:
     """Combine parts at the smallest sum of costs.
 
     Parameters
@@ -155,27 +157,23 @@ def assigned(kinds: Sequence[Kind], cost: Callable[[np.ndarray], np.ndarray]) ->
     cost : callable
         Returns the costs (c,) of combinations (c, t), given as part numbers.
     """
-    count = min(len(one.values) for one in kinds)
-    together = np.tile(np.arange(count)[:, None], (1, len(kinds)))
-    before = float(cost(together).mean())
+    count = min(len(kind.values) for kind in kinds)
+    matching = np.tile(np.arange(count)[:, None], (1, len(kinds)))
+    before = float(cost(matching).mean())
     best, rounds = before, 0
     while rounds < ROUNDS * len(kinds):
         start = best
-        for t in range(1, len(kinds)) if len(kinds) > 2 else (1,):
-            together, best = _reassign(kinds, together, t, cost)
-            rounds += 1
-        if len(kinds) > 2:
-            together, best = _reassign(kinds, together, 0, cost)
+        for t in (*range(1, len(kinds)), 0) if len(kinds) > 2 else (1,):
+            matching, best = _reassign(kinds, matching, t, cost)
             rounds += 1
         if len(kinds) == 2 or best >= start - 1e-12 * max(abs(start), 1.0):
             break
-    numbers = [np.array(one.rows) for one in kinds]
-    rows = np.column_stack([own[together[:, t]] for t, own in enumerate(numbers)])
-    left = [[int(row) for row in own if row not in rows[:, t]] for t, own in enumerate(numbers)]
-    return Matched([one.name for one in kinds], rows, left, before, best, rounds)
+    rows = np.column_stack([np.array(kind.rows)[matching[:, t]] for t, kind in enumerate(kinds)])
+    unused = [[row for row in kind.rows if row not in rows[:, t]] for t, kind in enumerate(kinds)]
+    return Matched([kind.name for kind in kinds], rows, unused, before, best, rounds)
 
 
-def _reassign(kinds, together: np.ndarray, t: int, cost) -> tuple[np.ndarray, float]:
+def _reassign(kinds, matching: np.ndarray, t: int, cost) -> tuple[np.ndarray, float]:
     """Reassign the parts of kind `t` to the combinations of the others; two kinds are assigned as a whole."""
     if len(kinds) == 2:
         first, second = len(kinds[0].values), len(kinds[1].values)
@@ -183,14 +181,14 @@ def _reassign(kinds, together: np.ndarray, t: int, cost) -> tuple[np.ndarray, fl
         table = cost(pairs).reshape(first, second)
         rows, columns = linear_sum_assignment(table)
         return np.column_stack([rows, columns]), float(table[rows, columns].mean())
-    own = len(kinds[t].values)
-    every = np.repeat(together, own, axis=0)
-    every[:, t] = np.tile(np.arange(own), len(together))
-    table = cost(every).reshape(len(together), own)
+    count = len(kinds[t].values)
+    candidates = np.repeat(matching, count, axis=0)
+    candidates[:, t] = np.tile(np.arange(count), len(matching))
+    table = cost(candidates).reshape(len(matching), count)
     rows, columns = linear_sum_assignment(table)
-    found = together[rows].copy()
-    found[:, t] = columns
-    return found, float(table[rows, columns].mean())
+    changed = matching[rows].copy()
+    changed[:, t] = columns
+    return changed, float(table[rows, columns].mean())
 
 
 def combinations(kinds: Sequence[Kind]) -> int:
@@ -199,7 +197,9 @@ def combinations(kinds: Sequence[Kind]) -> int:
     return sizes[0] * sizes[1] if len(sizes) == 2 else min(sizes) * sum(sizes)
 
 
-def matched(evaluator: DesignEvaluator, design: Design, kinds: Sequence[Kind], fresh: int) -> tuple[Matched, Estimate]:
+def match_parts(
+    evaluator: DesignEvaluator, design: Design, kinds: Sequence[Kind], fresh: int
+) -> tuple[Matched, Estimate]:
     """Match measured parts under a design; also estimate the reduction of their average cost on fresh samples.
 
     The estimate has no interval if all deviations are measured.
@@ -212,17 +212,19 @@ def matched(evaluator: DesignEvaluator, design: Design, kinds: Sequence[Kind], f
     fresh : int
     """
     losses = _LossTable(evaluator, design, kinds)
-    left = (evaluator.budget - evaluator.spent) // combinations(kinds)
-    found = assigned(kinds, lambda own: losses.of(own, 0, int(min(evaluator.samples, max(1, left)))).mean(axis=1))
-    places = [{row: i for i, row in enumerate(kind.rows)} for kind in kinds]
-    together = np.array([[own[row] for own, row in zip(places, rows)] for rows in found.rows.tolist()])
-    if not losses.open:
-        return found, Estimate.of(np.zeros(1), found.before - found.after, np.nan, np.nan)
-    in_file_order = np.tile(np.arange(len(together))[:, None], (1, len(kinds)))
-    matched, before = (
-        losses.of(own, evaluator.samples, min(fresh, FRESH_SAMPLES)).mean(axis=0) for own in (together, in_file_order)
+    remaining = (evaluator.budget - evaluator.spent) // combinations(kinds)
+    samples = int(min(evaluator.samples, max(1, remaining)))
+    result = assign_parts(kinds, lambda parts: losses.evaluate(parts, 0, samples).mean(axis=1))
+    numbers = [{row: i for i, row in enumerate(kind.rows)} for kind in kinds]
+    matching = np.array([[number[row] for number, row in zip(numbers, rows)] for rows in result.rows.tolist()])
+    if not losses.varying:
+        return result, Estimate.of(np.zeros(1), result.before - result.after, np.nan, np.nan)
+    in_file_order = np.tile(np.arange(len(matching))[:, None], (1, len(kinds)))
+    count = min(fresh, FRESH_SAMPLES)
+    after, before = (
+        losses.evaluate(parts, evaluator.samples, count).mean(axis=0) for parts in (matching, in_file_order)
     )
-    return found, mean_change(matched, before)
+    return result, mean_change(after, before)
 
 
 class _LossTable:
@@ -232,40 +234,42 @@ class _LossTable:
         self.evaluator, self.design, self.kinds = evaluator, design, kinds
         scene, objective = evaluator.space.scene, evaluator.objective
         measured = [j for kind in kinds for j in kind.columns]
-        self.open = any(one.sigma > 0 for j, one in enumerate(scene.deviations) if j not in measured)
-        self.mean = np.array([[one.mean for one in scene.deviations]])
+        self.varying = any(deviation.sigma > 0 for j, deviation in enumerate(scene.deviations) if j not in measured)
+        self.mean = np.array([[deviation.mean for deviation in scene.deviations]])
         centre = (objective.lower + objective.upper) / 2
         self.centre = np.where(np.isfinite(centre), centre, 0.0)
-        self.weight = objective.weights * objective.own
+        self.weight = objective.weights * objective.included
         self._known: dict[tuple[tuple[int, ...], int], np.ndarray] = {}
 
-    def of(self, some: np.ndarray, first: int, count: int) -> np.ndarray:
+    def evaluate(self, matching: np.ndarray, first: int, count: int) -> np.ndarray:
         """(c, count) losses over samples from number `first`; a single column if nothing else varies."""
-        deviations = self.evaluator.draw_deviations(first, count) if self.open else self.mean
-        every = [*map(tuple, some.tolist())]
-        wanted = [own for own in dict.fromkeys(every) if (own, first) not in self._known]
+        deviations = self.evaluator.draw_deviations(first, count) if self.varying else self.mean
+        combinations = [*map(tuple, matching.tolist())]
+        missing = [
+            combination for combination in dict.fromkeys(combinations) if (combination, first) not in self._known
+        ]
         step = max(1, BLOCK // len(deviations))
-        for start in range(0, len(wanted), step):
-            part = wanted[start : start + step]
-            x = np.tile(deviations, (len(part), 1))
-            for i, own in enumerate(part):
-                for kind, number in zip(self.kinds, own):
+        for start in range(0, len(missing), step):
+            batch = missing[start : start + step]
+            x = np.tile(deviations, (len(batch), 1))
+            for i, combination in enumerate(batch):
+                for kind, number in zip(self.kinds, combination):
                     x[i * len(deviations) : (i + 1) * len(deviations), kind.columns] = kind.values[number]
-            loss = self._evaluated(x).reshape(len(part), -1)
-            self._known.update({(own, first): values for own, values in zip(part, loss)})
-        return np.array([self._known[own, first] for own in every])
+            loss = self._losses(x).reshape(len(batch), -1)
+            self._known.update({(combination, first): values for combination, values in zip(batch, loss)})
+        return np.array([self._known[combination, first] for combination in combinations])
 
-    def _evaluated(self, x: np.ndarray) -> np.ndarray:
+    def _losses(self, x: np.ndarray) -> np.ndarray:
         objective = self.evaluator.objective
 
         def evaluate() -> dict[str, np.ndarray]:
-            y, unfit = self.evaluator.at(self.design, x)
+            y, unfit = self.evaluator.evaluate(self.design, x)
             return {"y": y, "unfit": unfit.astype(float)}
 
-        kept = self.evaluator.once(self.design, f"parts {fingerprint(x.tobytes())}", evaluate)
-        y, unfit = kept["y"].reshape(len(x), -1), kept["unfit"].astype(bool)
-        off = (self.weight * ((y - self.centre) / objective.half) ** 2).sum(axis=1)
-        loss = np.where(unfit, off.max(initial=0.0) + UNFIT, off)
+        arrays = self.evaluator.load_or_evaluate(self.design, f"parts {fingerprint(x.tobytes())}", evaluate)
+        y, unfit = arrays["y"].reshape(len(x), -1), arrays["unfit"].astype(bool)
+        squares = (self.weight * ((y - self.centre) / objective.half) ** 2).sum(axis=1)
+        loss = np.where(unfit, squares.max(initial=0.0) + UNFIT, squares)
         if objective.kind in ("yield", "cost"):
             loss = (objective.outside(y) | unfit) + SHARE * loss
         return loss

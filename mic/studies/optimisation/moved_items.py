@@ -17,17 +17,16 @@ import numpy as np
 from mic.compliance.cache import influence_coefficients
 from mic.compliance.coefficients import InfluenceCoefficients
 from mic.compliance.functional import Functionals
-from mic.compliance.thickness import Thicknesses
 from mic.errors import SceneError
 from mic.model.assembly import Assembly, assemble
 from mic.model.rows import REACH
 from mic.process.model import ReducedModel
 from mic.process.plan import plan_assembly
 from mic.scene import Scene
-from mic.scene.optimisation import standing
+from mic.scene.optimisation import named_items
 from mic.studies.optimisation.design import Design, Space
 
-__all__ = ["RelocatedModels", "on_their_parts"]
+__all__ = ["RelocatedModels", "check_places"]
 
 Mesh = tuple[str, bytes]  #: name of a part and the bytes of its mesh
 
@@ -58,19 +57,19 @@ class RelocatedModels:
             stated = self._assemble(space.scene)
         except SceneError as problem:
             raise SceneError(
-                f"optimise.places: other places take the parts' meshes, and they cannot be had ({problem}); give the "
-                "scene file, beside which they lie"
+                f"optimise.places: other places require the meshes of the parts, which cannot be read ({problem}); run "
+                "the command on the scene file, next to its meshes"
             ) from None
-        on_their_parts(space, stated)
-        for own, points in enumerate(space.points):
-            for at in range(1, len(points)):
-                places = tuple(at if i == own else 0 for i in range(len(space.points)))
+        check_places(space, stated)
+        for number, points in enumerate(space.points):
+            for choice in range(1, len(points)):
+                places = tuple(choice if i == number else 0 for i in range(len(space.points)))
                 scene = space.with_places_of(Design(space.stated.settings, space.stated.orders, places))
                 try:
                     self._retain(self._assemble(scene))
                 except SceneError as problem:
                     raise SceneError(
-                        f"optimise.places[{own}].points[{at - 1}] ({space.items[own]}): {problem}"
+                        f"optimise.places[{number}].points[{choice - 1}] ({space.items[number]}): {problem}"
                     ) from None
 
     def model(self, scene: Scene) -> ReducedModel:
@@ -79,10 +78,10 @@ class RelocatedModels:
         self._retain(assembly)
         missing = {part.name: _mesh(part) for part in assembly.parts if _mesh(part) not in self._coefficients}
         if missing:
-            whole = tuple(replace(part, functionals=self._retained[_mesh(part)]) for part in assembly.parts)
-            own = replace(assembly, parts=tuple(part for part in whole if part.name in missing))
-            found = influence_coefficients(own, self._cache, self._progress)[0]
-            self._coefficients |= {mesh: found[name] for name, mesh in missing.items()}
+            parts = tuple(replace(part, functionals=self._retained[_mesh(part)]) for part in assembly.parts)
+            partial = replace(assembly, parts=tuple(part for part in parts if part.name in missing))
+            coefficients = influence_coefficients(partial, self._cache, self._progress)[0]
+            self._coefficients |= {mesh: coefficients[name] for name, mesh in missing.items()}
         selected = {part.name: self._select(part) for part in assembly.parts}
         return ReducedModel.build(assembly, selected)
 
@@ -96,24 +95,26 @@ class RelocatedModels:
         for part in assembly.parts:
             mesh = _mesh(part)
             places = self._places.setdefault(mesh, {})
-            own, before = part.functionals, len(places)
-            fresh = []
-            for i, key in enumerate(_keys(own)):
+            functionals, before = part.functionals, len(places)
+            new = []
+            for i, key in enumerate(_keys(functionals)):
                 if key not in places:
                     places[key] = len(places)
-                    fresh.append(i)
+                    new.append(i)
             if len(places) > before:
-                self._retained[mesh] = _append(self._retained.get(mesh), own, fresh)
+                self._retained[mesh] = _append(self._retained.get(mesh), functionals, new)
                 self._coefficients.pop(mesh, None)
 
     def _select(self, part) -> InfluenceCoefficients:
         """Select the coefficients of the functionals of a part."""
-        whole, places = self._coefficients[_mesh(part)], self._places[_mesh(part)]
-        at = np.array([places[key] for key in _keys(part.functionals)], dtype=int)
-        varied = whole.thicknesses
-        if varied is not None:
-            varied = Thicknesses(varied.t, varied.low, varied.high, varied.H[:, at][:, :, at], varied.G[:, at])
-        return replace(whole, H=whole.H[np.ix_(at, at)], G=whole.G[at], thicknesses=varied)
+        coefficients, places = self._coefficients[_mesh(part)], self._places[_mesh(part)]
+        rows = np.array([places[key] for key in _keys(part.functionals)], dtype=int)
+        thicknesses = coefficients.thicknesses
+        if thicknesses is not None:
+            thicknesses = replace(thicknesses, H=thicknesses.H[:, rows][:, :, rows], G=thicknesses.G[:, rows])
+        return replace(
+            coefficients, H=coefficients.H[np.ix_(rows, rows)], G=coefficients.G[rows], thicknesses=thicknesses
+        )
 
 
 def _mesh(part) -> Mesh:
@@ -121,31 +122,34 @@ def _mesh(part) -> Mesh:
     return part.name, part.surface.points.tobytes() + part.surface.triangles.tobytes()
 
 
-def _keys(own: Functionals) -> list[bytes]:
+def _keys(functionals: Functionals) -> list[bytes]:
     """Identify each functional of a part by its bytes."""
-    patches = [b"".join(np.ascontiguousarray(array).tobytes() for array in vars(one).values()) for one in own.patches]
-    rows = zip(own.patch, np.ascontiguousarray(own.direction), own.rotation, own.side)
+    patches = [
+        b"".join(np.ascontiguousarray(array).tobytes() for array in vars(patch).values())
+        for patch in functionals.patches
+    ]
+    rows = zip(functionals.patch, np.ascontiguousarray(functionals.direction), functionals.rotation, functionals.side)
     return [patches[p] + d.tobytes() + bytes([bool(r)]) + np.float64(s).tobytes() for p, d, r, s in rows]
 
 
-def _append(known: Functionals | None, own: Functionals, rows: list[int]) -> Functionals:
+def _append(retained: Functionals | None, functionals: Functionals, rows: list[int]) -> Functionals:
     """Append rows of functionals to the retained ones."""
-    if known is None:
-        known = replace(own, patches=(), **{name: getattr(own, name)[:0] for name in ("patch", "direction")})
-        known = replace(known, rotation=own.rotation[:0], side=own.side[:0], label=())
-    patches = sorted({int(own.patch[i]) for i in rows})
-    number = {p: len(known.patches) + i for i, p in enumerate(patches)}
+    if retained is None:
+        arrays = (functionals.patch, functionals.direction, functionals.rotation, functionals.side)
+        retained = Functionals((), *(array[:0] for array in arrays), ())
+    patches = sorted({int(functionals.patch[i]) for i in rows})
+    number = {p: len(retained.patches) + i for i, p in enumerate(patches)}
     return Functionals(
-        (*known.patches, *(own.patches[p] for p in patches)),
-        np.concatenate([known.patch, [number[int(own.patch[i])] for i in rows]]).astype(int),
-        np.concatenate([known.direction, own.direction[rows]]),
-        np.concatenate([known.rotation, own.rotation[rows]]),
-        np.concatenate([known.side, own.side[rows]]),
-        (*known.label, *(own.label[i] for i in rows)),
+        (*retained.patches, *(functionals.patches[p] for p in patches)),
+        np.concatenate([retained.patch, [number[int(functionals.patch[i])] for i in rows]]).astype(int),
+        np.concatenate([retained.direction, functionals.direction[rows]]),
+        np.concatenate([retained.rotation, functionals.rotation[rows]]),
+        np.concatenate([retained.side, functionals.side[rows]]),
+        (*retained.label, *(functionals.label[i] for i in rows)),
     )
 
 
-def on_their_parts(space: Space, assembly: Assembly) -> None:
+def check_places(space: Space, assembly: Assembly) -> None:
     """Check that every candidate lies on the part, or the parts, of its item.
 
     Raises
@@ -155,17 +159,17 @@ def on_their_parts(space: Space, assembly: Assembly) -> None:
     """
     surfaces, lines = assembly.surfaces, []
     for i, (item, points) in enumerate(zip(space.items, space.points)):
-        owner, off = standing(space.scene, item)[0], set[int]()
+        owner, reported = named_items(space.scene, item)[0], set[int]()
         for name in getattr(owner, "parts", None) or [owner.part]:
             foot = surfaces[name].project(np.array(points[1:], dtype=float))
-            for j, (point, far, near) in enumerate(zip(points[1:], foot.distance, foot.point)):
-                if far > REACH and j not in off:
+            for j, (point, distance, nearest) in enumerate(zip(points[1:], foot.distance, foot.point)):
+                if distance > REACH and j not in reported:
                     lines.append(
-                        f"optimise.places[{i}].points[{j}] ({item}): {_format_point(point)} is {far:.3g} mm away from "
-                        f"part {name!r} (at most {REACH:g} mm is allowed); the nearest point on it is "
-                        f"{_format_point(near)}"
+                        f"optimise.places[{i}].points[{j}] ({item}): {_format_point(point)} is {distance:.3g} mm away "
+                        f"from part {name!r} (at most {REACH:g} mm is allowed); the nearest point on it is "
+                        f"{_format_point(nearest)}"
                     )
-                    off.add(j)
+                    reported.add(j)
     if lines:
         raise SceneError("\n".join(lines))
 

@@ -21,8 +21,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import ndtr
 
-from mic.scene.optimisation import pushing
+from mic.scene.optimisation import clamps_with_force
 from mic.studies.optimisation.design import Space
+from mic.studies.samples import half_tolerances, limits
 
 __all__ = ["PENALTY", "ConstraintCheck", "Figures", "Objective"]
 
@@ -97,14 +98,13 @@ class Objective:
     FIGURES = {"cpk": ("above", "below"), "six-sigma": ("six_sigma",), "mean": ("mean",)}
 
     def __init__(self, space: Space):
-        scene, asked = space.scene, space.asked
-        self.space, self.asked, self.kind = space, asked, asked.objective
+        scene, request = space.scene, space.request
+        self.space, self.request, self.kind = space, request, request.objective
         self.tightening: dict[str, float] = {}
-        self.names = [one.name for one in scene.measurements]
-        self.lower, self.upper = np.array([one.bounds for one in scene.measurements]).T
-        self.half = np.array([(one.upper - one.lower) / 2 for one in scene.measurements])
-        self.own = np.array([not asked.of or name in asked.of for name in self.names])
-        self.weights = np.array([asked.weights.get(name, 1.0) for name in self.names])
+        self.names = [item.name for item in scene.measurements]
+        (self.lower, self.upper), self.half = limits(scene), half_tolerances(scene)
+        self.included = np.array([not request.of or name in request.of for name in self.names])
+        self.weights = np.array([request.weights.get(name, 1.0) for name in self.names])
 
     # ------------------------------------------------------------------------------------------------- figures
 
@@ -121,7 +121,7 @@ class Objective:
         side = lambda value, sign: (
             (sign * dm - 3 * np.where(np.isfinite(value), value, 0)[:, None] * ds) / (3 * sigma[:, None])
         )
-        outside, douter = self._smoothed(y[:, self.own], slopes[:, self.own], sigma[self.own])
+        outside, douter = self._smoothed(y[:, self.included], slopes[:, self.included], sigma[self.included])
         derivatives = {
             "mean": dm,
             "six_sigma": 6 * ds,
@@ -133,12 +133,12 @@ class Objective:
 
     def outside(self, y: np.ndarray) -> np.ndarray:
         """(n,) whether any measurement of the objective is outside its limits."""
-        return ((y < self.lower) | (y > self.upper))[:, self.own].any(axis=1)
+        return ((y < self.lower) | (y > self.upper))[:, self.included].any(axis=1)
 
     def _smoothed(self, y, slopes, sigma) -> tuple[float, np.ndarray]:
         """The smoothed share outside and its derivatives (a,) at constant h."""
         h = SMOOTH * sigma
-        up, low = (self.upper[self.own] - y) / h, (self.lower[self.own] - y) / h
+        up, low = (self.upper[self.included] - y) / h, (self.lower[self.included] - y) / h
         inside = np.maximum(ndtr(up) - ndtr(low), 1e-300)
         density = lambda t: np.exp(-(np.where(np.isfinite(t), t, 40.0) ** 2) / 2) / np.sqrt(2 * np.pi)
         log_slopes = (density(low) - density(up)) / h / inside  # derivative of log(inside) by y
@@ -162,15 +162,15 @@ class Objective:
             return np.inf
         figures = self.figures(good)
         if self.kind == "cpk":
-            return float(-np.minimum(figures.above, figures.below)[self.own].min())
+            return float(-np.minimum(figures.above, figures.below)[self.included].min())
         if self.kind == "largest-six-sigma":
-            return float((self.weights * figures.six_sigma)[self.own].max())
+            return float((self.weights * figures.six_sigma)[self.included].max())
         if self.kind == "six-sigma":
-            return float((self.weights * figures.six_sigma)[self.own].sum())
+            return float((self.weights * figures.six_sigma)[self.included].sum())
         outside = 1 - (1 - figures.outside) * len(good) / len(y)
         if self.kind == "yield":
             return float(outside)
-        return float(self.space.costs @ np.abs(settings) + self.asked.reject * outside)
+        return float(self.space.costs @ np.abs(settings) + self.request.reject * outside)
 
     def as_reported(self, value: float) -> float:
         """The objective with the sign of the reported quantity: Cpk and yield are maximised."""
@@ -189,7 +189,7 @@ class Objective:
     def merit(self, y: np.ndarray, unfit: np.ndarray, settings: np.ndarray) -> float:
         """Objective plus penalty for constraint violations; designs are compared by it."""
         value = self.value(y, unfit, settings)
-        if not np.isfinite(value) or not self.asked.constraints:
+        if not np.isfinite(value) or not self.request.constraints:
             return value
         return value + PENALTY * self.violation(y, unfit, settings)
 
@@ -199,41 +199,44 @@ class Objective:
 
     def _gaps(self, y: np.ndarray, settings: np.ndarray) -> Iterator[tuple[str, float, float, float, float]]:
         """Name, value, bound, violation (negative if satisfied) and scale of each constraint."""
-        if not self.asked.constraints:
+        if not self.request.constraints:
             return
         figures = self.figures(y)
         cpk = np.minimum(figures.above, figures.below)
         value = {"cpk": cpk, "six-sigma": figures.six_sigma, "mean": figures.mean}
-        for one in self.asked.constraints:
-            about = self._about(one) if one.quantity != "force" else [0]
-            for k in about:
-                found = self.force(one, settings) if one.quantity == "force" else float(value[one.quantity][k])
-                for name, sign, bound, scale in self._bounds(one, k):
-                    yield name, found, bound, sign * (bound - found), scale
+        for constraint in self.request.constraints:
+            force = constraint.quantity == "force"
+            for k in self._numbers(constraint):
+                actual = self.force(constraint, settings) if force else float(value[constraint.quantity][k])
+                for name, sign, bound, scale in self._bounds(constraint, k):
+                    yield name, actual, bound, sign * (bound - actual), scale
 
-    def _bounds(self, one, k: int) -> Iterator[tuple[str, float, float, float]]:
+    def _bounds(self, constraint, k: int) -> Iterator[tuple[str, float, float, float]]:
         """Name, sign (1 for a lower bound, −1 for an upper), bound and scale of each bound of a constraint."""
-        what = f"{WORDS.get(one.quantity, one.quantity)} of {self.names[k]}"
-        if one.quantity == "force":
-            what = f"force of {' and '.join(one.of) if one.of else 'all clamps'}"
-        for word, sign, bound in (("at least", 1.0, one.at_least), ("at most", -1.0, one.at_most)):
+        what = f"{WORDS.get(constraint.quantity, constraint.quantity)} of {self.names[k]}"
+        if constraint.quantity == "force":
+            what = f"force of {' and '.join(constraint.of) if constraint.of else 'all clamps'}"
+        for comparison, sign, bound in (("at least", 1.0, constraint.at_least), ("at most", -1.0, constraint.at_most)):
             if bound is not None:
-                scale = {"cpk": 1.0, "force": max(abs(bound), 1.0)}.get(one.quantity, float(self.half[k]))
-                yield f"{what} {word} {bound:g}", sign, bound, scale
+                scale = {"cpk": 1.0, "force": max(abs(bound), 1.0)}.get(constraint.quantity, float(self.half[k]))
+                yield f"{what} {comparison} {bound:g}", sign, bound, scale
 
-    def force(self, one, settings: np.ndarray) -> float:
+    def force(self, constraint, settings: np.ndarray) -> float:
         """The sum of forces that a constraint bounds, N."""
-        return sum(clamp.force for clamp in pushing(self.space.scene, one)) + float(
-            self.force_slopes(one) @ np.asarray(settings, dtype=float)
+        return sum(clamp.force for clamp in clamps_with_force(self.space.scene, constraint)) + float(
+            self.force_slopes(constraint) @ np.asarray(settings, dtype=float)
         )
 
-    def force_slopes(self, one) -> np.ndarray:
+    def force_slopes(self, constraint) -> np.ndarray:
         """(a,) derivative of that sum by each setting."""
-        names = [clamp.name for clamp in pushing(self.space.scene, one)]
-        return np.array([float(sum(name in names for name in own.targets)) for own in self.space.settings])
+        names = [clamp.name for clamp in clamps_with_force(self.space.scene, constraint)]
+        return np.array([float(sum(name in names for name in setting.targets)) for setting in self.space.settings])
 
-    def _about(self, one) -> list[int]:
-        return [k for k, name in enumerate(self.names) if not one.of or name in one.of]
+    def _numbers(self, constraint) -> list[int]:
+        """Numbers of the measurements of a constraint; [0] for a sum of forces."""
+        if constraint.quantity == "force":
+            return [0]
+        return [k for k, name in enumerate(self.names) if not constraint.of or name in constraint.of]
 
     # ------------------------------------------------------------------------------------------------ gradient
 
@@ -242,30 +245,34 @@ class Objective:
         values: list[float] = []
         slopes: list[np.ndarray] = []
 
-        for one in self.asked.constraints:
-            for k in self._about(one) if one.quantity != "force" else [0]:
-                pairs = [(self.force(one, settings), self.force_slopes(one))] if one.quantity == "force" else []
-                for name in () if one.quantity == "force" else self.FIGURES[one.quantity]:
-                    pairs.append((float(getattr(figures, name)[k]), figures.slopes[name][k]))
-                for what, sign, bound, scale in self._bounds(one, k):
-                    known = [(value, slope) for value, slope in pairs if np.isfinite(value)]
-                    values += [(sign * (value - bound) - self.tightening.get(what, 0.0)) / scale for value, _ in known]
-                    slopes += [sign * slope / scale for _, slope in known]
+        for constraint in self.request.constraints:
+            for k in self._numbers(constraint):
+                if constraint.quantity == "force":
+                    pairs = [(self.force(constraint, settings), self.force_slopes(constraint))]
+                else:
+                    names = self.FIGURES[constraint.quantity]
+                    pairs = [(float(getattr(figures, name)[k]), figures.slopes[name][k]) for name in names]
+                for bound_name, sign, bound, scale in self._bounds(constraint, k):
+                    finite = [(value, slope) for value, slope in pairs if np.isfinite(value)]
+                    values += [
+                        (sign * (value - bound) - self.tightening.get(bound_name, 0.0)) / scale for value, _ in finite
+                    ]
+                    slopes += [sign * slope / scale for _, slope in finite]
         a = len(self.space.settings)
         return np.array(values), np.array(slopes).reshape(-1, a)
 
-    def largest(self, figures: Figures) -> tuple[np.ndarray, np.ndarray]:
+    def objective_terms(self, figures: Figures) -> tuple[np.ndarray, np.ndarray]:
         """Values (q,) whose maximum is the objective, and their derivatives (q, a); one value if the objective is
         smooth. The costs of settings are not included."""
-        own = self.own
+        included = self.included
         if self.kind == "cpk":
             pairs = [(-getattr(figures, side), -figures.slopes[side]) for side in ("above", "below")]
-            values, slopes = (np.concatenate([pair[i][own] for pair in pairs]) for i in (0, 1))
-            known = np.isfinite(values)
-            return values[known], slopes[known]
+            values, slopes = (np.concatenate([pair[i][included] for pair in pairs]) for i in (0, 1))
+            finite = np.isfinite(values)
+            return values[finite], slopes[finite]
         if self.kind in ("six-sigma", "largest-six-sigma"):
-            values = (self.weights * figures.six_sigma)[own]
-            slopes = (self.weights[:, None] * figures.slopes["six_sigma"])[own]
+            values = (self.weights * figures.six_sigma)[included]
+            slopes = (self.weights[:, None] * figures.slopes["six_sigma"])[included]
             return (values, slopes) if self.kind != "six-sigma" else (values.sum()[None], slopes.sum(axis=0)[None])
-        scale = self.asked.reject if self.kind == "cost" else 1.0
+        scale = self.request.reject if self.kind == "cost" else 1.0
         return np.array([scale * figures.outside]), scale * figures.slopes["outside"][None]

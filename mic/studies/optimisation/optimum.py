@@ -16,7 +16,6 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from mic.contact.laws import LAWS
 from mic.errors import SceneError
 from mic.process.model import ReducedModel
 from mic.results.schema import COMPARISON
@@ -27,13 +26,14 @@ from mic.studies.comparison import Side, differences
 from mic.studies.optimisation.design import Change, Design, Space
 from mic.studies.optimisation.evaluations import BLOCK, BudgetExceeded, DesignEvaluator
 from mic.studies.optimisation.gradient_search import descend
-from mic.studies.optimisation.matching import Kind, Matched, combinations, matched, read_kinds
+from mic.studies.optimisation.matching import Kind, Matched, combinations, match_parts, read_kinds
 from mic.studies.optimisation.moved_items import RelocatedModels
 from mic.studies.optimisation.objective import ConstraintCheck, Objective
 from mic.studies.optimisation.search import all_designs, local_search, successive_halving
+from mic.studies.samples import Progress, first_frictional
 from mic.system.disk_cache import cache_folder
 
-__all__ = ["BUDGET", "FRESH", "SAMPLES", "Optimum", "judged", "optimise"]
+__all__ = ["BUDGET", "FRESH", "SAMPLES", "Optimum", "evaluate_design", "optimise"]
 
 SAMPLES = 60  #: samples of the search
 FRESH = 400  #: fresh samples, on which the best design is evaluated
@@ -127,7 +127,7 @@ def optimise(
     ledger: Path | None = None,
     cache: Path | None = None,
     say: Callable[[str], None] = lambda line: None,
-    progress: Callable[[int], None] = lambda count: None,
+    progress: Progress = lambda count: None,
     better: OnBetter = lambda changes, objective: None,
 ) -> Optimum:
     """Find the best changes among those that the scene's table ``[optimise]`` allows.
@@ -168,19 +168,19 @@ def optimise(
     space, kinds = Space(model), read_kinds(scene)
     samples, fresh = _sample_counts(scene, samples, fresh)
     relocated = RelocatedModels(space, cache or cache_folder(), say) if space.items else None
-    law = law or next((name for name in scene.report.laws if LAWS[name].frictional), scene.report.laws[0])
+    law = law or first_frictional(scene.report.laws)
     seed = scene.monte_carlo.seed if seed is None else seed
     evaluator = DesignEvaluator(model, space, law, samples, seed, budget, threads, relocated, ledger, progress)
     _check_budget(kinds, budget)
     best, first, history = _search_with_tightening(evaluator, fresh, better)
-    return judged(evaluator, best, first, fresh, history, kinds)
+    return evaluate_design(evaluator, best, first, fresh, history, kinds)
 
 
 def _check_scene(scene: Scene) -> None:
     if scene.optimise is None:
         raise SceneError(
-            f"scene {scene.name!r} does not say what may be changed; add a table [optimise], with forces, shims, "
-            "orders, places or matching"
+            f"scene {scene.name!r} allows no changes; add a table [optimise] with forces, shims, orders, places or "
+            "matching"
         )
     if scene.monte_carlo.values is None and not any(deviation.sigma for deviation in scene.deviations):
         raise SceneError(
@@ -190,8 +190,8 @@ def _check_scene(scene: Scene) -> None:
     for i, choice in enumerate(scene.optimise.orders):
         if choice.stage in one_step:
             raise SceneError(
-                f'optimise.orders[{i}].stage: {choice.stage!r} does all at once (path = "one-step"), in no order; give '
-                "the stage another path"
+                f"optimise.orders[{i}].stage: {choice.stage!r} has no order, since it closes everything at once (path "
+                "= 'one-step'); give the stage another path"
             )
 
 
@@ -204,8 +204,8 @@ def _sample_counts(scene, samples: int, fresh: int) -> tuple[int, int]:
     samples = min(samples, len(table) // 2)
     if samples < 2:
         raise SceneError(
-            f"scene {scene.name!r}: its table has {len(table)} samples, too few to find changes and to judge them; "
-            "give four at least"
+            f"scene {scene.name!r}: its table has {len(table)} samples, too few to find and evaluate changes; give at "
+            "least four"
         )
     return samples, min(fresh, len(table) - samples)
 
@@ -215,7 +215,7 @@ def _check_budget(kinds: Sequence[Kind], budget: int) -> None:
     if count > budget:
         raise SceneError(
             f"optimise.matching: {count} combinations of {' and '.join(kind.name for kind in kinds)} exceed the budget "
-            f"of {budget} evaluations; allow more, or match fewer parts"
+            f"of {budget} evaluations; increase --budget, or match fewer parts"
         )
 
 
@@ -256,7 +256,7 @@ def _search_with_tightening(
 
 def _violated_constraints(evaluator: DesignEvaluator, best: Design, first: int, fresh: int) -> list[ConstraintCheck]:
     """The constraints, without tightening, that fresh samples violate."""
-    if not evaluator.space.asked.constraints:
+    if not evaluator.space.request.constraints:
         return []
     objective = evaluator.objective
     tightening, objective.tightening = objective.tightening, {}
@@ -282,18 +282,18 @@ def _search(
         return best
     try:
         record(best)
-        turn, settled = 0, False
-        while not settled:
+        round_number, finished = 0, False
+        while not finished:
             before = best
             if space.discrete:
-                best = _search_discrete(evaluator, best, stream, record, exhaustive=turn == 0)
+                best = _search_discrete(evaluator, best, stream, record, exhaustive=round_number == 0)
             best = descend(best, evaluator, record)
-            turn, settled = turn + 1, best == before or not (space.discrete and space.settings)
+            round_number, finished = round_number + 1, best == before or not (space.discrete and space.settings)
     except BudgetExceeded:
         if not history:
             raise SceneError(
-                f"optimise: {evaluator.samples} samples of the scene as it is exceed the budget of "
-                f"{evaluator.budget:g} evaluations; allow more, or ask for fewer samples"
+                f"optimise: {evaluator.samples} samples of the stated scene exceed the budget of "
+                f"{evaluator.budget:g} evaluations; increase --budget, or reduce --samples"
             ) from None
     return best
 
@@ -323,7 +323,7 @@ def _halving_cost(count: int, samples: int) -> float:
 # -------------------------------------------------------------------------------------------------------- evaluation
 
 
-def judged(
+def evaluate_design(
     evaluator: DesignEvaluator,
     best: Design,
     first: int,
@@ -361,7 +361,7 @@ def judged(
         Side(name, space.scene, evaluator.law, _frame(space.scene, measured, failed))
         for name, measured, failed in (("as it is", a, unfit_a), ("optimised", b, unfit_b))
     )
-    combination, combination_gain = matched(evaluator, best, kinds, fresh) if kinds else (None, None)
+    combination, combination_gain = match_parts(evaluator, best, kinds, fresh) if kinds else (None, None)
     return Optimum(
         law=evaluator.law,
         objective=objective.kind,
@@ -393,7 +393,7 @@ def _gain(objective: Objective, a, b, unfit_a, unfit_b, settings: np.ndarray) ->
     if objective.kind in ("yield", "cost"):
         outside = [objective.outside(y) | unfit for y, unfit in ((a, unfit_a), (b, unfit_b))]
         change = share_change(*outside)
-        reject = objective.asked.reject if objective.kind == "cost" else 1.0
+        reject = objective.request.reject if objective.kind == "cost" else 1.0
         cost = float(objective.space.costs @ np.abs(settings)) if objective.kind == "cost" else 0.0
         return Estimate.of(a[:, 0], *(-reject * end - cost for end in (change.value, change.high, change.low)))
     valid = ~(unfit_a | unfit_b)
@@ -404,7 +404,7 @@ def _gain(objective: Objective, a, b, unfit_a, unfit_b, settings: np.ndarray) ->
 
 def _violation_reduction(objective: Objective, a, b, valid: np.ndarray, settings: np.ndarray) -> Estimate:
     """Reduction of the sum of relative constraint violations with its confidence interval."""
-    if not objective.asked.constraints:
+    if not objective.request.constraints:
         return Estimate.of(np.zeros(len(a)), 0.0, 0.0, 0.0)
     k, unchanged = a.shape[1], np.zeros(len(settings))
     violation = lambda y, settings: objective.violation(y, np.zeros(len(y), dtype=bool), settings)
