@@ -65,12 +65,17 @@ def test_triangles_are_well_shaped(medium, case):
     assert np.percentile(angles, 5) > 35
 
 
+@pytest.fixture(scope="module")
+def coarse():
+    return {(name, part): GEOMETRIES[name].build(part, GEOMETRIES[name].SIZES["coarse"]) for name, part in CASES}
+
+
 @pytest.mark.fem
 @pytest.mark.parametrize("case", CASES, ids="-".join)
-def test_building_is_deterministic(medium, case):
+def test_building_is_deterministic(coarse, case):
     name, part = case
-    again = GEOMETRIES[name].build(part, GEOMETRIES[name].SIZES["medium"])
-    for first, second in zip(medium[case], again):
+    again = GEOMETRIES[name].build(part, GEOMETRIES[name].SIZES["coarse"])
+    for first, second in zip(coarse[case], again):
         assert np.array_equal(first, second)
 
 
@@ -103,18 +108,12 @@ def test_unusable_arguments_are_refused(name):
 
 
 @pytest.mark.fem
-@pytest.mark.parametrize(
-    "resolution, low, high", [("coarse", 3500, 5000), ("medium", 12000, 16500)]
-)
-def test_wheelhouse_node_counts(medium, resolution, low, high):
+@pytest.mark.parametrize("resolution, low, high", [("coarse", 3500, 5000), ("medium", 12000, 16500)])
+def test_wheelhouse_node_counts(resolution, low, high, request):
     for part in wheelhouse.PARTS:
-        build = (
-            medium["wheelhouse", part]
-            if resolution == "medium"
-            else wheelhouse.build(part, wheelhouse.SIZES[resolution])
-        )
-        assert low <= len(build[0]) <= high
-        assert smallest_angles(*build[:2]).min() > 25
+        points, triangles, _ = request.getfixturevalue(resolution)["wheelhouse", part]
+        assert low <= len(points) <= high
+        assert smallest_angles(points, triangles).min() > 25
 
 
 def test_flanges_are_one_thickness_apart():

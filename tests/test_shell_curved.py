@@ -26,7 +26,7 @@ def turn(seed):
 
 
 def membrane_energy(points, normals, u, θ):
-    """Of one triangle under displacements and rotations (3, 3) at its corners, so thin that bending has no share.
+    """Membrane energy of one very thin triangle under displacements and rotations (3, 3) at its corners.
 
     The strain is evaluated before it is squared: the small difference of large terms of dᵀ K d would be rounding.
     """
@@ -85,7 +85,7 @@ def test_a_quadratic_isometry_of_a_quadratic_surface_costs_no_membrane_energy(se
 
 
 @pytest.mark.parametrize("degrees", [20.0, 60.0, 90.0])
-def test_a_bend_of_one_row_opens_without_membrane_energy_whatever_its_edges_turn(degrees):
+def test_a_bend_of_one_row_opens_without_membrane_energy_for_any_rotation_of_its_edges(degrees):
     """The ends of an arc turn about its generators; their distance follows, along the other edges alike."""
     α, radius = np.radians(degrees) / 2, 10.0
     x, y = radius * np.sin(α) * np.array([-1, -1, 1]), np.array([7.0, 0.0, 11.0])
@@ -193,8 +193,8 @@ def test_normals_reach_the_cells_of_every_process():
     assert outcome.returncode == 0, outcome.stderr
 
 
-def test_a_curved_sheet_s_compliance_is_that_of_its_surface_turned_mirrored_and_in_other_units():
-    """Estimated normals included: nothing of it hangs on axes or numbers."""
+def test_compliance_of_a_curved_sheet_does_not_depend_on_its_orientation():
+    """With estimated normals, too."""
     surface = panel(5)
     rows = functionals(surface, PLACES, 6.0)
 
@@ -218,10 +218,10 @@ def test_bending_a_jittered_cylinder_costs_no_stretching():
     assert sheets.cylinder("dkt-opt", "mesh", 5, 5.0) < 0.1
 
 
-def test_corners_of_a_sheet_that_tell_little_are_not_taken_for_flat():
+def test_corners_with_little_information_are_not_taken_for_flat():
     """In the corners of some of these meshes one edge alone says how the sheet goes on, and says that it is flat."""
     shape = lambda X, Y: np.column_stack([100 * np.cos(np.pi / 2 * X), 100 * np.sin(np.pi / 2 * X), 50 * Y])
-    rules = [sheets.jittered(8, 4, shape, 0.3, seed, "mesh").curvature.rule for seed in range(40)]
+    rules = [sheets.jittered(8, 4, shape, 0.3, seed, "mesh").curvature.rule for seed in range(20)]
     assert (np.array(rules) == Rule.ESTIMATED).all()
 
 
@@ -240,9 +240,6 @@ TOP_HAT = [(18.0, 0.0), (6 * QUARTER, QUARTER), (26.0, 0.0), (6 * QUARTER, -QUAR
 PRESSINGS = {
     "joggle along an arch": lambda size: pressings.swept(
         [(40.0, 0.0), (5.0, 0.6), (5.0, -0.6), (40.0, 0.0)], size, round(20 / size), radius=200.0
-    ),
-    "bends that end in a curved sheet": lambda size: pressings.swept(
-        [(30.0, 0.0), (10.0, 0.9), (30.0, 0.35), (10.0, -1.0), (30.0, 0.0)], size, round(20 / size), radius=300.0
     ),
     "half a hat, astray": lambda size: pressings.swept(
         TOP_HAT, size, round(20 / size), jitter=0.25 if size > 5 else 0.0
@@ -265,12 +262,11 @@ def test_estimated_normals_do_no_harm_where_a_bend_has_two_rows(name):
         np.linalg.norm(free_compliance(surface, element, places, directions) - limit) / np.linalg.norm(limit)
         for surface, element in ((mesh, "dkt-opt"), (mesh, "dkt-opt-curved"), (exact, "dkt-opt-curved"))
     )
-    print(f"{name}: flat {flat:.4f}, estimated {estimated:.4f}, exact {exact:.4f}")
     assert estimated < 1.02 * exact and (estimated < flat or exact > flat)
 
 
-def test_shear_tells_with_the_square_of_the_thickness():
-    """On thin sheet: of a bending stiffness that falls with t³, half the thickness leaves a quarter."""
+def test_transverse_shear_matters_with_the_square_of_the_thickness():
+    """On thin sheet, half the thickness gives a quarter of the share of the bending stiffness, which falls with t³."""
     surface = panel(6)
     change = [
         abs(ShellPart(surface, t, E, NU, "dkmt-opt-curved").stiffness_csr() - part.stiffness_csr()).max()

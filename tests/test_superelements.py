@@ -175,7 +175,7 @@ def coefficients(path, surface, stiffness=True, unit=MM):
 
 
 def free(found: InfluenceCoefficients) -> np.ndarray:
-    """What balanced forces move apart from rigid motions: the same whatever the part was pinned on."""
+    """Displacements by balanced forces without rigid motions; they do not depend on the pins."""
     away = np.linalg.svd(found.G.T, full_matrices=True)[2][6:].T  # balanced sets of forces
     return away.T @ found.H @ away
 
@@ -228,7 +228,7 @@ def test_a_superelement_in_metres_is_the_same_body(tmp_path, sheet):
     assert m.G == pytest.approx(mm.G)
 
 
-def test_nodes_are_those_of_the_mesh_file_where_the_matrix_does_not_say(tmp_path, sheet):
+def test_nodes_without_a_table_are_those_of_the_mesh_file(tmp_path, sheet):
     K = frame(sheet.points, edges_of(sheet))
     labelled(tmp_path / "a.txt", K, sheet.points)
     told = superelement("s", read_matrix(tmp_path / "a.txt"), True, MM, sheet, {})
@@ -252,7 +252,7 @@ NO_BODIES = {
 
 
 @pytest.mark.parametrize("what", NO_BODIES)
-def test_what_is_no_free_elastic_body_is_refused(tmp_path, sheet, what):
+def test_matrices_of_other_than_a_free_elastic_body_are_refused(tmp_path, sheet, what):
     change, words = NO_BODIES[what]
     market(tmp_path / "a.mtx", *change(frame(sheet.points, edges_of(sheet)), sheet.points))
     with pytest.raises(SceneError, match=rf"part 'sheet': stiffness: .*({words})"):
@@ -275,7 +275,7 @@ def test_a_body_that_gives_way_is_refused(tmp_path, sheet):
         coefficients(tmp_path / "a.mtx", sheet)
 
 
-def test_a_place_without_a_node_near_it_and_a_node_without_rotations_are_told(tmp_path, sheet):
+def test_a_place_without_a_node_and_a_node_without_rotations_are_refused(tmp_path, sheet):
     corners = sheet.points[[0, 4, 20, 24]]
     market(tmp_path / "a.mtx", frame(corners, [(0, 1), (1, 3), (2, 3), (0, 2)]), corners)
     with pytest.raises(SceneError, match=r"row 24 is read at \(.*\), where the superelement has no node: .* retain"):
@@ -387,7 +387,7 @@ def test_a_scene_of_superelements_is_checked_and_computed_without_finite_element
 
 
 def condensed(K, kept):
-    """K on the freedoms that are kept, the others without load."""
+    """K condensed to the retained degrees of freedom; the others have no load."""
     rest = np.setdiff1d(np.arange(K.shape[0]), kept)
     dense = K.toarray()
     return dense[np.ix_(kept, kept)] - dense[np.ix_(kept, rest)] @ np.linalg.solve(
@@ -396,10 +396,9 @@ def condensed(K, kept):
 
 
 @pytest.mark.fem
-@pytest.mark.parametrize("how", ["all nodes", "few nodes"])
-@pytest.mark.parametrize("path, limit", [("one-step", 1e-9), (None, 1e-6)])
+@pytest.mark.parametrize("how, path, limit", [("few nodes", "one-step", 1e-9), ("all nodes", None, 1e-6)])
 def test_the_lap_joint_as_superelements_has_the_key_characteristics_of_its_shells(tmp_path, cache, how, path, limit):
-    """Of the largest. Rounding may choose other steps of a path that is followed, which its tolerance leaves to it."""
+    """Limits are relative to the largest. Rounding may change the steps of a followed path within its tolerance."""
     from support.decks import write_deck
 
     from fem_reference.provider import shell_part
