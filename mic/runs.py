@@ -73,8 +73,7 @@ def run(
 ) -> Outcome | None:
     """Run the Monte Carlo of a scene into a results folder.
 
-    Meshes and influence coefficients are cached. Finished samples of the same run are reused, see :func:`sample_into`.
-    Under MPI this is a collective call.
+    Meshes and influence coefficients are cached, finished samples of the same run reused. Collective under MPI.
 
     Parameters
     ----------
@@ -106,8 +105,8 @@ def run(
             report_line = lambda line: progress.report(f"{line} …")
             assembly, warnings = on_first(world, lambda: _assemble(scene, cache, report_line, progress, strict))
             scene = assembly.scene  # that of the first process, in case the file has changed
-            for part in scene.parts:
-                for sentence in repair_summary(part, assembly.decks[part.name]) if part.name in assembly.decks else ():
+            for part in (part for part in scene.parts if part.name in assembly.decks):
+                for sentence in repair_summary(part, assembly.decks[part.name]):
                     progress.report(f"note: {sentence}")
         laws, samples, seed = scene.report.laws, scene.monte_carlo.samples, scene.monte_carlo.seed
 
@@ -127,8 +126,8 @@ def run(
                 progress.report(f"influence coefficients of {', '.join(reused)}: reused from {cache}")
         if scene.report.accuracy:
             with clock("accuracy of the meshes"):
-                estimate = lambda: accuracy_table(estimate_accuracy(assembly, cache, report_line))
-                on_first(world, lambda: ACCURACY.write(folder, estimate()))
+                estimated = lambda: accuracy_table(estimate_accuracy(assembly, cache, report_line))
+                on_first(world, lambda: ACCURACY.write(folder, estimated()))
         with clock("reduced model"):
             model = shared(world, lambda: _reduce(assembly, influence))
             influence.clear()  # the model holds it
