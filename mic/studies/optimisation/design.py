@@ -101,7 +101,8 @@ class Space:
         self.request = request
         self.settings = [_force(self.scene, choice) for choice in request.forces]
         self.settings += [_shim(self.scene, choice) for choice in request.shims]
-        self.costs = np.array([choice.cost for choice in (*request.forces, *request.shims)], dtype=float)
+        costs = [choice.cost for choice in request.forces] + [choice.cost for choice in request.shims]
+        self.costs = np.array(costs, dtype=float)
         self.stages = [str(choice.stage) for choice in request.orders]
         self.groups = [_groups(self.scene, choice) for choice in request.orders]
         together = {

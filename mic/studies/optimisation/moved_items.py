@@ -135,8 +135,8 @@ def _keys(functionals: Functionals) -> list[bytes]:
 def _append(retained: Functionals | None, functionals: Functionals, rows: list[int]) -> Functionals:
     """Append rows of functionals to the retained ones."""
     if retained is None:
-        arrays = (functionals.patch, functionals.direction, functionals.rotation, functionals.side)
-        retained = Functionals((), *(array[:0] for array in arrays), ())
+        patch, direction = functionals.patch[:0], functionals.direction[:0]
+        retained = Functionals((), patch, direction, functionals.rotation[:0], functionals.side[:0], ())
     patches = sorted({int(functionals.patch[i]) for i in rows})
     number = {p: len(retained.patches) + i for i, p in enumerate(patches)}
     return Functionals(
