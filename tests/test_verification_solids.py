@@ -55,7 +55,7 @@ def test_a_wrong_answer_is_not(error, case, solid, cache):
 
 
 @needs_ccx
-def test_increments_of_the_solids_leave_nothing_that_is_judged(case):
+def test_the_error_of_increments_of_the_solids_is_negligible(case):
     coarse, fine = (study.LAP.solids(*case, study.LAP.meshes[0], increments) for increments in (8, 16))
     assert max(study.LAP.errors(case[0], coarse, fine)[name] / LIMITS[name] for name in ("force", "slip")) < 0.05
     assert np.abs(coarse.measurements - fine.measurements).max() < 1e-4
@@ -85,14 +85,14 @@ def test_zones_that_carry_little_are_not_judged():
     assert found == pytest.approx({"force": 0.04, "slip": 0.2, "key-characteristic": 0.5})
 
 
-def test_what_solids_do_not_go_through_is_refused():
+def test_processes_unknown_to_the_solids_are_refused():
     scene = load_scene(folder("bracket"))
     with pytest.raises(ValueError, match=r"solids do not go through .*clamp"):
         process(scene, [], np.zeros((1, len(scene.deviations))), None)
 
 
-def test_a_study_whose_needs_are_missing_is_left_out_and_says_so(tmp_path):
+def test_a_study_without_its_tools_is_skipped_with_a_message(tmp_path):
     lines = []
     one = replace(study.STUDY, name="solids", missing=lambda: "ccx is not installed")
     runs.run([one], tmp_path, True, Team(), lines.append)
-    assert lines == ["solids: left out, ccx is not installed"] and runs.write_summary(tmp_path) == []
+    assert lines == ["solids: skipped, ccx is not installed"] and runs.write_summary(tmp_path) == []
