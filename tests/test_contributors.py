@@ -172,7 +172,7 @@ def test_a_warning_states_that_a_linear_analysis_misses_them(dragged):
     assert told["r_squared"] < 0.1 and told["tangent_sigma"] < 0.1 * told["sigma"] and not told["linear"]
     assert told["interaction_low"] > 0.5
     said = " ".join(linear_words(found.table, found.linearity))
-    assert said.startswith("Warning: M: a linear analysis misleads") and "with others" in said and "R² is" in said
+    assert said.startswith("Warning: M: a linear analysis misleads") and "with interactions" in said and "R² is" in said
 
 
 @pytest.fixture(scope="module")
@@ -252,7 +252,7 @@ def test_many_small_contributors_count_as_one_and_their_bounds_hold(many):
     assert (bound >= each).all() and (bound <= 3 * each).all()
     assert found.linearity["evaluations"].tolist() == [64 * 6 + 60]
     words = linear_words(found.table, found.linearity)
-    assert words[-1].startswith("27 contributors count as one: by their derivatives they make together at most")
+    assert words[-1].startswith("27 contributors are combined into one: by their derivatives they contribute at most")
     assert named(found.table, "total").startswith("L 55 %, N 31 %, K 14 %")
 
 

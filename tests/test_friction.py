@@ -72,7 +72,7 @@ def test_the_zone_that_decides_and_how_well_its_friction_must_be_known(effects):
     assert needed.loc["above", "high"] == pytest.approx(2 ** (0.1 / most))
     assert needed.loc["below", ["change", "low", "high"]].tolist() == pytest.approx([0.0, 0.5, 2.0], abs=1e-9)
     said = " ".join(friction_words(effects, friction_needed(effects)))
-    assert "without friction its mean would be" in said and "above decides" in said
+    assert "without friction the mean would be" in said and "above decides" in said
 
 
 @pytest.mark.slow
@@ -126,4 +126,4 @@ def test_the_command_prints_effects_and_refuses_a_frictionless_law(dragged, tmp_
 def test_an_assembly_held_by_friction_alone_has_no_row_without_it(effects):
     held = effects[effects["factor"] > 0]
     said = friction_words(held, friction_needed(held))
-    assert said[0] == "Without friction this assembly does not hold."
+    assert said[0] == "Without friction this assembly is not held."

@@ -145,10 +145,10 @@ def test_locators_in_use_at_measurement_change_only_on_request():
         remedies(faces(0.5, 1.5), "frictionless")
 
 
-def test_within_limits_there_is_nothing_to_mend():
+def test_characteristics_within_limits_need_no_remedy():
     found = remedies(faces(-0.5, 0.5), "frictionless", names=["bl1"])
     assert found.worst == "" and found.found == [] and not len(found.table) and not len(found.effects)
-    assert "nothing to mend" in remedy_words(found.table, found.effects, faces(-0.5, 0.5).scene)[0]
+    assert "no remedy is needed" in remedy_words(found.table, found.effects, faces(-0.5, 0.5).scene)[0]
 
 
 def test_jaws_of_one_pair_of_tongs_are_adjusted_together_and_others_alone():
@@ -218,4 +218,4 @@ def test_sentences_name_characteristics_that_a_remedy_moves_beyond_limits():
     spoilt = found.effects.assign(measurement="N", margin_before=0.1, margin=-0.1)
     scene = faces(0.5, 1.5, more=[at_face("b", name="N", lower=-1.0, upper=1.0)]).scene
     words = remedy_words(found.table, pd.concat([found.effects, spoilt]), scene)
-    assert "takes N out of theirs" in words[0]
+    assert "but moves N out of limits" in words[0]

@@ -434,8 +434,8 @@ def test_the_command_prints_its_proposal_and_the_next_command(tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        ([], "name mesh files, or one example"),
-        (["a.inp", "--example", "lap_joint"], "name mesh files, or one example"),
+        ([], "give mesh files, or an example"),
+        (["a.inp", "--example", "lap_joint"], "give mesh files, or an example"),
         (["--example", "lap_joint", "--thickness", "1"], "go with mesh files"),
         (["a.inp", "--thickness", "thick"], "--thickness thick: give mm"),
         (["a.inp", "--thickness", "-1"], "--thickness -1: give mm"),
