@@ -28,7 +28,7 @@ from rich.table import Table
 
 import mic
 from mic import examples
-from mic.explorer.shapes import Shapes, beside
+from mic.explorer.shapes import Shapes, shapes_path
 from mic.model.assembly import assemble
 
 SCENES = ("lap_joint", "hat_on_plate", "wheelhouse")
@@ -79,7 +79,7 @@ def saved(name: str, folder: Path) -> mic.studies.exploration.Exploration:
     model = mic.reduce(scene)
     path = folder / f"{name}.npz"
     model.save(path)
-    Shapes.of(model, assemble(scene, mic.cache_folder()).parts, mic.cache_folder()).save(beside(path), model)
+    Shapes.of(model, assemble(scene, mic.cache_folder()).parts, mic.cache_folder()).save(shapes_path(path), model)
     return mic.explore(model, "coulomb")
 
 

@@ -111,20 +111,21 @@ def starts(environment: dict[str, str], scene: Path) -> Table:
 def spent(arguments: argparse.Namespace) -> dict[str, float]:
     """Seconds of processor time of each phase of one run."""
     from mic import cache_folder, load_scene, runs
-    from mic.commands.invocation import requested
-    from mic.commands.run import Drawing
+    from mic.commands.invocation import with_options
+    from mic.commands.output import CommandConsole
+    from mic.commands.run import ReportProgress
     from mic.report.page import write_report
     from verification.scenes import going
 
     found = {IMPORTS: time.process_time()}
-    scene = requested(load_scene(arguments.scene), None, arguments.samples)
+    scene = with_options(load_scene(arguments.scene), None, arguments.samples)
     runs.time = SimpleNamespace(perf_counter=time.process_time)  # which the clock of a run's phases reads
-    quiet = Drawing(Console(quiet=True))
+    quiet = ReportProgress(CommandConsole(quiet=True))
     outcome = runs.run(going(scene, "one-step") if arguments.one_step else scene, arguments.into, cache_folder(), quiet)
     found |= outcome.record["wall_time"]
     start = time.process_time()
-    write_report(outcome.folder, outcome, quiet.ahead)
-    quiet.end()
+    write_report(outcome.folder, outcome, quiet.pictures)
+    quiet.stop()
     return found | {REPORT: time.process_time() - start}
 
 

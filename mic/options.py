@@ -1,6 +1,6 @@
-"""The command line: which commands there are, and their options. What they do, :mod:`mic.commands` says.
+"""Command line: the commands and their options. :mod:`mic.commands` implements them.
 
-Nothing slow is imported here: whoever asks for help is not kept waiting for numerics and tables.
+Nothing slow is imported here, so that ``mic --help`` appears at once.
 """
 
 from __future__ import annotations
@@ -23,173 +23,157 @@ app = typer.Typer(
     rich_markup_mode="markdown",
     pretty_exceptions_enable=False,
     help="""
-Will a sheet-metal assembly be within tolerance when its parts are not nominal and its contacts have friction?
+Variation simulation of sheet-metal assemblies: do they stay within tolerance when parts deviate from nominal and
+contacts have friction?
 
 A *scene* (a TOML file) states parts, locators, clamps, welds, contact zones, process stages, deviations and
-measurements. `mic check` validates it and says what will be modelled; `mic run` does the Monte Carlo and writes a
+measurements. `mic check` validates it and shows what will be modelled; `mic run` does the Monte Carlo and writes a
 report.
 
-Start with:  mic init --example lap_joint  and then  mic check lap_joint  and  mic run lap_joint --samples 50
+Start with:  mic init --example lap_joint  then  mic check lap_joint  and  mic run lap_joint --samples 50
 """,
 )
 
-
-#: Names for the options; the vocabularies themselves are the contact laws' and the scene's.
+#: Values of the options; the contact laws and the scene define them.
 Law = Enum("Law", {name: name for name in LAWS}, type=str)  # type: ignore[misc]
 Backend = Enum("Backend", {name: name for name in ("native", "paper")}, type=str)  # type: ignore[misc]
 
+
+def _option(text: str, *names: str, **settings: Any) -> Any:
+    """An option without a value shown as its default: its help text says what applies if it is not given."""
+    return typer.Option(*names, help=text, show_default=False, **settings)
+
+
 SceneArgument = Annotated[
-    Path, typer.Argument(help="Scene file, or a folder that holds scene.toml.", show_default=False)
+    Path, typer.Argument(help="Scene file, or a folder that contains scene.toml.", show_default=False)
 ]
-LawOption = Annotated[
-    list[Law] | None,
-    typer.Option(
-        "--law",
-        help="Contact law; repeat for several. "
-        + " ".join(f"`{law.name}`: {law.title}" for law in LAWS.values())
-        + " Default: the scene's.",
+SourceArgument = Annotated[
+    Path,
+    typer.Argument(
+        metavar="SCENE|FOLDER",
+        help="Scene file, or a folder that contains scene.toml; a saved model (.npz); or the results folder of a run, "
+        "in which the results are then stored and added to its report.",
         show_default=False,
     ),
 ]
+Laws = Annotated[
+    list[Law] | None,
+    _option(
+        "Contact law; repeat the option for several. "
+        + " ".join(f"`{law.name}`: {law.title}" for law in LAWS.values())
+        + " Default: the scene's.",
+        "--law",
+    ),
+]
+StudyLaw = Annotated[
+    Law | None, _option("Contact law. Default: the first law of the scene that has friction, else its first law.")
+]
+Seed = Annotated[int | None, _option("Seed of the random deviations. Default: the scene's.", min=0, max=2**63 - 1)]
+Strict = Annotated[bool, typer.Option("--strict", help="Treat warnings as errors: exit status 2.")]
+Shim = Annotated[float, typer.Option(help="Largest shift of a locator or clamp, mm.")]
+ForceFactor = Annotated[float, typer.Option(help="Largest factor by which a clamp force is multiplied or divided.")]
 
 
-StrictOption = Annotated[bool, typer.Option("--strict", help="Take warnings for errors: exit status 2.")]
-
-
-def _carry_out(name: str, *values: Any) -> None:
-    """Carry out a command with the values of its options."""
-    home = {"report": "run"} | {
+def _run_command(name: str, *values: Any) -> None:
+    """Call the implementation of a command with the values of its options."""
+    module = {"report": "run"} | {
         own: own for own in ("check", "compare", "explain", "explore", "init", "optimise", "predict", "run")
     }
-    module = f"mic.commands.{home.get(name, 'studies')}"
-    # Only now: numerics and tables take a second to import.
-    getattr(import_module(module), name)(*values)
+    # Imported only now: numerics and tables take a second.
+    getattr(import_module(f"mic.commands.{module.get(name, 'studies')}"), name)(*values)
 
 
 @app.command()
 def run(
     scene: SceneArgument,
-    samples: Annotated[
-        int | None, typer.Option(min=1, help="Number of samples. Default: the scene's.", show_default=False)
-    ] = None,
-    seed: Annotated[
-        int | None,
-        typer.Option(min=0, max=2**63 - 1, help="Seed of the deviations. Default: the scene's.", show_default=False),
-    ] = None,
-    law: LawOption = None,
+    samples: Annotated[int | None, _option("Number of samples. Default: the scene's.", min=1)] = None,
+    seed: Seed = None,
+    law: Laws = None,
     backend: Annotated[
         Backend | None,
-        typer.Option(
-            help="`paper` solves (12) with OSQP and (13) with ECOS through CVXPY, some "
-            "hundred times slower. Default: the scene's.",
-            show_default=False,
+        _option(
+            "`paper` solves (12) with OSQP and (13) with ECOS through CVXPY and takes some hundred times as long. "
+            "Default: the scene's."
         ),
     ] = None,
-    out: Annotated[
-        Path | None, typer.Option(help="Folder for the results. Default: results/NAME-OF-SCENE.", show_default=False)
-    ] = None,
+    out: Annotated[Path | None, _option("Results folder. Default: results/NAME-OF-SCENE.")] = None,
     replace: Annotated[
         bool,
         typer.Option(
             "--replace",
-            help="Remove the results of another run from the folder, the files that a run writes and no others. "
-            "Without it, such a folder is refused.",
+            help="Remove the results of another run from the folder; other files stay. Without this option, a folder "
+            "with the results of another run is refused.",
         ),
     ] = False,
-    strict: StrictOption = False,
+    strict: Strict = False,
 ):
     """Run the Monte Carlo of a scene and write tables, fields and a report.
 
-    Influence coefficients are computed once and cached; a second run of the same scene reuses them. Finished samples
-    are kept: call again to complete an interrupted run, or with more samples to extend one. Under `mpirun -n N` the
-    samples are shared out over N processes.
+    Influence coefficients are computed once and cached; later runs of the same scene reuse them. Finished samples are
+    saved: run the command again to complete an interrupted run, or with more samples to extend it. Under
+    `mpirun -n N`, N processes share the samples.
     """
-    _carry_out("run", scene, samples, seed, law, backend, out, replace, strict)
+    _run_command("run", scene, samples, seed, law, backend, out, replace, strict)
 
 
 @app.command()
 def report(
     folder: Annotated[
-        Path, typer.Argument(help="Results folder of a run, finished or interrupted.", show_default=False)
+        Path, typer.Argument(help="Results folder of a run, complete or interrupted.", show_default=False)
     ],
-    excel: Annotated[bool, typer.Option("--excel", help="Write its tables into tables.xlsx as well.")] = False,
+    excel: Annotated[bool, typer.Option("--excel", help="Also write all tables to tables.xlsx.")] = False,
 ):
-    """Write the statistics, fields and report of a results folder again."""
-    _carry_out("report", folder, excel)
+    """Rewrite statistics, fields and report of a results folder from its samples."""
+    _run_command("report", folder, excel)
 
 
 @app.command()
 def check(
     scene: SceneArgument,
-    law: LawOption = None,
+    law: Laws = None,
     accuracy: Annotated[
         bool,
         typer.Option(
             "--accuracy",
-            help="Estimate the error that each part's mesh leaves: its influence coefficients are computed on it, and "
-            "at half its size.",
+            help="Estimate the error of each part's mesh: compare its influence coefficients with those of a mesh with "
+            "half the element size.",
         ),
     ] = False,
     converge: Annotated[
         bool,
         typer.Option(
             "--converge",
-            help="Repeat the nominal assembly and some samples with pairs at a smaller "
-            "distance, about twice as many, and tell how the key characteristics move.",
+            help="Evaluate the nominal assembly and some samples again with about twice as many contact pairs, and "
+            "print how the key characteristics change.",
         ),
     ] = False,
     normals: Annotated[
         Path | None,
-        typer.Option(
-            help="Draw into this file, NAME.png, where the parts' normals come from: geometry, deck or estimate.",
-            show_default=False,
+        _option(
+            "Write a picture, NAME.png, that shows how each surface normal was obtained: given, estimated or flat."
         ),
     ] = None,
     overlap: Annotated[
-        Path | None,
-        typer.Option(
-            help="Draw into this file, NAME.png, where the surfaces of the contact zones are drawn into each other.",
-            show_default=False,
-        ),
+        Path | None, _option("Write a picture, NAME.png, of the nominal overlap of the surfaces in the contact zones.")
     ] = None,
-    strict: StrictOption = False,
+    strict: Strict = False,
     page: Annotated[
         Path | None,
-        typer.Option(
-            help="Draw the assembly and what is placed on it into this file. Default: "
-            "results/NAME-OF-SCENE/check.html, where a run writes its report.",
-            show_default=False,
+        _option(
+            "Write the page with the assembly and everything placed on it to this file. Default: "
+            "results/NAME-OF-SCENE/check.html."
         ),
     ] = None,
 ):
-    """Validate a scene and print what will be modelled, the process step by step, and at what cost.
+    """Validate a scene and print what will be modelled, the process step by step, and the cost.
 
-    Errors stop. Warnings name what no workshop would build: the item, the number, what is usual, and the remedy.
+    Errors stop the command. A warning names the item, its unusual value, the usual range and the remedy.
 
-    Nothing is factorised but where --accuracy, --converge or an `accuracy` of a part asks for it. Where the influence
-    coefficients are at hand, a few samples show whether friction matters in each stage, and whether the outcome hangs
-    on how the parts are set down.
+    No stiffness matrix is factorised unless --accuracy, --converge or `accuracy` of a part asks for it. If the
+    influence coefficients are cached, a few samples show whether friction matters in each stage and whether the
+    result depends on how the parts are placed.
     """
-    _carry_out("check", scene, law, accuracy, converge, normals, overlap, strict, page)
-
-
-SourceArgument = Annotated[
-    Path,
-    typer.Argument(
-        metavar="SCENE|FOLDER",
-        help="Scene file, or a folder that holds scene.toml; a saved model (.npz); or the results folder of a run, "
-        "which then keeps what is found, and shows it in its report.",
-        show_default=False,
-    ),
-]
-StudyLaw = Annotated[
-    Law | None,
-    typer.Option(help="Contact law. Default: the scene's first with friction, or its first.", show_default=False),
-]
-StudySeed = Annotated[
-    int | None,
-    typer.Option(min=0, max=2**63 - 1, help="Seed of the deviations. Default: the scene's.", show_default=False),
-]
+    _run_command("check", scene, law, accuracy, converge, normals, overlap, strict, page)
 
 
 @app.command()
@@ -198,33 +182,29 @@ def compare(
     after: SourceArgument,
     samples: Annotated[
         int | None,
-        typer.Option(
+        _option(
+            "Samples evaluated on both sides. Default: 200; two results folders are compared with the samples they "
+            "have.",
             min=3,
-            help="Samples to evaluate on both sides. Default: 200; two results folders are compared as they stand.",
-            show_default=False,
         ),
     ] = None,
-    seed: StudySeed = None,
+    seed: Seed = None,
     law: Annotated[
         list[Law] | None,
-        typer.Option(
+        _option(
+            "Contact law of both sides; give it twice for different laws. Default: the first law of the scene that has "
+            "friction, else its first law.",
             "--law",
-            help="Contact law of both; repeat it for the second's. Default: the scene's first with friction, or its "
-            "first.",
-            show_default=False,
         ),
     ] = None,
-    out: Annotated[
-        Path | None,
-        typer.Option(help="Folder for page and tables. Default: results/BEFORE_AFTER.", show_default=False),
-    ] = None,
+    out: Annotated[Path | None, _option("Folder for page and tables. Default: results/BEFORE_AFTER.")] = None,
 ):
     """Compare two scenes, models or runs on the same samples: before and after a change.
 
-    Differences of each mean, 6σ, Cpk and share outside, with the interval that pairing leaves; what the scenes say
-    otherwise; and, of two runs with fields, maps of what changes where.
+    Prints the differences of each mean, 6σ, Cpk and share outside the limits with the confidence intervals of paired
+    samples, and the differences between the scenes. For two runs with fields, the page maps the changes.
     """
-    _carry_out("compare", before, after, samples, seed, law, out)
+    _run_command("compare", before, after, samples, seed, law, out)
 
 
 @app.command()
@@ -232,39 +212,30 @@ def explain(
     source: SourceArgument,
     measured: Annotated[
         Path,
-        typer.Option(
-            help="CSV file of what was measured on one assembly: columns `measurement` (a key characteristic), `value` "
-            "(mm from nominal) and `gauge` (its standard deviation, mm).",
-            show_default=False,
+        _option(
+            "CSV file with the measurements of one assembly: columns `measurement` (a key characteristic), `value` (mm "
+            "from nominal) and `gauge` (standard deviation of the gauge, mm)."
         ),
     ],
     gauge: Annotated[
-        float | None,
-        typer.Option(
-            help="Standard deviation of the gauge, mm, of all for which the file says none.", show_default=False
-        ),
+        float | None, _option("Standard deviation of the gauge, mm, for rows of the file that give none.")
     ] = None,
     friction: Annotated[
         float | None,
-        typer.Option(
-            min=1e-6,
-            help="Standard deviation of the zones' coefficients of friction, should they be unknown as well.",
-            show_default=False,
+        _option(
+            "Standard deviation of the zones' coefficients of friction, if these are to be estimated too.", min=1e-6
         ),
     ] = None,
-    seed: StudySeed = None,
+    seed: Seed = None,
     law: StudyLaw = None,
-    out: Annotated[
-        Path | None,
-        typer.Option(help="Folder for page and tables. Default: results/SCENE_MEASURED.", show_default=False),
-    ] = None,
+    out: Annotated[Path | None, _option("Folder for page and tables. Default: results/SCENE_MEASURED.")] = None,
 ):
-    """Go back from the measured key characteristics of one assembly to the most probable sources.
+    """Infer the most probable deviations of one assembly from its measured key characteristics.
 
-    How far each deviation was off and how surely that is known, which of them the measurement cannot tell apart, and
-    which further key characteristic would tell most.
+    Prints each deviation with its confidence interval, the deviations that the measurements cannot distinguish, and
+    the further key characteristic whose measurement would be most informative.
     """
-    _carry_out("explain", source, measured, gauge, friction, seed, law, out)
+    _run_command("explain", source, measured, gauge, friction, seed, law, out)
 
 
 @app.command()
@@ -272,151 +243,142 @@ def predict(
     source: SourceArgument,
     parts: Annotated[
         Path | None,
-        typer.Option(
-            help="CSV file of measured parts, a row for each assembly: columns are the scene's deviations, an empty "
-            "cell is one that was not measured.",
-            show_default=False,
+        _option(
+            "CSV file of measured parts with one row for each assembly: columns are the scene's deviations; leave a "
+            "cell empty if the deviation was not measured."
         ),
     ] = None,
-    watch: Annotated[
-        Path | None, typer.Option(help="Folder in which such files come in, until Ctrl-C.", show_default=False)
-    ] = None,
+    watch: Annotated[Path | None, _option("Folder to watch for such files, until Ctrl-C.")] = None,
     log: Annotated[
-        Path, typer.Option(help="CSV file to which each assembly is added; what stands in it is not done again.")
+        Path, typer.Option(help="CSV file to which each prediction is appended; rows that it contains are skipped.")
     ] = Path("predictions.csv"),
     adjust: Annotated[
-        list[str] | None,
-        typer.Option(help="Locator or clamp that may be adjusted; may be repeated.", show_default=False),
+        list[str] | None, _option("Locator or clamp that may be adjusted; repeat the option for several.")
     ] = None,
-    shim: Annotated[float, typer.Option(help="Largest move of a locator or clamp, mm.")] = 0.5,
-    force: Annotated[float, typer.Option(help="By which a clamp's force is multiplied or divided at most.")] = 2.0,
-    error: Annotated[float, typer.Option(min=0, help="Standard deviation of the model's error, mm.")] = 0.0,
+    shim: Shim = 0.5,
+    force: ForceFactor = 2.0,
+    error: Annotated[float, typer.Option(min=0, help="Standard deviation of the model error, mm.")] = 0.0,
     exact: Annotated[
         bool,
         typer.Option(
             "--exact",
-            help="Evaluate every assembly. Otherwise answers come in milliseconds, from a spline between some dozen "
-            "assemblies that are evaluated beforehand and kept; what it errs by is part of each interval, and where "
-            "it does not decide, the assembly is evaluated.",
+            help="Evaluate every assembly. Without this option a spline emulator, trained on some dozen cached "
+            "evaluations, predicts in milliseconds; its error widens each interval, and if the verdict remains open, "
+            "the assembly is evaluated.",
         ),
     ] = False,
     law: StudyLaw = None,
 ):
-    """Foretell assemblies one by one from their measured parts: accepted or not, and what to adjust.
+    """Predict individual assemblies from their measured parts: accepted or rejected, and what to adjust.
 
-    Every key characteristic with the interval that unmeasured deviations leave. Rows farther off than six standard
-    deviations are refused. Each answer is on disk before the next row is read.
+    Each key characteristic is given with the interval that follows from the deviations that were not measured. Rows
+    with a deviation beyond six standard deviations are refused. Each prediction is saved before the next row is read.
     """
-    _carry_out("predict", source, parts, watch, log, adjust, shim, force, error, exact, law)
+    _run_command("predict", source, parts, watch, log, adjust, shim, force, error, exact, law)
 
 
 @app.command()
 def explore(
     source: SourceArgument,
     port: Annotated[
-        int, typer.Option(min=0, max=65535, help="Port at which this machine is listened at; 0 takes a free one.")
+        int, typer.Option(min=0, max=65535, help="Port of the page on this machine; 0: any free port.")
     ] = 0,
     browser: Annotated[bool, typer.Option("--browser/--no-browser", help="Open the page in the browser.")] = True,
     keep: Annotated[
         Path | None,
-        typer.Option(
-            help="Write the model to this .npz file, and the shapes of its parts beside it: both are enough to explore "
-            "it where there are no finite elements.",
-            show_default=False,
+        _option(
+            "Save the model to this .npz file and the displacement shapes of its parts beside it. With both files, mic "
+            "explore needs no finite-element code."
         ),
     ] = None,
-    shim: Annotated[float, typer.Option(help="The most by which a locator or clamp is moved, mm.")] = 0.5,
-    force: Annotated[float, typer.Option(help="The most by which a clamp's force is multiplied, or divided.")] = 2.0,
+    shim: Shim = 0.5,
+    force: ForceFactor = 2.0,
     law: StudyLaw = None,
 ):
-    """Move sources, shims, clamp forces and friction on a page, and see what becomes of the assembly.
+    """Change deviations, shims, clamp forces and friction on an interactive page and see the deformed assembly.
 
-    The deformed assembly in space with the state of its contacts, the key characteristics against their tolerances and
-    the certificate of the contact solution follow each move. Samples are picked from their histogram. The page is
-    served on this machine alone, to whoever has its address.
+    Each change updates the deformed assembly with the state of its contacts, the key characteristics against their
+    tolerances, and the certificate of the contact solution. A click on a histogram shows one of its samples. Only
+    this machine can open the page.
     """
-    _carry_out("explore", source, port, browser, keep, shim, force, law)
+    _run_command("explore", source, port, browser, keep, shim, force, law)
 
 
 @app.command()
 def order(
     source: SourceArgument,
-    samples: Annotated[int, typer.Option(min=3, help="Number of samples, the same for every order.")] = 20,
-    seed: Annotated[
-        int | None,
-        typer.Option(min=0, max=2**63 - 1, help="Seed of the deviations. Default: the scene's.", show_default=False),
-    ] = None,
-    law: Annotated[
-        Law | None,
-        typer.Option(help="Contact law. Default: the scene's first with friction.", show_default=False),
-    ] = None,
+    samples: Annotated[int, typer.Option(min=3, help="Number of samples; the same samples for every order.")] = 20,
+    seed: Seed = None,
+    law: StudyLaw = None,
     permutations: Annotated[
-        int | None,
-        typer.Option(min=0, help="Random orders beside those that have a name. Default: a few.", show_default=False),
+        int | None, _option("Random orders in addition to the named ones. Default: a few.", min=0)
     ] = None,
     variants: Annotated[
         Path | None,
-        typer.Option(
-            help="TOML file of `[[orders]]` to compare instead, each with a `name` and, in `stages`, the keys that "
-            "change by stage: `stages.clamp.order = [[…], […]]`.",
-            show_default=False,
+        _option(
+            "TOML file of `[[orders]]` to compare instead, each with a `name` and, under `stages`, the keys that "
+            "change by stage: `stages.clamp.order = [[…], […]]`."
         ),
     ] = None,
-    table: Annotated[Path | None, typer.Option(help="Write all numbers to this CSV file.", show_default=False)] = None,
+    table: Annotated[Path | None, _option("Write all numbers to this CSV file.")] = None,
 ):
-    """Say how much hangs on the order in which locators, clamps and welds close and open.
+    """Show how much the result depends on the order in which locators, clamps and welds close and open.
 
-    The key characteristics of the same samples under other orders: in reverse, locators first, clamps first, all
-    together, parts that overlap settled before or while the first thing closes, and a few at random.
+    Evaluates the same samples in other orders: reversed, locators first, clamps first, all together, overlapping parts
+    settled before or while the first item closes, and a few at random.
     """
-    _carry_out("order", source, samples, seed, law, permutations, variants, table)
+    _run_command("order", source, samples, seed, law, permutations, variants, table)
 
 
 @app.command()
 def contributors(
     source: SourceArgument,
-    samples: Annotated[
-        int, typer.Option(min=8, help="Samples N; N (g + 2) evaluations are made of g contributors.")
-    ] = 128,
-    seed: StudySeed = None,
+    samples: Annotated[int, typer.Option(min=8, help="Samples N; g contributors take N (g + 2) evaluations.")] = 128,
+    seed: Seed = None,
     law: StudyLaw = None,
 ):
-    """Say what drives each key characteristic, and whether a linear analysis would have found it.
+    """Rank the deviations by their share of the variance of each key characteristic.
 
-    Sobol's indices on the reduced model itself, with their intervals: which share of the variance each deviation makes
-    alone, and which with its interactions. Beside them what a linear analysis says, and a warning where it misleads.
+    Computes Sobol indices on the reduced model, with confidence intervals: the share of the variance that each
+    deviation causes alone (first-order) and including interactions (total). A linear analysis is shown beside them,
+    with a warning if it misleads.
     """
-    _carry_out("contributors", source, samples, seed, law)
+    _run_command("contributors", source, samples, seed, law)
 
 
 @app.command()
 def sensitivity(
     source: SourceArgument,
     samples: Annotated[
-        int, typer.Option(min=0, help="Samples beside the mean assembly, over which the derivatives' range is told.")
+        int,
+        typer.Option(min=0, help="Samples, besides the mean assembly, over which the range of derivatives is given."),
     ] = 20,
-    seed: StudySeed = None,
+    seed: Seed = None,
     law: StudyLaw = None,
 ):
-    """Say what a step of each deviation, locator, clamp and friction changes, and how far the next contact change is.
+    """Show the effect of a step of each deviation, locator, clamp and friction coefficient.
 
-    Exact derivatives of the key characteristics, through contact, friction and what the stages remember.
+    Exact derivatives of the key characteristics through contact, friction and the history of the stages, and how many
+    steps away the next change of a contact state is.
     """
-    _carry_out("sensitivity", source, samples, seed, law)
+    _run_command("sensitivity", source, samples, seed, law)
 
 
 @app.command()
 def friction(
     source: SourceArgument,
-    samples: Annotated[int, typer.Option(min=3, help="Samples, the same for every coefficient of friction.")] = 60,
-    seed: StudySeed = None,
+    samples: Annotated[
+        int, typer.Option(min=3, help="Samples; the same samples for every coefficient of friction.")
+    ] = 60,
+    seed: Seed = None,
     law: StudyLaw = None,
 ):
-    """Say whether friction matters: what no, half and twice the friction change of each key characteristic.
+    """Show whether friction matters: effect of zero, half and twice the friction on each key characteristic.
 
-    All zones together and each alone, with the same samples; and how well each zone's coefficient must be known.
+    All zones together and each zone alone, with the same samples; and how accurately each zone's coefficient must be
+    known.
     """
-    _carry_out("friction", source, samples, seed, law)
+    _run_command("friction", source, samples, seed, law)
 
 
 @app.command()
@@ -424,18 +386,18 @@ def rare(
     source: SourceArgument,
     measurement: Annotated[
         list[str] | None,
-        typer.Option(help="Key characteristic to look at by itself as well; may be repeated.", show_default=False),
+        _option("Key characteristic to analyse on its own as well; repeat the option for several."),
     ] = None,
     samples: Annotated[int, typer.Option(min=100, help="Samples of each level, a multiple of 10.")] = 1000,
-    seed: StudySeed = None,
+    seed: Seed = None,
     law: StudyLaw = None,
 ):
-    """Say how often limits are missed where that is rare, below a thousand in a million.
+    """Estimate how often limits are missed when that is rare, below a thousand in a million.
 
-    Subset simulation on the reduced model itself: no distribution is fitted, nothing is extrapolated. Each tenth of the
-    probability takes about as many evaluations as there are samples.
+    Subset simulation on the reduced model: no distribution is fitted and nothing is extrapolated. Each factor of ten in
+    the probability takes about as many evaluations as --samples.
     """
-    _carry_out("rare", source, measurement, samples, seed, law)
+    _run_command("rare", source, measurement, samples, seed, law)
 
 
 @app.command()
@@ -443,29 +405,25 @@ def remedy(
     source: SourceArgument,
     adjust: Annotated[
         list[str] | None,
-        typer.Option(
-            help="Locator or clamp that may be adjusted; may be repeated. Default: all but the locators that hold the "
-            "assembly while it is measured.",
-            show_default=False,
+        _option(
+            "Locator or clamp that may be adjusted; repeat the option for several. Default: all except the locators "
+            "that hold the assembly while it is measured."
         ),
     ] = None,
-    shim: Annotated[float, typer.Option(help="The most by which a locator or clamp is moved, mm.")] = 0.5,
-    force: Annotated[float, typer.Option(help="The most by which a clamp's force is multiplied, or divided.")] = 2.0,
-    capability: Annotated[float, typer.Option(min=0.0, help="Cpk that is asked for.")] = 1.0,
+    shim: Shim = 0.5,
+    force: ForceFactor = 2.0,
+    capability: Annotated[float, typer.Option(min=0.0, help="Required Cpk.")] = 1.0,
     samples: Annotated[int, typer.Option(min=3, help="Samples of each set.")] = 60,
-    seed: StudySeed = None,
+    seed: Seed = None,
     law: StudyLaw = None,
-    save: Annotated[
-        Path | None,
-        typer.Option(help="Write the scene with the last remedy that serves to this file.", show_default=False),
-    ] = None,
+    save: Annotated[Path | None, _option("Write the scene with the last successful remedy to this file.")] = None,
 ):
-    """Say which shim, locator move or clamp force would bring the assembly within its limits.
+    """Find the shim, locator shift or clamp force that brings the assembly within its limits.
 
-    From exact derivatives, one adjustment at a time for the worst characteristic, and the smallest changes of all
-    together for all of them; each is evaluated in full on other samples before it is told.
+    Uses exact derivatives to find single adjustments for the worst characteristic, and the smallest combined changes
+    for all characteristics. Each remedy is evaluated in full on independent samples before it is reported.
     """
-    _carry_out("remedy", source, adjust or [], shim, force, capability, samples, seed, law, save)
+    _run_command("remedy", source, adjust or [], shim, force, capability, samples, seed, law, save)
 
 
 @app.command()
@@ -474,29 +432,27 @@ def optimise(
     samples: Annotated[
         int, typer.Option(min=20, help="Samples with which designs are compared, rounded up to a multiple of 20.")
     ] = 60,
-    fresh: Annotated[int, typer.Option(min=20, help="Other samples, with which the best is judged.")] = 400,
+    fresh: Annotated[
+        int, typer.Option(min=20, help="Independent samples with which the best design is evaluated.")
+    ] = 400,
     budget: Annotated[int, typer.Option(min=20, help="Evaluations of an assembly in the search.")] = 20_000,
-    seed: StudySeed = None,
+    seed: Seed = None,
     law: StudyLaw = None,
     save: Annotated[
-        Path | None,
-        typer.Option(help="Write the scene with the changes to this file, beside the scene.", show_default=False),
+        Path | None, _option("Write the scene with the changes to this file, in the folder of the scene.")
     ] = None,
     out: Annotated[
         Path | None,
-        typer.Option(
-            help="Folder for tables, and for what is evaluated. Default: results/NAME-OF-SCENE_optimised.",
-            show_default=False,
-        ),
+        _option("Folder for tables and for the log of evaluations. Default: results/NAME-OF-SCENE_optimised."),
     ] = None,
 ):
-    """Find the clamp forces, shims, orders, places and matching of parts that make an assembly best.
+    """Optimise clamp forces, shims, orders, places and the matching of parts.
 
-    What may be changed, what for and what must be kept stands in the scene's table `[optimise]`. Designs are judged
-    over the variation of the inputs, the best on samples that had no part in the search, with the interval of its gain.
-    A call that was stopped goes on where it was.
+    The scene's table `[optimise]` states the objective, the allowed changes and the constraints. Designs are compared
+    over the variation of the inputs; the best is evaluated on independent samples, with the confidence interval of its
+    gain. A stopped search continues when the command is run again.
     """
-    _carry_out("optimise", source, samples, fresh, budget, seed, law, save, out)
+    _run_command("optimise", source, samples, fresh, budget, seed, law, save, out)
 
 
 @app.command()
@@ -504,38 +460,30 @@ def init(
     meshes: Annotated[
         list[Path] | None, typer.Argument(help="Mesh files of the parts, one or several.", show_default=False)
     ] = None,
-    example: Annotated[
-        str | None,
-        typer.Option(help=f"Copy an example instead: one of {', '.join(examples.names())}.", show_default=False),
-    ] = None,
-    out: Annotated[
-        Path | None, typer.Option(help="The new folder. Default: one called after the meshes.", show_default=False)
-    ] = None,
+    example: Annotated[str | None, _option(f"Copy an example instead: one of {', '.join(examples.names())}.")] = None,
+    out: Annotated[Path | None, _option("The new folder. Default: named after the meshes.")] = None,
     thickness: Annotated[
         list[str] | None,
-        typer.Option(
-            help="mm, of the parts whose mesh file tells none; or PART=mm, of one. May be repeated.", show_default=False
+        _option(
+            "Thickness in mm of all parts whose mesh file gives none, or PART=mm for one part; repeat the option for "
+            "several."
         ),
     ] = None,
     welds: Annotated[
         Path | None,
-        typer.Option(
-            help="CSV file of the spot welds, columns x, y, z and perhaps name, parts. Default: welds are proposed.",
-            show_default=False,
-        ),
+        _option("CSV file of the spot welds: columns x, y, z and optionally name, parts. Default: welds are proposed."),
     ] = None,
     points: Annotated[
         Path | None,
-        typer.Option(
-            help="CSV file of the points to measure, columns x, y, z and perhaps name, part, direction, lower, upper.",
-            show_default=False,
+        _option(
+            "CSV file of the points to measure: columns x, y, z and optionally name, part, direction, lower, upper."
         ),
     ] = None,
 ):
-    """Write a first scene for meshes of your own, or copy an example, to start from.
+    """Write a first scene for your own meshes, or copy an example.
 
-    From the meshes alone come parts, a 3-2-1 for each and further supports, contact zones where they lie on each other,
-    clamps and welds along these, points to measure at the free edges and a few deviations; every line says what it
-    means. The scene runs as it is.
+    From the meshes alone, the scene gets parts, 3-2-1 locators and further supports for each part, contact zones where
+    parts face each other, clamps and welds along the zones, measurements at free edges, and a few deviations. Comments
+    explain every line. The scene runs without changes.
     """
-    _carry_out("init", meshes, example, out, thickness, welds, points)
+    _run_command("init", meshes, example, out, thickness, welds, points)

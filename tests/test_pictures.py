@@ -12,10 +12,9 @@ from support.studies import filled, friction, optimum, order, rare, remedy, sens
 import mic
 from mic.options import app
 from mic.report import assembly_pictures, change_pictures, driver_pictures, miss_pictures, picture, pictures
-from mic.report.measurement_pictures import LIMIT_COLOUR
 from mic.report.picture import Picture, law_legend, panels, svg
 from mic.report.study_pictures import STUDIES
-from mic.report.style import INSIDE, OUTSIDE
+from mic.report.style import INSIDE, LIMIT_COLOUR, OUTSIDE
 from mic.results.schema import PREDICTIONS
 
 NAMES, INPUTS = ["M1", "M2"], ["F1", "F2", "D"]
@@ -83,7 +82,7 @@ def test_steps_are_bars_in_micrometres_the_largest_first(drawn):
         assert list(found) == ["F1 (0.50)", "F2 (0.50)", "D (0.50)"]
         np.testing.assert_allclose([*found.values()], 10 * (k + 1) * np.array([1, -1 / 2, 1 / 3]))
         assert upright(ax, "#c8553d")[-1] == pytest.approx(2 * 10 * (k + 1) / 3)  # beyond the change
-    assert "F1 changes most: M2 by 20.0 µm for 0.50" in picture.caption
+    assert "Largest effect: F1 on M2, 20.0 µm for 0.50." in picture.caption
 
 
 def test_friction_is_drawn_in_shares_of_six_sigma(drawn):
@@ -104,7 +103,7 @@ def test_misses_are_drawn_of_a_million_and_the_likeliest_by_their_deviations(dra
     np.testing.assert_allclose(x, [40, 40])
     np.testing.assert_allclose(ends[0], [10, 90])
     assert drawn[0].axes[0].get_xscale() == "log"
-    assert "The assembly misses in 40 of a million (10 to 90)" in first.caption
+    assert "Share outside limits, any limit: 40 ppm (10 to 90)." in first.caption
     for k, ax in enumerate(drawn[1].axes):
         assert ax.get_title() == f"{NAMES[k]}, upper: β = {3 + k}.00"
         np.testing.assert_allclose([*widths(ax).values()], [3, -2, 1])
@@ -119,7 +118,7 @@ def test_remedies_stand_between_the_limits_of_the_scene(drawn):
         np.testing.assert_allclose([done[0][0], before[0][0]], [100 + 1000 * k, 400 + 1000 * k])
         np.testing.assert_allclose(done[1][0], [1000 * k - 50, 1000 * k + 250])  # ± 3σ
         assert upright(ax, LIMIT_COLOUR) == [1e3 * one for one in item.bounds if np.isfinite(one)]
-    assert "12.5 % are outside as it is; with locators.A 25.0 %" in picture.caption
+    assert "Share outside of the worst characteristic: 12.5 % in the scene, locators.A 25.0 %." in picture.caption
 
 
 def test_the_characteristic_that_changes_most_in_each_order_is_drawn(drawn):
@@ -157,7 +156,7 @@ def test_predictions_are_drawn_at_their_values_and_coloured_by_verdict(drawn):
     assert lines[INSIDE] == (0.1, 0) and lines[OUTSIDE] == (0.7, 1)
     ends = [segment[:, 0].tolist() for lines in ax.collections for segment in lines.get_segments()]
     np.testing.assert_allclose(sorted(ends), [[-0.1, 0.4], [0.5, 1.0]])
-    assert "Of 2 assemblies 1 accepted, 1 open" in picture.caption
+    assert "2 assemblies: 1 accepted, 1 open." in picture.caption
 
 
 def test_an_assembly_that_is_moved_shows_its_contacts_and_characteristics(drawn):
@@ -182,5 +181,5 @@ def test_pictures_exist_for_results_of_public_functions():
     for found in (remedy(NAMES, "A"), rare(NAMES, INPUTS), order(NAMES), friction(NAMES), sensitivities(NAMES, INPUTS)):
         assert sum(one.takes(found) for one in STUDIES) == 1
     for strange in (mic.explore, pd.DataFrame({"order": [1]}), None):
-        with pytest.raises(TypeError, match=r"is not what a function returns that has pictures \(run, compare, "):
+        with pytest.raises(TypeError, match=r"no pictures for .*: pass the result of run, compare, "):
             pictures(strange)

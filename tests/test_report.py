@@ -25,12 +25,11 @@ from mic.geometry.surface import Surface
 from mic.report.background_pictures import NAMES, BackgroundPictures
 from mic.report.context import read_context
 from mic.report.law_pictures import law_cost
-from mic.report.measurement_pictures import LIMIT_COLOUR
 from mic.report.mesh_decimation import thinned
 from mic.report.page import write_report
 from mic.report.picture_registry import PICTURES, Entry, draw, draw_all
 from mic.report.study_pictures import pictures
-from mic.report.style import LAWS, RC, change, number, percent
+from mic.report.style import LAWS, LIMIT_COLOUR, RC, change, number, percent
 from mic.report.viewer_data import packed
 from mic.results.fields import write_fields
 from mic.results.outcome import read_outcome
@@ -200,10 +199,9 @@ def test_the_viewer_has_the_surfaces_and_fields(page, folder):
     assert {group["name"] for group in data["arrows"]} >= {"locators"}
 
 
-def test_a_packed_text_is_that_of_the_standard_library():
-    for text in ["", *("<&µ>" * 9 + "x" * count for count in range(5)), "".join(map(chr, range(5000)))]:
-        found = packed(text).translate(str.maketrans(",./", "<>&"))
-        assert found.encode() == base64.b85encode(gzip.compress(text.encode(), 9, mtime=0))
+def test_a_packed_text_is_gzip_in_base64():
+    text = "<&µ>" * 9
+    assert gzip.decompress(base64.b64decode(packed(text), validate=True)).decode() == text
 
 
 def test_a_thinned_surface_keeps_its_outline_and_its_area():

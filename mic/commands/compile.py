@@ -1,7 +1,7 @@
-"""Compile all kernels now, so that no first evaluation waits for it: ``python -m mic.commands.compile``.
+"""Compile all kernels in advance: ``python -m mic.commands.compile``.
 
-Whatever is compiled is kept beside the program, or where ``NUMBA_CACHE_DIR`` says, and read again in a third of a
-second until the program or Numba change. Where there are two cores, both compile.
+Numba caches the compiled code beside the program, or in ``NUMBA_CACHE_DIR``; loading it takes a third of a second. Two
+processes compile in parallel.
 """
 
 from __future__ import annotations
@@ -16,12 +16,12 @@ from scipy.sparse import csr_matrix
 from mic.compliance.blocks import Blocks
 from mic.contact.laws import LAWS
 from mic.contact.native.follower import follower
-from mic.contact.native.kernels import compiled  # compiles when it is imported, and so what both need is there
+from mic.contact.native.kernels import compiled  # the import compiles what both processes need
 from mic.system.matrix_product import product
 
 if __name__ == "__main__":
-    beside = get_context("fork").Process(target=import_module, args=("mic.contact.native.tangent",))
-    beside.start()
+    tangent_process = get_context("fork").Process(target=import_module, args=("mic.contact.native.tangent",))
+    tangent_process.start()
     follower()
     product(np.ones((1, 1)), np.ones((1, 1)))
     for law in LAWS.values():
@@ -31,5 +31,5 @@ if __name__ == "__main__":
     blocks = Blocks.single(np.ones((1, 1)), np.zeros((1, 6)))
     blocks.gather(one, one)
     blocks.diagonal(one)
-    beside.join()
-    sys.exit(beside.exitcode)
+    tangent_process.join()
+    sys.exit(tangent_process.exitcode)

@@ -1,95 +1,85 @@
-"""``mic explore``: a page on this machine on which an assembly is moved and looked at."""
+"""``mic explore``: an interactive page of an assembly, served on this machine."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
 import numpy as np
-from rich.console import Console
 
-from mic.commands.invocation import law_of, on_one_process, reduced, studied
+from mic.commands.invocation import choose_law, first_rank_only, load_model, reduce_source
+from mic.commands.output import CommandConsole
 from mic.errors import RunError, SceneError
 from mic.results.outcome import read_outcome
 from mic.results.run_folder import RunFolder
-from mic.studies.exploration import explore as explored
-from mic.system.console import plain
+from mic.studies.exploration import explore as start_exploration
 from mic.system.disk_cache import cache_folder
 from mic.system.matrix_product import one_thread
 
 __all__ = ["explore"]
 
-SAMPLES = 2000  # of a run that are picked from
-MISSING = "mic explore takes the library trame; install it: pip install 'mic-contact[explore]'"
+MAX_SAMPLES = 2000  # samples of a run in the histograms
+MISSING = "mic explore needs the library trame; install it: pip install 'mic-contact[explore]'"
 
 
-@on_one_process
+@first_rank_only
 def explore(source, port, browser, keep, shim, force, law):
     """``mic explore``, with the values of its options (:mod:`mic.options`)."""
     try:
-        from mic.explorer.page import Page, Samples  # only here: trame is optional
-        from mic.explorer.server import free, serve
-        from mic.explorer.shapes import Shapes, beside
+        from mic.explorer.page import Page, Samples  # trame is an optional dependency
+        from mic.explorer.server import check_port, serve
+        from mic.explorer.shapes import Shapes, shapes_path
     except ModuleNotFoundError as missing:
         if not (missing.name or "").startswith(("trame", "wslink", "aiohttp")):
             raise
         raise RunError(MISSING) from None
-    port, console = free(port), Console()  # told before anything long
+    port, console = check_port(port), CommandConsole()
     run = (source / "run.json").is_file()
     if run:
-        model = studied(console, source)[0]
-        parts = RunFolder(source).parts(model.scene)
+        model = load_model(console, source)[0]
+        parts = RunFolder(source).parts()
     else:
-        model, parts = reduced(console, source)
-    asked = law_of(model, law)
+        model, parts = reduce_source(console, source)
+    law = choose_law(model, law)
     try:
-        exploration = explored(model, asked, shim, force)
+        exploration = start_exploration(model, law, shim, force)
     except ValueError as problem:
         raise SceneError(f"explore: {problem}") from None
-    lying = beside(source)
-    if not parts and lying.is_file():
-        shapes = Shapes.load(lying, model)
+    saved = shapes_path(source)
+    if not parts and saved.is_file():
+        shapes = Shapes.load(saved, model)
     else:
-        say = lambda line: console.print(f"{plain(line)} …", highlight=False)
-        shapes = Shapes.of(model, parts, cache_folder(), say)
+        shapes = Shapes.of(model, parts, cache_folder(), console.say_step)
     if keep is not None:
         model.save(keep)
-        shapes.save(beside(keep), model)
-        console.print(f"kept: {plain(keep)} and {plain(beside(keep))}", highlight=False, soft_wrap=True)
-    page = Page(
-        exploration, shapes, _folder(source, run), _text(source), _samples(source, asked, Samples) if run else None
-    )
+        shapes.save(shapes_path(keep), model)
+        console.say(f"saved: {keep} and {shapes_path(keep)}")
+    samples = _samples(source, law, Samples) if run else None
+    page = Page(exploration, shapes, _save_folder(source, run), _scene_text(source), samples)
 
-    def ready(address):
-        console.print(
-            f"Open {address}\nOnly this machine is answered; end with Ctrl-C.", highlight=False, soft_wrap=True
-        )
+    def print_address(address):
+        console.say(f"Open {address}\nOnly this machine can open the page. Press Ctrl-C to stop.")
 
-    one_thread(serve)(page, port, browser, ready)  # for all of its threads, which would else undo each other's
-    console.print("Ended.")
+    one_thread(serve)(page, port, browser, print_address)  # one setting for all threads of the server
+    console.print("Stopped.")
 
 
-def _scene_file(source: Path) -> Path | None:
-    """The scene's file, where there is one."""
-    found = source / "scene.toml" if source.is_dir() else source
-    return found if found.is_file() and found.suffix == ".toml" else None
-
-
-def _folder(source: Path, run: bool) -> Path:
-    """Where a state is saved: beside the scene, whose meshes are named relative to it."""
+def _save_folder(source: Path, run: bool) -> Path:
+    """The folder in which the page saves: that of the scene, because mesh paths are relative to it."""
     return Path.cwd() if run else source if source.is_dir() else source.parent
 
 
-def _text(source: Path) -> str | None:
-    found = _scene_file(source)
-    return None if found is None else found.read_text(encoding="utf-8")
+def _scene_text(source: Path) -> str | None:
+    """Content of the scene file; None if there is none."""
+    file = source / "scene.toml" if source.is_dir() else source
+    return file.read_text(encoding="utf-8") if file.is_file() and file.suffix == ".toml" else None
 
 
 def _samples(source: Path, law: str, kind):
-    """Valid samples of a run under a law, the first of them; none where it has none."""
+    """The first valid samples of a run under a law, as a `kind`; None if there are none."""
     outcome = read_outcome(source)
     if law not in outcome.laws:
         return None
-    own, scene = outcome.sample_numbers(law)[:SAMPLES], outcome.model.scene
+    own, scene = outcome.sample_numbers(law)[:MAX_SAMPLES], outcome.model.scene
     if not len(own) or not scene.measurements or not scene.deviations:
         return None
     x = np.column_stack([outcome.deviation(law, item.name, own) for item in scene.deviations])

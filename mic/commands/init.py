@@ -5,25 +5,22 @@ from __future__ import annotations
 import shlex
 
 import numpy as np
-from rich.console import Console
 
 from mic import examples
-from mic.commands.invocation import on_one_process
+from mic.commands.invocation import first_rank_only
+from mic.commands.output import CommandConsole
 from mic.errors import SceneError
-from mic.system.console import plain
 from mic.wizard import write_scene
 
-__all__ = [
-    "init",
-]
+__all__ = ["init"]
 
 
-@on_one_process
+@first_rank_only
 def init(meshes, example, out, thickness, welds, points):
     """``mic init``, with the values of its options (:mod:`mic.options`)."""
-    console = Console()
+    console = CommandConsole()
     if (example is None) == (not meshes):
-        raise SceneError("mic init: name mesh files, or one example with --example NAME")
+        raise SceneError("mic init: give mesh files, or an example with --example NAME")
     if example is not None:
         if thickness or welds or points:
             raise SceneError("mic init: --thickness, --welds and --points go with mesh files, not with --example")
@@ -33,19 +30,15 @@ def init(meshes, example, out, thickness, welds, points):
         return
     folder, proposal = write_scene(meshes or [], out, _thicknesses(thickness or []), welds, points)
     for sentence in proposal.sentences:
-        console.print(f"[yellow]note:[/] {plain(sentence)}", highlight=False, soft_wrap=True)
-    quoted = plain(shlex.quote(str(folder)))
-    console.print(
-        f"{plain(folder / 'scene.toml')}: {plain(proposal.summary())}\n"
-        f"Next:  mic check {quoted}  and  mic run {quoted}",
-        highlight=False,
-        soft_wrap=True,
-    )
+        console.warn("note", sentence)
+    quoted = shlex.quote(str(folder))
+    console.say(f"{folder / 'scene.toml'}: {proposal.summary()}")
+    console.say(f"Next:  mic check {quoted}  and  mic run {quoted}")
 
 
 def _thicknesses(given: list[str]) -> dict[str | None, float]:
-    """Thickness, mm, by part; under None, of the others."""
-    found: dict[str | None, float] = {}
+    """Thickness by part, mm; under None that of all other parts."""
+    thicknesses: dict[str | None, float] = {}
     for text in given:
         part, equals, value = text.rpartition("=")
         try:
@@ -54,5 +47,5 @@ def _thicknesses(given: list[str]) -> dict[str | None, float]:
             thickness = np.nan
         if not 0 < thickness < np.inf or (equals and not part):
             raise SceneError(f"--thickness {text}: give mm, as --thickness 1.5, or --thickness PART=1.5")
-        found[part or None] = thickness
-    return found
+        thicknesses[part or None] = thickness
+    return thicknesses

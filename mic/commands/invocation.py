@@ -1,4 +1,4 @@
-"""How a command is called: the scene or model asked for, one process or all, what is shown meanwhile, how it ends."""
+"""Shared parts of the commands: load the scene or model, choose law and seed, report progress, store results."""
 
 from __future__ import annotations
 
@@ -20,57 +20,54 @@ from mic.results.run_identity import identity
 from mic.runs import Progress as RunProgress
 from mic.runs import hold
 from mic.scene import load_scene
-from mic.system.console import plain
 from mic.system.disk_cache import cache_folder
 
 __all__ = [
-    "OnConsole",
-    "counting",
-    "keep_studies",
-    "law_of",
-    "on_one_process",
-    "reduced",
-    "requested",
-    "seed_of",
-    "status",
-    "studied",
-    "threads",
+    "ConsoleProgress",
+    "available_cores",
+    "choose_law",
+    "choose_seed",
+    "exit_status",
+    "first_rank_only",
+    "load_model",
+    "reduce_source",
+    "store_study",
+    "with_options",
 ]
 
 
-def on_one_process(command):
-    """A command that takes one process; under ``mpirun`` the others leave it to the first."""
+def first_rank_only(command):
+    """Decorator: under ``mpirun``, the command runs on the first process only."""
 
     @wraps(command)
-    def alone(*args, **options):
+    def run(*args, **options):
         world = communicator()
         if world is None or world.rank == 0:
             command(*args, **options)
 
-    return alone
+    return run
 
 
-def requested(scene, laws, samples=None, seed=None, backend=None):
-    """The scene with what the command line asks for instead."""
+def with_options(scene, laws, samples=None, seed=None, backend=None):
+    """The scene with laws and Monte Carlo settings replaced by those of the command line; None changes nothing."""
     changes = {}
     if laws:
         changes["report"] = scene.report.model_copy(update={"laws": list(dict.fromkeys(law.value for law in laws))})
-    updates = {
-        key: value for key, value in (("samples", samples), ("seed", seed), ("backend", backend)) if value is not None
-    }
-    if updates:
-        changes["monte_carlo"] = scene.monte_carlo.model_copy(update=updates)
+    given = {"samples": samples, "seed": seed, "backend": backend}
+    settings = {key: value for key, value in given.items() if value is not None}
+    if settings:
+        changes["monte_carlo"] = scene.monte_carlo.model_copy(update=settings)
     return scene.model_copy(update=changes)
 
 
-class OnConsole(RunProgress):
-    """Shows a run on the console."""
+class ConsoleProgress(RunProgress):
+    """Prints the progress of a run on the console."""
 
     def __init__(self, console):
         self.console = console
 
     def report(self, sentence):
-        self.console.print(plain(sentence), highlight=False, soft_wrap=True)
+        self.console.say(sentence)
 
     @contextmanager
     def sampling(self, laws, samples):
@@ -80,10 +77,16 @@ class OnConsole(RunProgress):
             yield lambda law, count: progress.advance(bars[law], count)
 
 
-def studied(console, source):
-    """The reduced model to study, and the results folder that it comes from; None where it comes from none."""
+def load_model(console, source):
+    """The reduced model of a scene, model file or results folder; and that folder, else None.
+
+    Raises
+    ------
+    RunError
+        If the model of a results folder is missing or belongs to another run.
+    """
     if not (source / "run.json").is_file():
-        return reduced(console, source)[0], None
+        return reduce_source(console, source)[0], None
     record, path = RunFolder(source).record(), source / "model.npz"
     if not path.is_file():
         raise RunError(f"{path}: is missing; run the scene again into this folder")
@@ -93,56 +96,46 @@ def studied(console, source):
     return model, source
 
 
-def reduced(console, source):
-    """The reduced model of a scene, or one that was saved; and its parts, none of one that was saved."""
+def reduce_source(console, source):
+    """The reduced model of a scene or model file, and its parts (none from a model file)."""
     if source.is_file() and source.suffix == ".npz":
         return ReducedModel.load(source), ()
-    scene = load_scene(source)
-    say = lambda line: console.print(f"{plain(line)} …", highlight=False)
-    assembly = assemble(scene, cache_folder(), progress=say, check=plan_assembly)
+    scene, report_step = load_scene(source), console.say_step
+    assembly = assemble(scene, cache_folder(), progress=report_step, check=plan_assembly)
     plan_assembly(assembly)
-    influence, _ = coefficients(assembly, cache_folder(), say)
+    influence, _ = coefficients(assembly, cache_folder(), report_step)
     return ReducedModel.build(assembly, influence), assembly.parts
 
 
-def law_of(model, law):
-    """The law asked for; else the scene's first with friction, else its first."""
+def choose_law(model, law):
+    """The law of the command line, else the first law of the scene with friction, else its first."""
     laws = model.scene.report.laws
     return law.value if law else next((name for name in laws if LAWS[name].frictional), laws[0])
 
 
-def seed_of(scene, seed):
-    """The seed asked for; else the scene's."""
+def choose_seed(scene, seed):
+    """The seed of the command line, else that of the scene."""
     return scene.monte_carlo.seed if seed is None else seed
 
 
-def threads():
-    """How many threads may work."""
+def available_cores():
+    """Number of cores that this process may use."""
     return len(os.sched_getaffinity(0))
 
 
-@contextmanager
-def counting(console, what, count):
-    """A bar; what it gives is called with the number of evaluations done."""
-    with Progress(console=console) as progress:
-        bar = progress.add_task(what, total=count)
-        yield lambda done: progress.advance(bar, done)
-
-
-def keep_studies(console, folder, tables):
-    """Tables into the results folder that they belong to, and its page drawn anew."""
+def store_study(console, folder, tables):
+    """Write tables of a study into a results folder and redraw its report; nothing if the folder is None."""
     if folder is None:
         return
     from mic.report.page import write_report  # drawing libraries are slow to import
 
-    with hold(folder, OnConsole(console)):
+    with hold(folder, ConsoleProgress(console)):
         for table, frame in tables.items():
             table.write(folder, frame)
         page = write_report(folder)
-    where = ", ".join(str(folder / table.place) for table in tables)
-    console.print(f"report: [bold]{plain(page)}[/]   tables: {plain(where)}", soft_wrap=True)
+    console.say_files(report=page, tables=", ".join(str(folder / table.place) for table in tables))
 
 
-def status(stop):
-    """Exit status of a program that was interrupted."""
-    return stop.status if isinstance(stop, Stopped) else 130
+def exit_status(interrupt):
+    """Exit status after an interrupt."""
+    return interrupt.status if isinstance(interrupt, Stopped) else 130

@@ -1,4 +1,4 @@
-"""The page on which an assembly is moved and looked at: local, for one user, with trame; drawn by the browser (vtk.js).
+"""Interactive page of ``mic explore``: a local server for one user (trame); the browser draws (vtk.js).
 
-What answers a move is :mod:`mic.studies.exploration`, which knows nothing of pages.
+:mod:`mic.studies.exploration` computes the assemblies and is independent of the page.
 """

@@ -1,8 +1,8 @@
-"""Who may see the page: the browser that was given its address, on this machine, and nobody else.
+"""Access control of the page: only the browser that opens the printed address, on this machine.
 
-The address holds a random token. Whoever comes with it is given a cookie, which every further request must bring, that
-of the socket included. A page of another site that the user happens to have open can send requests to this machine, but
-knows no token; and where a name of its own leads here (DNS rebinding), the request names another host and is refused.
+The address contains a random token. The first request with the token gets a cookie, which every further request must
+send, including that of the web socket. A page of another site in the user's browser can send requests to this machine,
+but does not know the token. DNS rebinding fails because such a request names another host.
 """
 
 from __future__ import annotations
@@ -15,8 +15,8 @@ from aiohttp import web
 
 __all__ = ["HOST", "Guard"]
 
-HOST = "127.0.0.1"  #: the only address that is listened at
-# Nothing is asked of another host, whatever the page says; its templates are compiled in the browser (unsafe-eval).
+HOST = "127.0.0.1"  #: the only address on which the server listens
+# The page may not load anything from another host. Vue compiles its templates in the browser (unsafe-eval).
 _POLICY = "; ".join(
     (
         "default-src 'self'",
@@ -32,7 +32,7 @@ _POLICY = "; ".join(
 
 
 class Guard:
-    """What each request must bring.
+    """Refuses requests without the token or from another host.
 
     Parameters
     ----------
@@ -45,35 +45,34 @@ class Guard:
 
     def __init__(self, port: int):
         self.token = secrets.token_urlsafe(32)
-        self._port, self._cookie = port, f"mic-{port}"  # browsers do not tell the ports of a host apart
+        self._port, self._cookie = port, f"mic-{port}"  # browsers share cookies between the ports of a host
         self._hosts = {f"{name}:{port}" for name in (HOST, "localhost")}
         self._origins = {f"http://{host}" for host in self._hosts}
 
     @property
     def address(self) -> str:
-        """What to open."""
+        """Address of the page, with the token."""
         return f"http://{HOST}:{self._port}/index.html?token={self.token}"
 
-    def refusal(self, request: web.Request) -> str | None:
-        """Why a request is not answered; None where it is."""
+    def _reason_to_refuse(self, request: web.Request) -> str | None:
         if request.headers.get("Host") not in self._hosts:
-            return "another host is named"
+            return "the request names another host"
         if request.headers.get("Origin", next(iter(self._origins))) not in self._origins:
-            return "it comes from a page of another host"
-        given = request.query.get("token") or request.cookies.get(self._cookie, "")
-        if not hmac.compare_digest(given.encode(), self.token.encode()):
+            return "the request comes from a page of another host"
+        token = request.query.get("token") or request.cookies.get(self._cookie, "")
+        if not hmac.compare_digest(token.encode(), self.token.encode()):
             return "the token is missing or wrong: open the address that mic explore printed"
         return None
 
     @property
     def middleware(self) -> Callable[..., Awaitable[web.StreamResponse]]:
-        """For the web application that is guarded."""
+        """Middleware of the web application: status 403 for refused requests, cookie and policy for others."""
 
         @web.middleware
-        async def guarded(request: web.Request, handler) -> web.StreamResponse:
-            refused = self.refusal(request)
-            if refused:
-                return web.Response(status=403, text=f"refused: {refused}\n")
+        async def check(request: web.Request, handler) -> web.StreamResponse:
+            reason = self._reason_to_refuse(request)
+            if reason:
+                return web.Response(status=403, text=f"refused: {reason}\n")
             response = await handler(request)
             if not response.prepared:
                 response.headers["Content-Security-Policy"] = _POLICY.format(socket=f"ws://{request.host}")
@@ -82,4 +81,4 @@ class Guard:
                 response.set_cookie(self._cookie, self.token, httponly=True, samesite="Strict", path="/")
             return response
 
-        return guarded
+        return check

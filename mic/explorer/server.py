@@ -1,4 +1,4 @@
-"""From the start of the page to its end: the port, the guard, the browser, Ctrl-C."""
+"""Runs the server of the page: port, guard, browser, Ctrl-C."""
 
 from __future__ import annotations
 
@@ -14,77 +14,77 @@ from mic.errors import RunError
 from mic.explorer.guard import HOST, Guard
 from mic.explorer.page import Page
 
-__all__ = ["free", "serve"]
+__all__ = ["check_port", "serve"]
 
 
 def serve(page: Page, port: int, browser: bool = True, ready: Callable[[str], None] = lambda address: None) -> None:
-    """Serve a page on this machine alone until the program is interrupted.
+    """Serve a page to this machine only, until the program is interrupted.
 
     Parameters
     ----------
     page : Page
     port : int
-        As :func:`free` gives it.
+        From :func:`check_port`.
     browser : bool
-        Whether the user's browser is opened.
+        Whether to open the page in the user's browser.
     ready : callable
-        Called with the address once it can be opened.
+        Called with the address when the page can be opened.
     """
-    asyncio.run(_served(page, Guard(port), port, browser, ready))
+    asyncio.run(_serve(page, Guard(port), port, browser, ready))
 
 
-def free(port: int) -> int:
-    """A port that may be listened at: the one asked for; for 0 any.
+def check_port(port: int) -> int:
+    """The given port, or a free one for 0.
 
     Raises
     ------
     RunError
-        If it is taken, or not to be had.
+        If the port is in use or needs administrator rights.
     """
-    with socket.socket() as one:
-        one.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+    with socket.socket() as test:
+        test.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:
-            one.bind((HOST, port))
+            test.bind((HOST, port))
         except PermissionError:
             raise RunError(
-                f"--port {port}: it takes an administrator; name one above 1023, or leave --port out"
+                f"--port {port}: this port needs administrator rights; use one above 1023, or omit --port"
             ) from None
         except OSError:
-            raise RunError(f"--port {port}: it is in use; name another, or leave --port out for any free one") from None
-        return int(one.getsockname()[1])
+            raise RunError(f"--port {port}: this port is in use; use another, or omit --port for a free one") from None
+        return int(test.getsockname()[1])
 
 
-async def _served(page: Page, guard: Guard, port: int, browser: bool, ready: Callable[[str], None]) -> None:
-    ended, loop = asyncio.Event(), asyncio.get_running_loop()
+async def _serve(page: Page, guard: Guard, port: int, browser: bool, ready: Callable[[str], None]) -> None:
+    interrupted, loop = asyncio.Event(), asyncio.get_running_loop()
     for number in (signal.SIGINT, signal.SIGTERM):
-        loop.add_signal_handler(number, ended.set)
-    # What trame would read from the command line and the environment is settled here: no other host.
+        loop.add_signal_handler(number, interrupted.set)
+    # Override what trame would read from the command line and the environment: no other host.
     os.environ |= {"TRAME_ARGS": f"--server --host {HOST}", "WSLINK_READY_MSG": ""}
     page.server.controller.on_server_bind.add(lambda server: server.app.middlewares.append(guard.middleware))
 
-    def opened(**_) -> None:
+    def on_ready(**_) -> None:
         ready(guard.address)
         if browser:
             threading.Thread(target=webbrowser.open, args=(guard.address,), daemon=True).start()
 
-    page.server.controller.on_server_ready.add(opened)
-    serving = page.server.start(
+    page.server.controller.on_server_ready.add(on_ready)
+    server = page.server.start(
         port=port,
         host=HOST,
         exec_mode="task",
-        thread=True,  # signals are answered above
+        thread=True,  # signals are handled above
         open_browser=False,
         show_connection_info=False,
         disable_logging=True,
         timeout=0,
     )
-    answering, waiting = asyncio.create_task(page.answer_moves()), asyncio.create_task(ended.wait())
+    answers, interrupt = asyncio.create_task(page.answer_changes()), asyncio.create_task(interrupted.wait())
     try:
-        done, _ = await asyncio.wait({serving, answering, waiting}, return_when=asyncio.FIRST_COMPLETED)
-        for one in done:
-            one.result()  # an error of the page's own is not swallowed
+        done, _ = await asyncio.wait({server, answers, interrupt}, return_when=asyncio.FIRST_COMPLETED)
+        for task in done:
+            task.result()  # raises the task's error, if any
     finally:
         page.close()
-        answering.cancel()
-        if not serving.done():
+        answers.cancel()
+        if not server.done():
             await page.server.stop()

@@ -1,9 +1,8 @@
-"""The parts as they are drawn: thinned surfaces, and what each force on a part moves of them.
+"""Displayed shapes of the parts: decimated surfaces, and their displacement under each unit force.
 
-A part is displaced by ``u(x) = Φ(x) f + R(x) q`` (:mod:`mic.results.fields`); here Φ is computed once for all forces
-there can be, one finite-element solve for each retained functional that a force can act on, at the vertices that a
-screen shows. Kept in a file
-of their own beside the model's, they are drawn where no finite elements are installed.
+A part is displaced by ``u(x) = Φ(x) f + R(x) q`` (:mod:`mic.results.fields`). Φ is computed once at the vertices of the
+decimated surface, with one finite-element solve for each retained functional that a force can act on. The shapes can be
+saved beside a model file, so that exploring it needs no finite-element code.
 """
 
 from __future__ import annotations
@@ -23,22 +22,22 @@ from mic.results.run_identity import identity
 from mic.system.disk_cache import ABSENT, Cache
 from mic.system.files import Format, fingerprint, load_arrays, save_arrays
 
-__all__ = ["PartShape", "Shapes", "beside"]
+__all__ = ["PartShape", "Shapes", "shapes_path"]
 
 FORMAT = Format("set of drawn shapes", 2, "write it again with `mic explore SCENE --keep`")
-ACTING = ("locator", "clamp", "weld", "contact")  # kinds of rows along which something pushes
-ROOM = 250_000_000  # bytes that the solutions of some forces may take together
+ACTING = ("locator", "clamp", "weld", "contact")  # kinds of rows with forces
+MEMORY = 250_000_000  # bytes of the solutions that are computed together
 
 _ARRAYS = ("points", "triangles", "basis", "rigid", "acting")
-_NONE = (
-    "Parts are drawn as nominal, and contacts and measured points alone move: shapes take finite elements, which are "
-    "not installed here, and are not known of a superelement."
+_NO_SHAPES = (
+    "Parts are displayed undeformed, only contacts and measured points move: displacement shapes need a finite-element "
+    "code, which is not installed, and are not available for superelements."
 )
 
 
 @dataclass(frozen=True)
 class PartShape:
-    """One part as it is drawn.
+    """Displayed shape of a part.
 
     Attributes
     ----------
@@ -47,11 +46,11 @@ class PartShape:
         Nominal, mm.
     triangles : (t, 3) int array
     basis : (a, v, 3) float32 array or None
-        Φ of the functionals `acting`, mm/N and mm/(N mm); None where it is not known.
+        Φ of the functionals `acting`, mm/N and mm/(N mm); None if unknown.
     rigid : (v, 3, 6) array
         R.
     acting : (a,) int array
-        The part's functionals that forces can act on.
+        Functionals of the part that forces can act on.
     """
 
     name: str
@@ -62,90 +61,90 @@ class PartShape:
     acting: np.ndarray
 
     def displaced(self, force: np.ndarray, motion: np.ndarray) -> np.ndarray:
-        """(v, 3) displacements under forces (F,) on its functionals, and its rigid motion (6,), mm."""
+        """(v, 3) displacements under forces (F,) on its functionals and a rigid motion (6,), mm."""
         if self.basis is None:
             return np.zeros_like(self.points)
-        here = np.flatnonzero(force[self.acting])  # most contacts are open
-        flat = force[self.acting[here]].astype(np.float32) @ self.basis.reshape(len(self.basis), -1)[here]
+        loaded = np.flatnonzero(force[self.acting])  # most contacts are open
+        flat = force[self.acting[loaded]].astype(np.float32) @ self.basis.reshape(len(self.basis), -1)[loaded]
         return flat.reshape(-1, 3) + self.rigid @ motion
 
 
 @dataclass(frozen=True)
 class Shapes:
-    """All parts of a model; none where nothing is known of them.
+    """Displayed shapes of all parts of a model.
 
     Attributes
     ----------
     parts : tuple of PartShape
-    said : str
-        Why they are not drawn as they deform; empty where they are.
+    note : str
+        Why the parts are not displayed or not deformed; empty if they are.
     """
 
     parts: tuple[PartShape, ...] = ()
-    said: str = "No shapes of the parts are kept with this model: contacts and measured points alone are drawn."
+    note: str = "No shapes are saved with this model: only contacts and measured points are displayed."
 
     @classmethod
     def of(cls, model, parts: Sequence[Part], cache: Path, say: Callable[[str], None] = lambda line: None) -> Shapes:
-        """Of the parts of a model, from the cache or computed and kept there.
+        """Shapes of the parts of a model, from the cache, or computed and cached.
 
         Parameters
         ----------
         model : mic.process.model.ReducedModel
         parts : sequence of Part
-            None where they are not known.
+            Empty if unknown.
         cache : Path
         say : callable
-            Called with what is done, where it takes time.
+            Called with the name of a slow step.
         """
         if not parts:
             return cls()
-        kept, own = Cache(cache, "shapes", Format(FORMAT.kind, FORMAT.version, ABSENT)), _identity(model)
-        found = kept.load(own)
+        stored, key = Cache(cache, "shapes", Format(FORMAT.kind, FORMAT.version, ABSENT)), _identity(model)
+        found = stored.load(key)
         if found is not None:
             return cls._from(*found)
         try:
             say("Shapes of the parts")
-            pushed, rows = _pushed(model), model.compliance.functionals
-            acting = [np.flatnonzero(pushed[one]) for one in rows]
-            made = cls(tuple(map(_shape, parts, acting)), "")
+            loadable, rows = _loadable(model), model.compliance.functionals
+            acting = [np.flatnonzero(loadable[own]) for own in rows]
+            shapes = cls(tuple(map(_shape, parts, acting)), "")
         except MissingProvider:
-            nowhere, none = np.zeros(0, dtype=int), [thinned(part.surface) for part in parts]
-            bare = tuple(
-                PartShape(part.name, part.surface.points[which], triangles, None, np.zeros((len(which), 3, 6)), nowhere)
-                for part, (which, triangles) in zip(parts, none)
+            no_functional, surfaces = np.zeros(0, dtype=int), [thinned(part.surface) for part in parts]
+            undeformed = tuple(
+                PartShape(part.name, part.surface.points[v], triangles, None, np.zeros((len(v), 3, 6)), no_functional)
+                for part, (v, triangles) in zip(parts, surfaces)
             )
-            return cls(bare, _NONE)
-        kept.store(own, *made._written())
-        return made
+            return cls(undeformed, _NO_SHAPES)
+        stored.store(key, *shapes._contents())
+        return shapes
 
     def save(self, path: Path, model) -> None:
-        """Write them to a file, for the model that they belong to."""
-        header, arrays = self._written()
+        """Write the shapes of a model to a file."""
+        header, arrays = self._contents()
         save_arrays(Path(path), FORMAT, header | {"identity": _identity(model)}, arrays)
 
     @classmethod
     def load(cls, path: Path, model) -> Shapes:
-        """Read what :meth:`save` wrote.
+        """Read a file written by :meth:`save`.
 
         Raises
         ------
         FileNotFoundError
         FormatError
-            If the file is something else, is damaged, or belongs to another model.
+            If the file is of another kind, damaged, or of another model.
         """
         header, arrays = load_arrays(Path(path), FORMAT)
         if header["identity"] != _identity(model):
             raise FormatError(f"{path}: these shapes belong to another model; {FORMAT.remedy}, or move the file away")
         return cls._from(header, arrays)
 
-    def _written(self) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
+    def _contents(self) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
         arrays = {
             f"{i}_{name}": getattr(part, name)
             for i, part in enumerate(self.parts)
             for name in _ARRAYS
             if getattr(part, name) is not None
         }
-        return {"parts": [part.name for part in self.parts], "said": self.said}, arrays
+        return {"parts": [part.name for part in self.parts], "said": self.note}, arrays
 
     @classmethod
     def _from(cls, header, arrays) -> Shapes:
@@ -163,32 +162,32 @@ class Shapes:
         ]
 
 
-def beside(path: Path) -> Path:
-    """Where the shapes of a model's file lie."""
+def shapes_path(path: Path) -> Path:
+    """The file of the shapes that belong to a model file."""
     return path.with_name(f"{path.stem}.shapes.npz")
 
 
 def _identity(model) -> str:
-    """Of the model and of what is retained of it, which what is asked of a report changes."""
+    """Checksum of the model and of its retained functionals, which depend on the requested report."""
     return fingerprint([identity(model, 0), [len(H) for H in model.compliance.H]])
 
 
-def _pushed(model) -> np.ndarray:
-    """(F,) which retained functionals a force can act on: those of fixtures, welds, contacts and shapes."""
-    found = np.abs(model.shape_forces).any(axis=1)
+def _loadable(model) -> np.ndarray:
+    """(F,) whether a force can act on a retained functional: those of fixtures, welds, contacts and shapes."""
+    loadable = np.abs(model.shape_forces).any(axis=1)
     for kind in ACTING:
-        found[model.rows[kind].indices] = True
-    return np.asarray(found)
+        loadable[model.rows[kind].indices] = True
+    return np.asarray(loadable)
 
 
 def _shape(part: Part, acting: np.ndarray) -> PartShape:
-    """Some forces at a time, so that what is solved for finds room."""
-    kept, triangles = thinned(part.surface)
+    """Shape of a part, solved for as many forces at a time as fit into :data:`MEMORY`."""
+    vertices, triangles = thinned(part.surface)
     count, size = len(part.functionals), len(part.surface.points)
-    step = max(1, ROOM // (8 * 6 * 2 * size))
-    found, one = provider.find(part), np.eye(count)[:, acting]
-    basis, rigid = np.zeros((len(acting), len(kept), 3), dtype=np.float32), np.zeros((size, 6, 6))
+    step = max(1, MEMORY // (8 * 6 * 2 * size))
+    solver, unit = provider.find(part), np.eye(count)[:, acting]
+    basis, rigid = np.zeros((len(acting), len(vertices), 3), dtype=np.float32), np.zeros((size, 6, 6))
     for first in range(0, max(len(acting), 1), step):
-        solved, rigid = found.field(part, one[:, first : first + step])
-        basis[first : first + step] = np.moveaxis(solved[kept, :3], 2, 0)
-    return PartShape(part.name, part.surface.points[kept], triangles, basis, rigid[kept, :3], acting)
+        solved, rigid = solver.field(part, unit[:, first : first + step])
+        basis[first : first + step] = np.moveaxis(solved[vertices, :3], 2, 0)
+    return PartShape(part.name, part.surface.points[vertices], triangles, basis, rigid[vertices, :3], acting)

@@ -7,9 +7,8 @@ import pandas as pd
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from mic.report.measurement_pictures import LIMIT_COLOUR
-from mic.report.picture import MOST_PANELS, Picture, panels, svg
-from mic.report.style import INSIDE, OUTSIDE, STATE_DOTS, STATE_WORDS, VERDICT_COLOURS, number
+from mic.report.picture import MOST_PANELS, Picture, draw_limits, named_panels, svg
+from mic.report.style import INSIDE, LIMIT_COLOUR, OUTSIDE, STATE_DOTS, STATE_WORDS, VERDICT_COLOURS, number
 from mic.scene import Scene
 from mic.statistics.estimates import LEVEL
 from mic.studies.exploration import ExploredAssembly
@@ -37,12 +36,9 @@ def predicted(table: pd.DataFrame, scene: Scene | None = None) -> Picture | None
     if not names:
         return None
     limits = {} if scene is None else {item.name: item.bounds for item in scene.measurements}
-    columns = min(3, len(names))
-    fig, axes = panels(len(names), columns, (10.5 / max(columns, 2), 0.9 + 0.16 * len(rows)), sharey=True)
-    for i, (ax, name) in enumerate(zip(axes, names)):
-        for limit in limits.get(name, ()):
-            if np.isfinite(limit):
-                ax.axvline(limit, color=LIMIT_COLOUR, lw=1.3)
+    fig, axes = named_panels(names, 3, 0.9 + 0.16 * len(rows), "deviation (mm)", "assembly", sharey=True)
+    for ax, name in zip(axes, names):
+        draw_limits(ax, limits.get(name, ()))
         own = shown[shown["measurement"] == name]
         for verdict, colour in VERDICT_COLOURS.items():
             some = own[own["verdict"] == verdict]
@@ -51,11 +47,6 @@ def predicted(table: pd.DataFrame, scene: Scene | None = None) -> Picture | None
             ax.plot(some["value"], place, "o", ms=4, color=colour)
         ax.set_yticks(range(len(rows)), [str(row) for row in rows])
         ax.set_ylim(len(rows) - 0.5, -0.5)
-        ax.set_title(name)
-        if i >= len(names) - columns:
-            ax.set_xlabel("deviation (mm)")
-        if i % columns == 0:
-            ax.set_ylabel("assembly")
     handles = [Line2D([], [], color=colour, marker="o", label=word) for word, colour in VERDICT_COLOURS.items()]
     handles += [Line2D([], [], color=LIMIT_COLOUR, lw=1.3, label="limits")] if limits else []
     fig.legend(handles=handles, loc="outside upper left", ncols=4)

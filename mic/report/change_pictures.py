@@ -7,8 +7,7 @@ import pandas as pd
 from matplotlib.figure import Figure
 from scipy.special import ndtri
 
-from mic.report.measurement_pictures import LIMIT_COLOUR
-from mic.report.picture import MOST_PANELS, Picture, panels, svg
+from mic.report.picture import MOST_PANELS, Picture, draw_intervals, draw_limits, named_panels, svg
 from mic.report.style import number, percent
 from mic.scene import Scene
 from mic.statistics.estimates import LEVEL
@@ -30,8 +29,7 @@ def change_picture(scene: Scene | None, table: pd.DataFrame) -> Picture | None:
     for ax, (figure, word) in zip(fig.subplots(1, 2, sharey=True), (("mean", "mean"), ("six_sigma", "6σ"))):
         value, low, high = (100 * own[f"{figure}_change{end}"] / own["tolerance"] for end in ("", "_low", "_high"))
         ax.axvline(0, color="#58626e", lw=0.8)
-        spread = np.nan_to_num(np.array([value - low, high - value]))
-        ax.errorbar(value, place, xerr=spread, fmt="o", ms=4, color=AFTER, elinewidth=1.4)
+        draw_intervals(ax, place, value, low, high, color=AFTER)
         ax.set_xlabel(f"change of {word} (% of the tolerance)")
         ax.set_yticks(place, own["quantity"])
     ax.set_ylim(len(own) - 0.5, -0.5)
@@ -49,24 +47,19 @@ def remedy_picture(scene: Scene | None, effects: pd.DataFrame) -> Picture | None
     names = list(own.groupby("measurement", sort=False)["margin_before"].min().nsmallest(MOST_PANELS).index)
     limits = {} if scene is None else {item.name: item.bounds for item in scene.measurements}
     remedies = list(own["remedy"].unique())
-    columns = min(3, len(names))
-    fig, axes = panels(len(names), columns, (10.5 / max(columns, 2), 0.8 + 0.28 * len(remedies)), sharey=True)
-    for i, (ax, name) in enumerate(zip(axes, names)):
+    fig, axes = named_panels(names, 3, 0.8 + 0.28 * len(remedies), "mean ± 3σ (µm)", sharey=True)
+    for ax, name in zip(axes, names):
         rows = own[own["measurement"] == name].set_index("remedy").reindex(remedies)
         first = rows.iloc[0]
         mean = 1e3 * np.array([first["mean_before"], *rows["mean"]])
         reach = 500 * np.array([first["six_sigma_before"], *rows["six_sigma"]])
         place = np.arange(len(mean))
-        for limit in limits.get(name, ()):
-            if np.isfinite(limit):
-                ax.axvline(1e3 * limit, color=LIMIT_COLOUR, lw=1.3)
-        ax.errorbar(mean[1:], place[1:], xerr=reach[1:], fmt="o", ms=4, color=AFTER, elinewidth=1.6)
-        ax.errorbar(mean[:1], place[:1], xerr=reach[:1], fmt="o", ms=4, color=BEFORE, elinewidth=1.6)
+        draw_limits(ax, limits.get(name, ()), 1e3)
+        for own_rows, colour in ((slice(1, None), AFTER), (slice(1), BEFORE)):
+            x, half = mean[own_rows], reach[own_rows]
+            draw_intervals(ax, place[own_rows], x, x - half, x + half, color=colour)
         ax.set_yticks(place, ["scene", *remedies])
         ax.set_ylim(len(mean) - 0.5, -0.5)
-        ax.set_title(name)
-        if i >= len(names) - columns:
-            ax.set_xlabel("mean ± 3σ (µm)")
     shares = [f"{name} {percent(rows['outside'].max(), 1)}" for name, rows in own.groupby("remedy", sort=False)]
     worst = own.groupby("measurement")["outside_before"].max().max()
     samples = "fresh samples" if own["fresh"].all() else "the samples of the search"

@@ -16,10 +16,9 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from mic.report.change_pictures import AFTER, BEFORE, change_picture
-from mic.report.measurement_pictures import LIMIT_COLOUR
-from mic.report.picture import MOST_PANELS, Picture, panels, png, svg
+from mic.report.picture import MOST_PANELS, Picture, draw_limits, named_panels, png, svg
 from mic.report.space_pictures import draw_surfaces
-from mic.report.style import RC, number, percent
+from mic.report.style import LIMIT_COLOUR, RC, number, percent
 from mic.report.template import render
 from mic.results.field_changes import FieldChange
 from mic.statistics.estimates import LEVEL, density
@@ -123,9 +122,8 @@ def _densities(found: Comparison) -> Picture:
     shown = own.sort_values("cpk_b", kind="stable")["quantity"].head(MOST_PANELS)
     names = [name for name in own["quantity"] if name in set(shown)]
     items = {item.name: item for item in found.b.scene.measurements}
-    columns = min(4, len(names))
-    fig, axes = panels(len(names), columns, (10.5 / max(columns, 2), 1.9))
-    for i, (ax, name) in enumerate(zip(axes, names)):
+    fig, axes = named_panels(names, 4, 1.9, "deviation (mm)")
+    for ax, name in zip(axes, names):
         values = [side.values[name].dropna().to_numpy() for side in (found.a, found.b)]
         every = np.concatenate(values)
         room = 0.15 * (np.ptp(every) or 1e-3)
@@ -134,14 +132,9 @@ def _densities(found: Comparison) -> Picture:
             y = np.nan_to_num(density(one, x))
             ax.fill_between(x, y, color=colour, alpha=0.14, lw=0)
             ax.plot(x, y, color=colour, lw=1.3)
-        item = items[name]
-        for limit in (item.upper,) if item.one_sided else (item.lower, item.upper):
-            ax.axvline(limit, color=LIMIT_COLOUR, lw=1.3)
-        ax.set_title(name)
+        draw_limits(ax, items[name].bounds)
         ax.set_yticks([])
         ax.set_ylim(0)
-        if i >= len(names) - columns:
-            ax.set_xlabel("deviation (mm)")
     lines = ((BEFORE, f"before: {found.a.name}"), (AFTER, f"after: {found.b.name}"), (LIMIT_COLOUR, "limits, after"))
     handles = [Line2D([], [], color=colour, lw=2, label=label) for colour, label in lines]
     fig.legend(handles=handles, loc="outside upper left", ncols=3)

@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 
-from mic.report.picture import MOST_PANELS, Picture, panels, svg
+from mic.report.picture import MOST_PANELS, Picture, draw_intervals, named_panels, svg
 from mic.report.style import number, percent
 from mic.scene import Scene
 from mic.studies.friction import HOLDS
@@ -20,15 +20,14 @@ FACTORS = ("#c8553d", "#8a94a0", "#0b5cad", "#2a9d8f", "#b26a00")  # by factor o
 
 def contributor_picture(scene: Scene | None, table: pd.DataFrame, linearity: pd.DataFrame) -> Picture | None:
     """First and total indices of the largest contributors of each key characteristic, with their linear shares."""
-    rows_shown = linearity[linearity["interaction"].notna()]
-    rows_shown = (
-        rows_shown.sort_values("r_squared", kind="stable").head(MOST_PANELS).sort_index()
-    )  # the least linear, if many
+    least_linear = linearity[linearity["interaction"].notna()].sort_values("r_squared", kind="stable")
+    rows_shown = least_linear.head(MOST_PANELS).sort_index()
     if not len(rows_shown):
         return None
-    columns = min(4, len(rows_shown))
-    fig, axes = panels(len(rows_shown), columns, (10.5 / max(columns, 2), 1.9))
-    for i, (ax, row) in enumerate(zip(axes, rows_shown.to_dict("records"))):
+    rows = rows_shown.to_dict("records")
+    titles = [row["measurement"] + ("" if row["linear"] else ": not linear") for row in rows]
+    fig, axes = named_panels(titles, 4, 1.9, "share of the variance")
+    for ax, row in zip(axes, rows):
         own = table[(table["law"] == row["law"]) & (table["measurement"] == row["measurement"])]
         own = own.dropna(subset=["total"]).sort_values("total", ascending=False, kind="stable").head(BARS)
         place = np.arange(len(own))
@@ -41,12 +40,9 @@ def contributor_picture(scene: Scene | None, table: pd.DataFrame, linearity: pd.
         ax.set_yticks(place, own["contributor"])
         ax.invert_yaxis()
         ax.set_xlim(0, 1.05)
-        ax.set_title(row["measurement"] + ("" if row["linear"] else ": not linear"))
-        if i >= len(rows_shown) - columns:
-            ax.set_xlabel("share of the variance")
     handles, labels = axes[0].get_legend_handles_labels()
     fig.legend(handles, labels, loc="outside upper left", ncols=4)
-    least = rows_shown.sort_values("r_squared", kind="stable").iloc[0]
+    least = least_linear.iloc[0]
     caption = (
         f"First index (dark) and total index (light, with its interval) of at most {BARS} contributors; red: linear "
         "analyses."
@@ -63,9 +59,8 @@ def sensitivity_picture(scene: Scene | None, table: pd.DataFrame) -> Picture | N
     shown = [name for name in table["measurement"].unique() if name in set(shown)]
     if not shown:
         return None
-    columns = min(4, len(shown))
-    fig, axes = panels(len(shown), columns, (10.5 / max(columns, 2), 1.9))
-    for i, (ax, name) in enumerate(zip(axes, shown)):
+    fig, axes = named_panels(shown, 4, 1.9, "change (µm)")
+    for ax, name in zip(axes, shown):
         own = size[size["measurement"] == name].sort_values("size", ascending=False, kind="stable").head(BARS)
         place = np.arange(len(own))
         ax.axvline(0, color="#58626e", lw=0.8)
@@ -76,21 +71,10 @@ def sensitivity_picture(scene: Scene | None, table: pd.DataFrame) -> Picture | N
         for side, mark in (("below", "<"), ("above", ">")):
             ends = 1e3 * own.loc[one_sided, f"effect_{side}"]
             if len(ends):
-                ax.plot(
-                    ends,
-                    place[one_sided],
-                    mark,
-                    ms=5,
-                    mfc="white",
-                    color=LINEAR,
-                    ls="",
-                    label=f"{side} a contact change",
-                )
+                label = f"{side} a contact change"
+                ax.plot(ends, place[one_sided], mark, ms=5, mfc="white", color=LINEAR, ls="", label=label)
         ax.set_yticks(place, [f"{row['input']} ({number(row['step'], 2)})" for row in own.to_dict("records")])
         ax.invert_yaxis()
-        ax.set_title(name)
-        if i >= len(shown) - columns:
-            ax.set_xlabel("change (µm)")
     handles = {label: handle for ax in axes for handle, label in zip(*ax.get_legend_handles_labels())}
     fig.legend(handles.values(), handles.keys(), loc="outside upper left", ncols=4)
     most = size.iloc[int(size["size"].to_numpy().argmax())]
@@ -119,8 +103,7 @@ def friction_effect_picture(scene: Scene | None, effects: pd.DataFrame) -> Pictu
             own = whole[whole["factor"] == factor].set_index("measurement").reindex(names)
             value, low, high = (100 * own[f"{figure}{end}"] / own["six_sigma"] for end in ("", "_low", "_high"))
             place = np.arange(len(names)) + 0.2 * (j - (len(factors) - 1) / 2)
-            spread = np.nan_to_num(np.array([value - low, high - value]))
-            ax.errorbar(value, place, xerr=spread, fmt="o", ms=4, color=colour, elinewidth=1.4, label=f"× {factor:g}")
+            draw_intervals(ax, place, value, low, high, color=colour, label=f"× {factor:g}")
         ax.set_yticks(range(len(names)), names)
         ax.set_xlabel(f"change of {word} (% of 6σ)")
     axes[0].invert_yaxis()

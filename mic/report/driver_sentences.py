@@ -6,7 +6,7 @@ from typing import Any
 
 import pandas as pd
 
-from mic.report.style import number, percent
+from mic.report.style import number, percent, probability
 from mic.studies.contributors import INTERACTION, R_SQUARED, SIGMA, SMALLEST
 from mic.studies.friction import HOLDS
 from mic.studies.optimisation.description import OBJECTIVES
@@ -171,7 +171,7 @@ def design_words(table: pd.DataFrame, points: pd.DataFrame) -> list[str]:
         if not row["agrees"] and row["first_order"] == row["first_order"]:
             what = row["measurement"] or "the assembly"
             sentences.append(
-                f"Warning: {what}: the first-order estimate, {number(1e6 * row['first_order'], 2)} ppm, lies outside "
+                f"Warning: {what}: the first-order estimate, {probability(row['first_order'])}, lies outside "
                 "the interval: the limit is curved, changes with contact, or has several likely misses. Use the value "
                 "of the simulation."
             )

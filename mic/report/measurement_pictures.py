@@ -7,13 +7,11 @@ from matplotlib.colors import to_rgba
 from matplotlib.lines import Line2D
 
 from mic.report.context import SHOWN, Context
-from mic.report.picture import MOST_PANELS, Picture, panels, svg
-from mic.report.style import LAWS, number, percent
+from mic.report.picture import MOST_PANELS, Picture, draw_limits, named_panels, svg
+from mic.report.style import LAWS, LIMIT_COLOUR, number, percent
 from mic.results.outcome import Outcome
 
-__all__ = ["LIMIT_COLOUR", "measurement_picture"]
-
-LIMIT_COLOUR = "#b00020"
+__all__ = ["measurement_picture"]
 
 
 def measurement_picture(outcome: Outcome, context: Context) -> Picture | None:
@@ -26,10 +24,9 @@ def measurement_picture(outcome: Outcome, context: Context) -> Picture | None:
     if len(order) > MOST_PANELS:
         worst = table.groupby("measurement")["cpk"].min().sort_values(na_position="last").index[:MOST_PANELS]
         shown = [name for name in order if name in set(worst)]
-    columns = min(4, len(shown))
-    fig, axes = panels(len(shown), columns, (10.5 / max(columns, 2), 1.9))
+    fig, axes = named_panels(shown, 4, 1.9, "deviation (mm)", "samples")
     characteristics = {item.name: item for item in outcome.model.scene.measurements}
-    for i, (ax, name) in enumerate(zip(axes, shown)):
+    for ax, name in zip(axes, shown):
         item = characteristics[name]
         values = {law: outcome.measured(law, name, outcome.sample_numbers(law)[:SHOWN]) for law in context.laws}
         everything = np.concatenate(list(values.values())) if values else np.zeros(1)
@@ -38,15 +35,9 @@ def measurement_picture(outcome: Outcome, context: Context) -> Picture | None:
         for law, x in values.items():
             colour = LAWS[law].colour
             ax.stairs(np.histogram(x, edges)[0], edges, fill=True, fc=to_rgba(colour, 0.14), ec=colour, lw=1.2)
-        for limit in (item.upper,) if item.one_sided else (item.lower, item.upper):
-            ax.axvline(limit, color=LIMIT_COLOUR, lw=1.3)
+        draw_limits(ax, item.bounds)
         width = item.upper - item.lower
         ax.set_xlim(min(low, item.lower) - 0.04 * width, max(high, item.upper) + 0.04 * width)
-        ax.set_title(name)
-        if i >= len(shown) - columns:
-            ax.set_xlabel("deviation (mm)")
-        if i % columns == 0:
-            ax.set_ylabel("samples")
     handles = [Line2D([], [], color=LAWS[law].colour, lw=2, label=law) for law in outcome.laws]
     handles.append(Line2D([], [], color=LIMIT_COLOUR, lw=1.3, label="limits"))
     fig.legend(handles=handles, loc="outside upper left", ncols=4)

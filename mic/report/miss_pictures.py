@@ -7,9 +7,8 @@ import pandas as pd
 from matplotlib.figure import Figure
 
 from mic.report.driver_sentences import FAR
-from mic.report.measurement_pictures import LIMIT_COLOUR
-from mic.report.picture import MOST_PANELS, Picture, panels, svg
-from mic.report.style import number, percent
+from mic.report.picture import MOST_PANELS, Picture, draw_intervals, named_panels, svg
+from mic.report.style import LIMIT_COLOUR, number, probability
 from mic.scene import Scene
 from mic.statistics.estimates import LEVEL
 
@@ -19,7 +18,6 @@ INK, FIRST = "#0b5cad", "#c8553d"
 LIMITS = 8  # panels, for the most likely misses
 BARS = 6  # deviations in a panel
 MILLION = 1e6
-LARGE = 1e-2  # larger probabilities are given in per cent
 NEVER = 1e-9  # smaller probabilities are drawn at the end of the axis
 
 
@@ -32,8 +30,7 @@ def miss_picture(scene: Scene | None, table: pd.DataFrame) -> Picture | None:
     value, low, high = (np.maximum(own[f"outside{end}"], NEVER) for end in ("", "_low", "_high"))
     fig = Figure(figsize=(10.5, 1.2 + 0.32 * len(own)), layout="constrained")
     ax = fig.subplots()
-    spread = MILLION * np.array([value - low, high - value])
-    ax.errorbar(MILLION * value, place, xerr=spread, fmt="o", ms=5, color=INK, elinewidth=1.6, label="simulated")
+    draw_intervals(ax, place, MILLION * value, MILLION * low, MILLION * high, ms=5, color=INK, label="simulated")
     known = own["first_order"].notna().to_numpy()
     first = MILLION * np.maximum(own["first_order"][known], NEVER)
     ax.plot(first, place[known], "D", ms=5, mfc="white", color=FIRST, ls="", label="first order")
@@ -43,15 +40,10 @@ def miss_picture(scene: Scene | None, table: pd.DataFrame) -> Picture | None:
     ax.set_xlabel("outside limits, ppm")
     fig.legend(loc="outside upper left", ncols=2)
     row = own.iloc[0]
-    large = row["outside"] >= LARGE
-    text, least, most = (
-        percent(share, 1) if large else number(MILLION * share, 2)
-        for share in (row["outside"], row["outside_low"], row["outside_high"])
-    )
-    unit = "" if large else " ppm"
+    share = probability(row["outside"], row["outside_low"], row["outside_high"])
     text = (
-        f"Share outside limits, {row['measurement'] or 'any limit'}: {text}{unit} ({least} to {most}). Lines: "
-        f"{100 * LEVEL:.0f} % intervals. {own['evaluations'].sum()} evaluations."
+        f"Share outside limits, {row['measurement'] or 'any limit'}: {share}. Lines: {100 * LEVEL:.0f} % intervals. "
+        f"{own['evaluations'].sum()} evaluations."
     )
     return svg(fig, "Probability of a miss", text)
 
@@ -62,18 +54,16 @@ def likeliest_miss_picture(scene: Scene | None, points: pd.DataFrame) -> Picture
     limits = near.drop_duplicates(["measurement", "limit"]).sort_values("beta", kind="stable").head(LIMITS)
     if not len(limits):
         return None
-    columns = min(4, len(limits))
-    fig, axes = panels(len(limits), columns, (10.5 / max(columns, 2), 1.9))
-    for i, (ax, one) in enumerate(zip(axes, limits.to_dict("records"))):
+    rows = limits.to_dict("records")
+    titles = [f"{row['measurement']}, {row['limit']}: β = {number(row['beta'])}" for row in rows]
+    fig, axes = named_panels(titles, 4, 1.9, "deviation from its mean (σ)")
+    for ax, one in zip(axes, rows):
         own = near[(near["measurement"] == one["measurement"]) & (near["limit"] == one["limit"])]
         own = own.sort_values("share", ascending=False, kind="stable").head(BARS)
         ax.axvline(0, color="#58626e", lw=0.8)
         ax.barh(np.arange(len(own)), own["sigmas"], color=LIMIT_COLOUR, alpha=0.75, height=0.6)
         ax.set_yticks(np.arange(len(own)), own["deviation"])
         ax.invert_yaxis()
-        ax.set_title(f"{one['measurement']}, {one['limit']}: β = {number(one['beta'])}")
-        if i >= len(limits) - columns:
-            ax.set_xlabel("deviation from its mean (σ)")
     text = (
         f"The most likely assembly outside each limit, at a distance of β standard deviations; at most {BARS} "
         "deviations, the most important first."

@@ -24,19 +24,28 @@ from matplotlib.lines import Line2D
 from matplotlib.transforms import Bbox
 from PIL import Image  # which matplotlib brings
 
-from mic.report.style import LAWS
+from mic.report.style import LAWS, LIMIT_COLOUR
 
-__all__ = ["MOST_PANELS", "Picture", "law_legend", "measured_once", "panels", "png", "svg"]
+__all__ = [
+    "MOST_PANELS",
+    "Picture",
+    "draw_intervals",
+    "draw_limits",
+    "law_legend",
+    "measured_once",
+    "named_panels",
+    "panels",
+    "png",
+    "svg",
+]
 
 _DECIMALS = re.compile(rb'\b(?:x|y|x1|x2|y1|y2|points)="[^"]*"')  # coordinates, of which
 _LONG = re.compile(rb"(\.\d\d)\d+")  # a hundredth of a point is invisible
 _LONGER = re.compile(rb"(\.\d)\d+")
-_OUTLINE = re.compile(rb'\bd="([^"]*)"')
+_OUTLINE = re.compile(rb'\bd="[^"]*"')
 _NAMED = re.compile(rb'<g id="[\w.]+_\d+">')  # unused names of groups
 _USE = rb'<use xlink:href="[^"]*" x="[^"]*" y="[^"]*" style="'
 _MARKS = re.compile(_USE + rb'([^"]*)"/>(?:' + _USE + rb'\1"/>)+')
-_STROKE = re.compile(r"([MLCQzZ])([^MLCQzZ]*)")
-_TENTHS = 10  # of a point, the resolution of lines: a seventh of a pixel
 _IDLE = re.compile(rb' transform="rotate\(-?0 [^"]*"|<metadata>.*?</metadata>', re.S)
 _FONT = re.compile(rb";? ?font-family: [^;\"]*")  # of each text: the picture has one
 MOST_PANELS = 24  # more panels or labels are unreadable
@@ -99,6 +108,38 @@ def panels(count: int, columns: int, size: tuple[float, float], **kwargs: Any) -
     return fig, list(axes[:count])
 
 
+def named_panels(
+    names: Sequence[str], columns: int, height: float, xlabel: str, ylabel: str = "", **kwargs: Any
+) -> tuple[Figure, list[Axes]]:
+    """A figure of one titled panel per name, `height` inches each, with labels only at its left and lower edge.
+
+    Further arguments go to :meth:`matplotlib.figure.Figure.subplots`.
+    """
+    columns = min(columns, len(names))
+    fig, axes = panels(len(names), columns, (10.5 / max(columns, 2), height), **kwargs)
+    for i, (ax, name) in enumerate(zip(axes, names)):
+        ax.set_title(name)
+        if i >= len(names) - columns:
+            ax.set_xlabel(xlabel)
+        if ylabel and i % columns == 0:
+            ax.set_ylabel(ylabel)
+    return fig, axes
+
+
+def draw_intervals(ax: Axes, place: Any, value: Any, low: Any, high: Any, **style: Any) -> None:
+    """Dots at `value` with a horizontal line from `low` to `high`; no line where an end is NaN."""
+    ends = np.nan_to_num(np.array([value - low, high - value]))
+    style = {"fmt": "o", "ms": 4, "elinewidth": 1.4} | style
+    ax.errorbar(value, place, xerr=ends, **style)
+
+
+def draw_limits(ax: Axes, limits: Sequence[float], scale: float = 1.0) -> None:
+    """Vertical lines at the finite limits of a key characteristic, multiplied by `scale`."""
+    for limit in limits:
+        if np.isfinite(limit):
+            ax.axvline(scale * limit, color=LIMIT_COLOUR, lw=1.3)
+
+
 def law_legend(fig: Figure, laws: Sequence[str]) -> None:
     """Colour and mark of each law, above the axes."""
     handles = [Line2D([], [], color=LAWS[law].colour, marker=LAWS[law].mark, ms=5, lw=1.5, label=law) for law in laws]
@@ -117,40 +158,8 @@ def _alike(found: re.Match[bytes]) -> bytes:
 
 
 def _outline(found: re.Match[bytes]) -> bytes:
-    """A compact outline: straight lines by relative steps, curves with fewer digits."""
-    commands: list[str] = []
-    x = y = 0
-    strokes = _STROKE.findall(found.group(1).decode())
-    if any(kind in "CQ" for kind, _ in strokes):
-        return re.sub(rb"\s*([MLCQz])\s*", rb"\1", _LONG.sub(rb"\1", found.group())).replace(b' "', b'"')
-    for kind, numbers in strokes:
-        if kind in "zZ":
-            commands.append("z")
-            continue
-        to_x, to_y = (round(float(number) * _TENTHS) for number in numbers.split())
-        if kind == "M":
-            commands.append("M" + _joined(to_x, to_y))
-        elif to_y == y and to_x == x:
-            continue
-        elif to_y == y:
-            commands.append("h" + _joined(to_x - x))
-        elif to_x == x:
-            commands.append("v" + _joined(to_y - y))
-        else:
-            commands.append("l" + _joined(to_x - x, to_y - y))
-        x, y = to_x, to_y
-    if len(commands) == 1:  # a point, drawn by round line ends
-        commands.append("h0")
-    return f'd="{"".join(commands)}"'.encode()
-
-
-def _joined(*tenths: int) -> str:
-    """Numbers of tenths, separated by a sign or a blank."""
-    each = [
-        f"{number / _TENTHS:g}".replace("0.", ".", 1) if abs(number) < _TENTHS else f"{number / _TENTHS:g}"
-        for number in tenths
-    ]
-    return "".join(one if i == 0 or one.startswith("-") else f" {one}" for i, one in enumerate(each))
+    """An outline without line breaks and superfluous digits."""
+    return re.sub(rb"\s*([MLCQz])\s*", rb"\1", _LONG.sub(rb"\1", found.group())).replace(b' "', b'"')
 
 
 @contextmanager

@@ -65,7 +65,9 @@ SECTIONS = (
 class PictureSource(Protocol):
     """Pictures that are drawn elsewhere, such as :class:`mic.report.background_pictures.BackgroundPictures`."""
 
-    names: Sequence[str]
+    @property
+    def names(self) -> Sequence[str]:
+        """The pictures that are drawn."""
 
     def pictures(self) -> Mapping[str, Picture | None]:
         """The pictures by name."""

@@ -11,6 +11,7 @@ from mic.geometry.normals import Rule
 __all__ = [
     "INSIDE",
     "LAWS",
+    "LIMIT_COLOUR",
     "MARK_COLOURS",
     "OUTSIDE",
     "RC",
@@ -24,6 +25,7 @@ __all__ = [
     "number",
     "part_colour",
     "percent",
+    "probability",
     "zone_colour",
 ]
 
@@ -31,6 +33,7 @@ __all__ = [
 STATE_COLOURS = dict(zip(STATES, ("#dfe4ea", "#56a37c", "#c8553d")))
 STATE_DOTS = STATE_COLOURS | {"open": "#8a94a0"}  # single pairs: open ones must be visible on white
 STATE_WORDS = dict(zip(STATES, ("open", "sticking", "slipping")))
+LIMIT_COLOUR = "#b00020"
 INSIDE, OUTSIDE = "#2f7d4f", "#c1121f"  # of limits
 VERDICT_COLOURS = {"accepted": INSIDE, "open": "#b26a00", "rejected": OUTSIDE}
 MARK_COLOURS = {
@@ -85,6 +88,14 @@ def percent(value: float, digits: int = 0) -> str:
         return "–"
     text = f"{100 * value:.{digits}f}"
     return (text if float(text) else text.lstrip("-")).replace("-", "−") + " %"
+
+
+def probability(value: float, low: float | None = None, high: float | None = None) -> str:
+    """A probability with its interval, in per cent from 1 % on, else in ppm: ``25 ppm (10 to 60)``."""
+    large = value >= 0.01
+    text = lambda x: percent(x, 1) if large else number(1e6 * x, 2)
+    interval = "" if low is None or high is None else f" ({text(low)} to {text(high)})"
+    return text(value) + ("" if large else " ppm") + interval
 
 
 def change(value: float | None, share: float | None = None) -> str:

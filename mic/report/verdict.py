@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from mic.report.driver_sentences import named, signed, unit_of
-from mic.report.style import change, number, percent
+from mic.report.style import change, number, percent, probability
 from mic.results.error_sources import Source, error_budget
 from mic.results.outcome import Outcome
 from mic.results.schema import CONTRIBUTORS, FRICTION_EFFECTS, LINEARITY, RARE, REMEDIES
@@ -96,13 +96,11 @@ def _further(outcome: Outcome, law: str, rows: list[dict[Any, Any]]) -> list[str
     rare = outcome.study(RARE)
     own = [] if rare is None else rare[(rare["law"] == law) & (rare["measurement"] == "")].to_dict("records")
     for row in own:
-        low, high = (number(1e6 * row[f"outside_{end}"], 2) for end in ("low", "high"))
-        most = number(1e6 * row["outside"], 2)
-        sentences.append(f"Assemblies outside a limit, by subset simulation: {most} ppm ({low} to {high}).")
+        share = probability(row["outside"], row["outside_low"], row["outside_high"])
+        sentences.append(f"Assemblies outside a limit, by subset simulation: {share}.")
         if not row["agrees"] and np.isfinite(row["first_order"]):
-            sentences.append(
-                f"The first-order estimate differs, {number(1e6 * row['first_order'], 2)} ppm: the limits are curved."
-            )
+            first_order = probability(row["first_order"])
+            sentences.append(f"The first-order estimate differs, {first_order}: the limits are curved.")
     linearity = outcome.study(LINEARITY)
     if linearity is None:
         sentences.append(f"Contributors: not computed. Run `mic contributors {command}`.")

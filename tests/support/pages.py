@@ -7,4 +7,4 @@ import json
 
 def unpacked(text):
     """The JSON that a page holds packed."""
-    return json.loads(gzip.decompress(base64.b85decode(text.translate(str.maketrans(",./", "<>&")))))
+    return json.loads(gzip.decompress(base64.b64decode(text)))
