@@ -1,4 +1,4 @@
-"""What `mic check --accuracy` tells beside the truth: the tables of docs/shells.md.
+"""Error estimates of `mic check --accuracy` against true errors: the tables of docs/shells.md.
 
     PYTHONPATH=.:tests python benchmarks/accuracy.py        # three minutes
 

@@ -92,7 +92,8 @@ class Watch:
 
     def __init__(self, stages: list[PreparedStage]):
         self.spent = 0.0
-        for solver in {id(one): one for stage in stages for one in map(stage.solver, stage.required_steps) if one}.values():
+        solvers = [solver for stage in stages for solver in map(stage.solver, stage.required_steps) if solver]
+        for solver in {id(solver): solver for solver in solvers}.values():
             follow = solver.follow
 
             def watched(*arguments, follow=follow):

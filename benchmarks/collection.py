@@ -91,7 +91,7 @@ def _dense(numbers: Numbers) -> np.ndarray:
 
 
 def _by_blocks(numbers: Numbers, size: int) -> np.ndarray:
-    """Blocks row by row, each with its number before its entries, column by column; sizes are told as their ends."""
+    """Blocks row by row, each with its number before its entries, column by column; sizes are stored as end offsets."""
     count, high, wide = numbers.integers(3)
     ends = [np.append(0, numbers.integers(n)) for n in (high, wide)]
     first, second = numbers.integers(2)
@@ -123,7 +123,7 @@ def _before(name: str) -> str:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("folder", type=Path)
-    parser.add_argument("--orders", type=int, default=1, help="of the contacts, beside their own")
+    parser.add_argument("--orders", type=int, default=1, help="random orders of the contacts, besides the original")
     parser.add_argument("--only", default="", help="files whose names hold this")
     options = parser.parse_args()
     console, solved, tried = Console(width=120), 0, 0

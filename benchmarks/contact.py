@@ -203,7 +203,7 @@ def cases(quick):
 
 
 def stuck_cases():
-    """What more the bars ask for."""
+    """Further measurements for the goals."""
     rng = np.random.default_rng(2025)
     yield STUCK, manufactured(compliant(102, rng), np.full(102, 0.27), 20, rng, stick=0.9, slide=0.0)
     yield LARGE, manufactured(_grown(1000, rng), np.full(1000, 0.27), 3, rng)

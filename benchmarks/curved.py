@@ -1,4 +1,4 @@
-"""What the curved triangle leaves on curved sheets, beside the flat one, and what it costs: docs/curved_triangle.md.
+"""Error and cost of the curved and the flat triangle on curved sheets: docs/curved_triangle.md.
 
 python benchmarks/curved.py        # some two minutes
 

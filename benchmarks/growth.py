@@ -1,4 +1,4 @@
-"""What a long run takes: memory and time of statistics, fields and report as the number of samples grows.
+"""Memory and time of statistics, fields and report of a long run over the number of samples.
 
     python benchmarks/growth.py                      # 10⁴ and 10⁵ samples of the lap joint, a few minutes
     python benchmarks/growth.py 10000 1000000        # a million takes half an hour and 4 GB of disk
@@ -84,7 +84,7 @@ def main() -> None:
 
 
 def write(folder: Path, assembly, model: ReducedModel, evaluation: Evaluation, samples: int) -> None:
-    """A folder of results as a run leaves it, without statistics."""
+    """Results folder of a run, without statistics."""
     store, whose = RunFolder(folder), identity(model, 1)
     store.store_inputs(assembly)
     model.save(folder / "model.npz")

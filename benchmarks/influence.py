@@ -1,4 +1,4 @@
-"""What influence coefficients cost beside one bare factorisation, method by method.
+"""Cost of influence coefficients relative to one factorisation, by method.
 
     python benchmarks/influence.py [--dofs 200000] [--functionals 699] [--skip-columns | --skip-peers] [--threads 1]
 

@@ -1,4 +1,4 @@
-"""What the wheelhouse's meshes leave in 6σ: the same samples, pairs at the same points, on meshes of other sizes.
+"""Mesh error of 6σ on the wheelhouse: the same samples and pairs on meshes of several sizes.
 
     python benchmarks/mesh.py                        # coarse, medium and fine against 2.83 mm; half an hour, 3 GB
     python benchmarks/mesh.py --path increments --samples 100

@@ -1,4 +1,4 @@
-"""What estimated normals leave: the wheelhouse on flat triangles, with its geometry's normals, and with estimates.
+"""Error of estimated normals: the wheelhouse with flat triangles, with exact normals, and with estimated normals.
 
     python benchmarks/normals.py                     # coarse and medium against fine, about a minute
     python benchmarks/normals.py --against 3.5       # a finer limit, mm; some minutes

@@ -1,9 +1,9 @@
-"""What an optimisation gains, and what as many evaluations of random designs do.
+"""Gain of an optimisation, and of random designs with the same number of evaluations.
 
 python benchmarks/optimise.py                             # the wheelhouse as it is shipped
 python benchmarks/optimise.py SCENE --samples 40 --fresh 2000 --budget 3000 --folder FOLDER
 
-Both search on the same samples with the same budget, and the best of each is judged on fresh samples. The
+Both search on the same samples with the same budget, and the best of each is evaluated on fresh samples. The
 folder keeps what is evaluated, so that a call that was killed goes on where it was.
 """
 

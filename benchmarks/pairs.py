@@ -1,4 +1,4 @@
-"""What pairs and parts cost: elimination, and a batch of contact problems, as both grow.
+"""Cost of elimination and of a batch of contact problems over the number of pairs and parts.
 
     python benchmarks/pairs.py                       # up to a thousand pairs, a few minutes
     python benchmarks/pairs.py --cases 5,3000        # parts, pairs
@@ -166,7 +166,7 @@ def dense(stack: Stack) -> np.ndarray:
 
 
 def timed(work):
-    """What came of it, and processor seconds."""
+    """Result of a call, and its processor seconds."""
     start = time.process_time()
     result = work()
     return result, time.process_time() - start

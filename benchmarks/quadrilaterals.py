@@ -1,4 +1,4 @@
-"""What dividing quadrilaterals costs, by the diagonal that is taken: the table of docs/shells.md.
+"""Error of dividing quadrilaterals by the choice of diagonal: the table of docs/shells.md.
 
     PYTHONPATH=. python benchmarks/quadrilaterals.py                  # sheets whose surface is known, a minute
     PYTHONPATH=. python benchmarks/quadrilaterals.py DECK.inp 2.0     # a mesh of one's own, thickness in mm

@@ -1,4 +1,4 @@
-"""What several processes gain: processor time of each, what one does alone, memory, and how far it goes.
+"""Scaling over several processes: processor time, serial part, memory and efficiency.
 
     python benchmarks/ranks.py                              # 20 000 samples of the lap joint on two processes
     python benchmarks/ranks.py --samples 4000 --ranks 4 --scene meshes/hat_on_plate
@@ -77,7 +77,7 @@ def main() -> None:
 
 
 def further(t_0: float, t_s: float, t_r: float) -> Table:
-    """What the terms say of more samples and processes."""
+    """Prediction for more samples and processes."""
     shown = Table("samples", *(f"{p}" for p in PROCESSES), *(f"efficiency on {p}" for p in PROCESSES[1:]))
     for n in SAMPLES:
         took = [t_0 + n * t_s / p + n * t_r for p in PROCESSES]

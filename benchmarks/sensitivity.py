@@ -1,4 +1,4 @@
-"""What exact derivatives cost, and how exact they are: beside evaluations, and beside central differences.
+"""Cost and accuracy of exact derivatives, against evaluations and central differences.
 
     python benchmarks/sensitivity.py                               # the three example scenes, few pairs
     python benchmarks/sensitivity.py --scenes lap_joint --samples 40

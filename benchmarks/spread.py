@@ -1,4 +1,4 @@
-"""6σ from few samples: plain, by regression, and by regression on values and exact derivatives; errors at equal cost.
+"""Errors of 6σ at equal cost: plain, regression, and regression on values and exact derivatives.
 
     python benchmarks/spread.py                       # the lap joint, its three deviations and all its locators
     python benchmarks/spread.py --repetitions 100

@@ -1,4 +1,4 @@
-"""What watching candidates costs: a run whose samples find out what touches, beside one that knows it beforehand.
+"""Cost of contact candidates: a run that detects the contacts against one with known contacts.
 
     python benchmarks/watching.py                                  # 500 samples of the hat on the plate, one increment
     python benchmarks/watching.py --followed --samples 100         # the path followed, as the scene has it

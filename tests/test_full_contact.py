@@ -18,7 +18,7 @@ from mic.model.deviated_geometry import deviated_parts, gap_change
 from mic.model.sources import SOURCES
 from mic.process.actions import STAGE_MOVES
 from mic.statistics.draw import draw
-from verification.scenes import few
+from verification.scenes import with_stated_pairs
 
 pytestmark = pytest.mark.fem
 
@@ -52,7 +52,7 @@ def lap_model(scene, cache):
 @pytest.fixture(scope="module")
 def bracket(cache):
     """Parts, zones and clamps of which no two are alike: what one takes for another's shows."""
-    few_pairs = few(mic.load_scene(ROOT / "meshes" / "bracket"))
+    few_pairs = with_stated_pairs(mic.load_scene(ROOT / "meshes" / "bracket"))
     return assemble(going(sized(few_pairs, "coarse"), "increments", 1), cache)
 
 
@@ -248,7 +248,7 @@ def test_a_failure_names_stage_increment_contact_and_remedy(lap, scene, monkeypa
     with pytest.raises(
         ContactFailure,
         match=r"stage 'clamp', step 1 of 2, at 0 of its load, worst at contact 'lap \d+': "
-        r"no convergence.*give the stage increments, or lower the penalty",
+        r"no convergence.*use increments in this stage, or lower the penalty",
     ):
         FullModel(lap).evaluate(draw(scene, 5, 0, 1)[0])
 
@@ -434,9 +434,9 @@ import mic
 from fem_reference.full.model import FullModel
 from mic.model.assembly import assemble
 from mic.statistics.draw import draw
-from verification.scenes import few
+from verification.scenes import with_stated_pairs
 
-scene = few(mic.load_scene(sys.argv[1]))
+scene = with_stated_pairs(mic.load_scene(sys.argv[1]))
 scene = scene.model_copy(update={"parts": [part.model_copy(update={"size": "coarse"}) for part in scene.parts]})
 stages = [stage.model_copy(update={"path": "increments", "increments": 1}) for stage in scene.stages]
 assembly = assemble(scene.model_copy(update={"stages": stages}), Path(sys.argv[2]))

@@ -91,7 +91,7 @@ def beside(one, other, noise):
 
     def stacked(a, b):
         place = np.concatenate([a.position, b.position])
-        rest = (np.concatenate([getattr(a, name), getattr(b, name)]) for name in ("gap", "force", "state", "held"))
+        rest = (np.concatenate([getattr(a, name), getattr(b, name)]) for name in ("gap", "force", "state", "unknowns"))
         return Point(a.share, place + noise.normal(scale=1e-14, size=place.shape), *rest)
 
     def solve(point, s, anchor):

@@ -18,7 +18,7 @@ from fem_reference.shell import factorisation
 from mic import examples
 from mic.model.assembly import assemble
 from mic.statistics.draw import draw
-from verification.scenes import going
+from verification.scenes import with_path
 
 pytestmark = pytest.mark.fem
 
@@ -138,7 +138,7 @@ def test_an_error_for_lack_of_memory_names_the_remedy(held, monkeypatch):
 def test_a_sample_whose_slips_turn_back_has_a_solution(cache):
     """The lap joint's 37th on its own mesh: by penalty and augmentation one slip turned back for ever, over the small
     forces that would stop it, from either side."""
-    scene = going(mic.load_scene(examples.folder("lap_joint")), "increments", 1)
+    scene = with_path(mic.load_scene(examples.folder("lap_joint")), "increments", 1)
     full = FullModel(assemble(scene, cache), deviated=True, comm=MPI.COMM_SELF)
     found = full.evaluate(draw(scene, scene.monte_carlo.seed, 37, 1)[0])
     assert {"clamp", "release"} <= set(found.resolutions)

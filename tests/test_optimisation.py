@@ -686,7 +686,7 @@ def called(tmp_path, model, *options):
 def test_the_command_prints_changes_gain_and_side_effects(tmp_path):
     found = called(tmp_path, pushed({"forces": [FORCE], "of": ["M"]}), "--fresh", "60", "--law", "frictionless")
     assert found.exit_code == 0, found.output
-    assert "clamps.C: 20 → 47" in found.output and "On 60 independent samples the least Cpk" in found.output
+    assert "clamps.C: 20 → 47" in found.output and "On 60 fresh samples the least Cpk" in found.output
     assert "No significant gain" not in found.output and " N " in found.output
     for table in (OPTIMA, OPTIMUM_CHANGES):
         assert len(table.read(tmp_path / "out", "mend it")) == 1

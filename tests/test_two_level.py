@@ -109,7 +109,11 @@ def test_too_few_expensive_results_have_no_interval():
 
 @pytest.mark.parametrize(
     "cheap, chosen, dear, words",
-    [([1.0, np.nan], [0], [1.0], "finite"), ([1.0, 2.0], [], [], "0 dear"), ([1.0, 2.0], [0, 1], [1.0], "2 chosen")],
+    [
+        ([1.0, np.nan], [0], [1.0], "finite"),
+        ([1.0, 2.0], [], [], "0 expensive"),
+        ([1.0, 2.0], [0, 1], [1.0], "2 chosen"),
+    ],
 )
 def test_invalid_input_is_refused(cheap, chosen, dear, words):
     with pytest.raises(ValueError, match=words):

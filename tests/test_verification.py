@@ -154,7 +154,7 @@ def test_the_report_shows_the_reason_of_each_limit(tmp_path):
     found = [Finding("mean", 0.0), Finding("sum", 0.0)]
     runs.run([replace(study, acceptance=limits, run=lambda context: found)], tmp_path, False, Team(), lambda line: None)
     page = write_report(tmp_path).read_text()
-    assert all(f"Why this number: Because of {one.name}." in page for one in limits)
+    assert all(f"Reason for the limit: Because of {one.name}." in page for one in limits)
 
 
 def test_each_acceptance_number_must_be_measured(tmp_path):

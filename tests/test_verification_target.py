@@ -27,7 +27,7 @@ def test_invalid_shares_are_refused_at_once(text):
     with pytest.raises(ValueError, match="give one such as 2%"):
         share_of(text)
     found = CliRunner().invoke(app, ["scene", str(LAP), f"--to={text}"])
-    assert found.exit_code == 2 and "no share" in found.output
+    assert found.exit_code == 2 and "no relative error" in found.output
 
 
 def test_a_setting_replaces_what_the_scene_states():

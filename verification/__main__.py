@@ -1,4 +1,4 @@
-"""``python -m verification``: list the studies, run them, write their report."""
+"""``python -m verification``: list and run studies, write their report, verify a scene."""
 
 from __future__ import annotations
 
@@ -24,14 +24,14 @@ from verification.shell_contact.publication import publish
 from verification.study import studies
 from verification.target import advice, choose, share_of, table
 
-PDF = typer.Option("--pdf", help="Write report.pdf besides, printed by chromium or chrome.")
+PDF = typer.Option("--pdf", help="Also write report.pdf, printed by chromium or chrome.")
 
 app = typer.Typer(
     add_completion=False,
     no_args_is_help=True,
     pretty_exceptions_enable=False,
     help="""
-How far are the reduced results from the truth, where, and what does accuracy cost?
+Compare results of the reduced model with closed forms, other solvers and full finite elements.
 
 Start with:  python -m verification list  and then  python -m verification run --quick
 """,
@@ -42,20 +42,19 @@ def _chosen(names):
     known = studies()
     for name in names or ():
         if name not in known:
-            raise typer.BadParameter(f"there is no study {name!r}; known: {', '.join(known)}")
+            raise typer.BadParameter(f"no study {name!r}; choose from {', '.join(known)}")
     return [known[name] for name in names] if names else list(known.values())
 
 
 @app.command("list")
 def list_studies():
-    """Show each study: its claim, its reference, its acceptance numbers, and its expected time and memory on one
-    core."""
+    """List the studies with claim, reference, acceptance limits, and expected time and memory on one core."""
     console = Console(highlight=False)
     for study in studies().values():
         full, quick = study.seconds
         console.print(
             f"[bold]{study.name}[/]: {study.title}, {full:.0f} s, {study.memory:.1f} GB"
-            + (f", quick {quick:.0f} s" if quick != full else ", quick as long")
+            + (f", quick {quick:.0f} s" if quick != full else ", quick the same")
         )
         console.print(f"  {study.claim}", f"  [dim]Reference: {study.reference}[/]", sep="\n", soft_wrap=True)
         for acceptance in study.acceptance:
@@ -69,33 +68,30 @@ def run(
     quick: Annotated[bool, typer.Option("--quick", help="Small meshes and few samples.")] = False,
     pdf: Annotated[bool, PDF] = False,
 ):
-    """Run studies; write summary.json and report.html. Exit code 1 if an acceptance number is not kept.
+    """Run studies; write summary.json and report.html. Exit code 1 if an acceptance limit is not met.
 
-    Studies that the folder holds already, made by the same code, are kept: call again to complete an interrupted run.
-    One that fails is told as not measured, and the others are run. Under `mpirun -n N` each process takes whole
-    studies, the longest first for which there is memory; one that is longer than its share of them, or alone, is shared
-    out over all.
+    Results of the same code in the folder are reused: call again to complete an interrupted run. A study that raises an
+    error is reported as not measured, and the others still run. Under `mpirun -n N` each process takes whole studies,
+    the longest first that fits into memory; all processes share studies that are longer than their part of the total.
     """
     workers = team()
     if pdf:
-        browser()  # told before hours of work
+        browser()  # raise before hours of work
     run_studies(_chosen(names), out, quick, workers, lambda line: print(line, flush=True))
     if workers.rank == 0:
         print(f"report: {write_report(out, pdf)}")
     failed = [entry for entry in write_summary(out) if not entry["passed"]] if workers.rank == 0 else []
     if failed:
-        print(
-            f"{len(failed)} acceptance numbers are not kept: " + ", ".join(f"{e['study']}/{e['name']}" for e in failed)
-        )
+        print(f"{len(failed)} acceptance limits not met: " + ", ".join(f"{e['study']}/{e['name']}" for e in failed))
     raise typer.Exit(1 if failed else 0)
 
 
 @app.command()
 def scene(
-    scene: Annotated[Path, typer.Argument(help="Scene file, or a folder that holds scene.toml.", show_default=False)],
+    scene: Annotated[Path, typer.Argument(help="Scene file, or folder with scene.toml.", show_default=False)],
     samples: Annotated[
         int,
-        typer.Option(min=1, help="Samples to solve by full finite elements; three at least for confidence intervals."),
+        typer.Option(min=1, help="Samples to solve by full finite elements; at least three for confidence intervals."),
     ] = 5,
     out: Annotated[
         Path | None,
@@ -105,26 +101,25 @@ def scene(
         bool,
         typer.Option(
             "--nominal",
-            help="Full solves on the nominal meshes, as the reduced model assumes, not on meshes "
-            "that carry each sample's shape.",
+            help="Full solves on the nominal meshes, as the reduced model assumes, instead of meshes with each "
+            "sample's shape.",
         ),
     ] = False,
     to: Annotated[
         str | None,
         typer.Option(
-            help="In place of all that: which setting keeps 6σ to this share, such as 2%, or what it would take.",
+            help="Only find the cheapest setting whose error of 6σ is at most this, such as 2%.",
             show_default=False,
         ),
     ] = None,
     pdf: Annotated[bool, PDF] = False,
 ):
-    """Verify your own scene: what each source of error leaves in its figures, with its cost; and a few samples by full
-    finite elements.
+    """Verify your own scene: error budget of its results, and full finite-element solves of some samples.
 
-    The report opens with the error budget: path, order, pairs, mesh, nominal stiffness, sampling, each estimated on the
-    same samples. Those of full solves are chosen by the Monte Carlo: one typical, then extreme and random ones by
-    turns. What the folder holds already is kept: call again to complete an interrupted run, or with more samples. Under
-    `mpirun -n N` the work is shared out over N processes.
+    The report starts with the error budget: path, order, pairs, mesh, nominal stiffness and sampling, estimated on the
+    same samples. Samples for full solves are selected by their Monte Carlo results: one typical, then alternately
+    extreme and random ones. Stored results are reused: call again to complete an interrupted run, or with more samples.
+    Under `mpirun -n N` the work is distributed over N processes.
     """
     workers = team()
     if to is not None:
@@ -137,10 +132,10 @@ def scene(
     loaded = load_scene(scene)
     folder = out or Path("results") / f"{loaded.name}-verified"
     if to is not None:
-        found = choose(loaded, target, folder / "target", cache_folder(), workers)
+        tried = choose(loaded, target, folder / "target", cache_folder(), workers)
         if workers.rank == 0:
-            table(found).to_csv(folder / "target.csv", index=False)
-            print(advice(found, target))
+            table(tried).to_csv(folder / "target.csv", index=False)
+            print(advice(tried, target))
         return
     verify_scene(loaded, folder, cache_folder(), samples, not nominal, workers, lambda line: print(line, flush=True))
     if workers.rank == 0:
@@ -153,17 +148,17 @@ def suite(
     names: Annotated[list[str] | None, typer.Argument(help="Cases; default: all.", show_default=False)] = None,
     write: Annotated[
         Path | None,
-        typer.Option(help="Folder to write them into, one each: all is computed anew.", show_default=False),
+        typer.Option(help="Folder for the recomputed cases, one subfolder each.", show_default=False),
     ] = None,
-    h5py: Annotated[str, typer.Option(help="A Python that has h5py, for FCLIB's files.")] = fclib.interpreter(),
+    h5py: Annotated[str, typer.Option(help="Python interpreter with h5py, for FCLIB files.")] = fclib.interpreter(),
 ):
-    """The twelve cases of frictional contact of shells: list them, or write their pages, data and contact problems."""
+    """List the twelve shell contact cases, or write their pages, data and contact problems."""
     known = cases()
     for name in names or ():
         if name not in known:
-            raise typer.BadParameter(f"there is no case {name!r}; known: {', '.join(known)}")
+            raise typer.BadParameter(f"no case {name!r}; choose from {', '.join(known)}")
     if write and not fclib.available(h5py):
-        print(f"{h5py} has no h5py: contact problems are left out; --h5py names a Python that has it")
+        print(f"{h5py} has no h5py: no contact problems are written; name an interpreter with h5py by --h5py")
     for name in names or known:
         print(f"{name}: {known[name].text.splitlines()[0].removeprefix('# ')}", flush=True)
         if write:
@@ -172,15 +167,15 @@ def suite(
 
 @app.command()
 def report(
-    folder: Annotated[Path, typer.Argument(help="Folder of a run, finished or interrupted.", show_default=False)],
+    folder: Annotated[Path, typer.Argument(help="Run folder, finished or interrupted.", show_default=False)],
     pdf: Annotated[bool, PDF] = False,
 ):
-    """Write summary.json and report.html of a run folder again."""
+    """Rewrite summary.json and report.html of a run folder."""
     print(f"report: {write_report(folder, pdf)}")
 
 
 def main():
-    """Entry point; under MPI the first failure ends all processes, with its traceback."""
+    """Entry point; under MPI the first failure ends all processes and prints its traceback."""
     workers = team()
     try:
         app()

@@ -36,7 +36,7 @@ from mic.results.path_error import tighter
 from mic.statistics.draw import draw
 from mic.statistics.paired_differences import jackknife, mean_change, six_sigma_change
 from mic.studies.order import orders
-from mic.studies.pair_convergence import denser
+from mic.studies.pair_convergence import denser_scene
 from verification.comparison import reduced_and_assembly, reduced_model, zone_slip
 from verification.stiffness import DeviatedStiffness
 from verification.study import Team
@@ -63,23 +63,21 @@ __all__ = [
     "values",
 ]
 
-SAMPLES = 30  # that each source is estimated on: the same for all
-DEVIATED = 10  # of these, that are given the stiffness of their own shape: each takes influence coefficients of its own
+SAMPLES = 30  # common to all sources
+DEVIATED = 10  # samples solved with the stiffness of their own shape, each with its own influence coefficients
 ORDER, STIFFNESS, SAMPLING = "order of the process", "nominal stiffness", "sampling"
 NODES = "every node"
-FEW, MOST = 6, 1500  # samples that get contact at every node, and how many nodes may face each other
-#: Of the distance between pairs: the first that elements bear; 0.7 was seen to tell too little on bends.
+FEW, MOST = 6, 1500  # number of samples with contact at every node, and largest number of contact nodes
+#: Factors on the distance between pairs, tried in this order until the elements admit it.
 SHARES = (0.5, 0.6, 0.7)
-UNSEEN = (
-    3.0  # over n: what happens to a smaller share of all assemblies is likely to happen to none of n (rule of three)
-)
+UNSEEN = 3.0  # rule of three: events with a probability below 3/n are likely to occur in none of n samples
 FIGURES = ("mean", "six_sigma")
-CODE = ("budget.py", "stiffness.py", "two_level.py")  # what is kept was made by these
+CODE = ("budget.py", "stiffness.py", "two_level.py")  # modules whose content is part of the cache key
 
 
 @dataclass(frozen=True)
 class Refined:
-    """How a difference from better samples becomes an error.
+    """Conversion of a difference from refined samples to an error.
 
     Attributes
     ----------
@@ -94,38 +92,40 @@ class Refined:
 
 
 REFINED = {
-    # Estimates of this kind were 0.8 to 1.4 times the true error of shells whose solution is known.
-    "mesh": Refined(4 / 3, 4 / 3 * (1 - 1 / 1.4), "second order: times 4/3; the error is 0.7 to 1.25 times that"),
-    "path": Refined(6 / 5, 1 / 5, "a tolerance of a sixteenth leaves about a sixth: times 6/5"),
-    "increments": Refined(4 / 3, 1 / 3, "first order, four times the increments: times 4/3"),
+    # Such estimates are 0.8 to 1.4 times the true error for shells with a known solution.
+    "mesh": Refined(4 / 3, 4 / 3 * (1 - 1 / 1.4), "second order: factor 4/3; the error is 0.7 to 1.25 times that"),
+    "path": Refined(6 / 5, 1 / 5, "a tolerance of 1/16 reduces the error to about 1/6: factor 6/5"),
+    "increments": Refined(4 / 3, 1 / 3, "first order, four times the increments: factor 4/3"),
     "law": Refined(1.0, 0.0, ""),
 }
 
 
 def nearer(share: float) -> Refined:
-    """Of pairs at a share of their distance. Sums over patches are of second order; where pressure begins is known to
-    the distance of the pairs, of first."""
+    """Conversion for pairs at a fraction of their distance.
+
+    The order is between two (sums over patches) and one (edge of the pressed area).
+    """
     first, second = 1 / (1 - share), 1 / (1 - share**2)
-    why = f"between first and second order: times {second:.3g} to {first:.3g}"
+    why = f"between first and second order: factor {second:.3g} to {first:.3g}"
     return Refined((first + second) / 2, (first - second) / 2, why)
 
 
 @dataclass(frozen=True)
 class Item:
-    """What one source leaves.
+    """Estimated error of one source.
 
     Attributes
     ----------
     source : str
     how : str
-        How it was estimated, or why nothing is known.
+        Method of the estimate, or the reason why there is none.
     seconds : float
         CPU time.
     table : DataFrame or None
-        By quantity: ``mean, mean_half, six_sigma, six_sigma_half``, mm, errors and half their 95 % intervals; NaN where
-        not known. None where nothing is.
+        By quantity: ``mean, mean_half, six_sigma, six_sigma_half``, errors and half their 95 % intervals, mm; NaN if
+        unknown. None if there is no estimate.
     counts : bool
-        Whether it is an error of what the program prints, so that the sum contains it.
+        Whether the sum of the error budget contains it.
     """
 
     source: str
@@ -136,7 +136,7 @@ class Item:
 
 
 def values(model: ReducedModel, evaluation: Evaluation) -> pd.DataFrame:
-    """Zones' slips and key characteristics of samples, one column each, mm; NaN in samples that failed."""
+    """Zone slips and key characteristics of samples, one column each, mm; NaN in failed samples."""
     scene, columns = model.scene, {}
     for stage, resolution in evaluation.resolutions.items():
         if model.contacts.dimension == 3:
@@ -151,18 +151,18 @@ def values(model: ReducedModel, evaluation: Evaluation) -> pd.DataFrame:
 
 @dataclass(frozen=True)
 class Case:
-    """A scene, and the samples that every source is estimated on.
+    """A scene and the samples on which every source is estimated.
 
     Attributes
     ----------
     assembly : Assembly
     model : ReducedModel
-        Both with the scene's own path, or what refines them would be charged with that of another.
+        Both with the path of the scene, so that refinements use the same path.
     law : str
-        What production prints.
+        Law of the printed results.
     cache : Path
     six_sigma : Series or None
-        6σ that production prints, by quantity, mm; None: that of these samples.
+        Printed 6σ by quantity, mm; None for that of these samples.
     samples : int
     """
 
@@ -175,25 +175,25 @@ class Case:
 
     @cached_property
     def deviations(self) -> np.ndarray:
-        """(n, p)"""
+        """(n, p) deviations of the samples."""
         return draw(self.model.scene, self.model.scene.monte_carlo.seed, 0, self.samples)
 
     @cached_property
     def production(self) -> pd.DataFrame:
-        """What production makes of them."""
+        """Production results of the samples."""
         return self.of(self.model)
 
-    def beside(self, better: pd.DataFrame, refined: Refined) -> pd.DataFrame:
-        """Errors of production, from its samples done better."""
+    def error(self, better: pd.DataFrame, refined: Refined) -> pd.DataFrame:
+        """Errors of production against refined results of the same samples."""
         return paired(self.production, better, refined, self.six_sigma)
 
     def none(self) -> pd.DataFrame:
-        """A source that is not there."""
+        """Zero errors of an absent source."""
         zero = pd.Series(0.0, self.production.columns)
         return bounded(zero, zero)
 
     def of(self, model: ReducedModel, law: str | None = None, path: Callable | None = None) -> pd.DataFrame:
-        """What another model, law or path makes of them."""
+        """Results of the samples with another model, law or path."""
         process = model.process(law or self.law)
         if path is not None:
             for stage in process.stages:
@@ -204,28 +204,28 @@ class Case:
 def paired(
     production: pd.DataFrame, better: pd.DataFrame, refined: Refined, six_sigma: pd.Series | None = None
 ) -> pd.DataFrame:
-    """Errors of production from the same samples done better, as :class:`Item` has them.
+    """Errors of production against refined results of the same samples, in the columns of :class:`Item`.
 
-    Of 6σ it is the share by which the two differ that few samples tell well: that, of the 6σ of many. What it is unsure
-    of is no less than the difference itself is, or samples that all differ by one share would leave no doubt.
+    The relative difference of 6σ is estimated from these samples and applied to the 6σ of the full Monte Carlo. Its
+    uncertainty is at least that of the absolute difference.
 
     Parameters
     ----------
     production, better : (n, k) DataFrame
-        With the same columns; samples with NaN in either are left out.
+        With the same columns; samples with NaN in either are ignored.
     refined : Refined
     six_sigma : Series, optional
-        6σ of production by column, mm, from more samples; default: of these.
+        6σ of production by column from more samples, mm; default: 6σ of these samples.
     """
     rows = {}
     for name in production.columns:
         both = np.column_stack([production[name], better[name]]).astype(float)
-        own = both[np.isfinite(both).all(axis=1)]
-        size = six_sigma[name] if six_sigma is not None else 6 * own[:, 0].std(ddof=1) if len(own) > 1 else np.nan
+        valid = both[np.isfinite(both).all(axis=1)]
+        size = six_sigma[name] if six_sigma is not None else 6 * valid[:, 0].std(ddof=1) if len(valid) > 1 else np.nan
         row, share = {}, jackknife(both, _too_large, groups=len(both))
         mean, six = mean_change(both[:, 1], both[:, 0]), six_sigma_change(both[:, 1], both[:, 0])
         scaled = share.value * size, max((share.high - share.value) * size, six.high - six.value)
-        g = refined.doubt + refined.factor * UNSEEN / max(len(own), 1)
+        g = refined.doubt + refined.factor * UNSEEN / max(len(valid), 1)
         for figure, (d, half) in zip(FIGURES, ((mean.value, mean.high - mean.value), scaled)):
             row[figure] = refined.factor * d
             row[f"{figure}_half"] = (refined.factor + g) * half + g * abs(d)
@@ -234,47 +234,46 @@ def paired(
 
 
 def _too_large(samples: np.ndarray) -> float:
-    """By which share of itself σ of the first column exceeds that of the second; 0 where neither varies."""
+    """Relative excess of σ of the first column over that of the second; 0 if neither varies."""
     first, second = samples.std(axis=0, ddof=1)
     return float(1 - second / first) if first > 0 else 0.0 if second == 0 else float("nan")
 
 
-def two_levels(cheap: pd.DataFrame, dear: pd.DataFrame) -> pd.DataFrame:
-    """Errors of production where only some of its samples were done better (:mod:`verification.two_level`).
+def two_levels(production: pd.DataFrame, better: pd.DataFrame) -> pd.DataFrame:
+    """Errors of production with refined results for some of its samples (:mod:`verification.two_level`).
 
     Parameters
     ----------
-    cheap : (N, k) DataFrame
+    production : (N, k) DataFrame
         By sample.
-    dear : (n, k) DataFrame
-        Some of these samples; those with NaN in either are left out.
+    better : (n, k) DataFrame
+        Some of these samples; those with NaN in either are ignored.
     """
     rows = {}
-    for name in cheap.columns:
-        y = cheap[name].dropna()
-        x = dear[name].dropna()
+    for name in production.columns:
+        y = production[name].dropna()
+        x = better[name].dropna()
         x = x[x.index.isin(y.index)]
         if not len(x) or len(y) < 2:
             rows[name] = dict.fromkeys(("mean", "mean_half", "six_sigma", "six_sigma_half"), np.nan)
             continue
-        found = two_level(y.to_numpy(), [y.index.get_loc(sample) for sample in x.index], x.to_numpy())
+        corrected = two_level(y.to_numpy(), [y.index.get_loc(sample) for sample in x.index], x.to_numpy())
         rows[name] = {
             f"{figure}{end}": size
-            for figure, off in zip(FIGURES, (found.mean_error, found.six_sigma_error))
-            for end, size in (("", off.value), ("_half", off.high - off.value))
+            for figure, error in zip(FIGURES, (corrected.mean_error, corrected.six_sigma_error))
+            for end, size in (("", error.value), ("_half", error.high - error.value))
         }
     return pd.DataFrame.from_dict(rows, orient="index")
 
 
-def largest_difference(mine: pd.DataFrame, truth: pd.DataFrame) -> pd.DataFrame:
-    """Errors of samples that differ from others by so much at most: δ of their mean is no more than that, of 6σ six
-    times."""
-    most = (mine - truth).abs().max()
+def largest_difference(reduced: pd.DataFrame, truth: pd.DataFrame) -> pd.DataFrame:
+    """Bounds on the errors of mean and 6σ: the largest difference of a sample, and six times that."""
+    most = (reduced - truth).abs().max()
     return bounded(most, 6 * most)
 
 
 def bounded(mean: pd.Series, six_sigma: pd.Series) -> pd.DataFrame:
-    """Errors of which no more is known than that they are at most so large."""
+    """Zero errors with the given bounds as uncertainty."""
     zero = 0.0 * mean
     return pd.DataFrame(
         {"mean": zero, "mean_half": mean.abs(), "six_sigma": 0.0 * six_sigma, "six_sigma_half": six_sigma.abs()}
@@ -282,7 +281,7 @@ def bounded(mean: pd.Series, six_sigma: pd.Series) -> pd.DataFrame:
 
 
 def total(items: list[Item]) -> pd.DataFrame:
-    """The sum of all sources that count and of which something is known, as :class:`Item` has its table."""
+    """Sum of all estimated sources that count, in the columns of :class:`Item`."""
     known = [item.table for item in items if item.counts and item.table is not None]
     if not known:
         return pd.DataFrame(columns=[name for figure in FIGURES for name in (figure, f"{figure}_half")])
@@ -295,26 +294,25 @@ def total(items: list[Item]) -> pd.DataFrame:
     return pd.DataFrame(columns)
 
 
-# --- the sources that the reduced model alone can tell of
-# ------------------------------------------------------------------------------------------------------
+# ------------------------------------------------------------------------- sources estimated by the reduced model
 
 
 def _law(case: Case) -> tuple[str, pd.DataFrame]:
     if LAWS[case.law].reads:
-        return "the scene gives what its law reads, and means it", case.none()
+        return "none: the scene provides the data of its law", case.none()
     if case.law == "coulomb" or not LAWS[case.law].frictional and not case.model.contacts.frictional:
-        return "the scene asks for Coulomb's law", case.none()
+        return "none: the scene uses Coulomb's law", case.none()
     return (
-        f"the same {case.samples} samples under Coulomb's law in place of {case.law}",
-        case.beside(case.of(case.model, law="coulomb"), REFINED["law"]),
+        f"the same {case.samples} samples under Coulomb's law instead of {case.law}",
+        case.error(case.of(case.model, law="coulomb"), REFINED["law"]),
     )
 
 
 def _path(case: Case) -> tuple[str, pd.DataFrame]:
-    """Of Coulomb's law where another is printed in its place: how that goes along its path is a part of the other."""
+    """Path error, under Coulomb's law if the printed law replaces it; its deviation is then part of the law error."""
     law = case.law if LAWS[case.law].reads else "coulomb"
     if not case.model.contacts.frictional:
-        return "without friction nothing remembers the way", case.none()
+        return "none: without friction results do not depend on the path", case.none()
     steps = [stage.path for stage in case.model.process(law).stages if stage.resolves]
     kind = "increments" if any(isinstance(path, Increments) for path in steps) else "path"
     given = case.production if law == case.law else case.of(case.model, law)
@@ -325,69 +323,69 @@ def _path(case: Case) -> tuple[str, pd.DataFrame]:
 
 def _pairs(case: Case) -> tuple[str, pd.DataFrame]:
     if not len(case.assembly.contacts):
-        return "the scene has no contact pairs", case.none()
+        return "none: the scene has no contact pairs", case.none()
     for share in SHARES:
         try:
-            model, assembly = reduced_and_assembly(denser(case.assembly, share), case.cache)
+            model, assembly = reduced_and_assembly(denser_scene(case.assembly, share), case.cache)
             break
         except SceneError:
             if share == SHARES[-1]:
                 raise
     refined = nearer(share)
     return (
-        f"the same {case.samples} samples with {len(assembly.contacts)} pairs in place of "
+        f"the same {case.samples} samples with {len(assembly.contacts)} pairs instead of "
         f"{len(case.assembly.contacts)}, at {share:g} of the distance; {refined.why}",
-        case.beside(case.of(model), refined),
+        case.error(case.of(model), refined),
     )
 
 
 def _every_node(case: Case) -> tuple[str, pd.DataFrame]:
-    """The pairs once more, not extrapolated; of key characteristics, since slips of other points are other figures."""
+    """Pair error of key characteristics without extrapolation; slips at other points are not comparable."""
     if not len(case.assembly.contacts):
-        return "the scene has no contact pairs", case.none()
+        return "none: the scene has no contact pairs", case.none()
     assembly = assemble(case.assembly.scene, case.cache, every_node=True)
     pairs = len(assembly.contacts)
     if pairs > MOST:
-        raise SceneError(f"{pairs} nodes of the zones face the other sheet, of which {MOST} are solved at most")
+        raise SceneError(f"{pairs} nodes of the zones face the other sheet, more than {MOST}")
     model = reduced_model(assembly, case.cache)
-    few = case.deviations[:FEW]
-    dear = values(model, model.process(case.law).attempt(few)).filter(like="measurement:")
+    first = case.deviations[:FEW]
+    better = values(model, model.process(case.law).attempt(first)).filter(like="measurement:")
     return (
-        f"{len(few)} samples again with contact at each of {pairs} nodes, beside {case.samples} with "
-        f"{len(case.assembly.contacts)} pairs (two levels)",
-        two_levels(case.production.filter(like="measurement:"), dear),
+        f"{len(first)} samples with contact at each of {pairs} nodes, combined with {case.samples} with "
+        f"{len(case.assembly.contacts)} pairs (two-level estimate)",
+        two_levels(case.production.filter(like="measurement:"), better),
     )
 
 
 def _mesh(case: Case) -> tuple[str, pd.DataFrame]:
     finer = with_halved_elements(case.assembly)
     if all(part.superelement is not None for part in finer.parts):
-        return "superelements have no mesh", case.none()
+        return "none: superelements have no mesh", case.none()
     model = reduced_model(finer, case.cache)
-    before, after = (sum(len(p.surface.points) for p in one.parts) for one in (case.assembly, finer))
+    before, after = (sum(len(part.surface.points) for part in of.parts) for of in (case.assembly, finer))
     return (
-        f"the same {case.samples} samples on meshes of half the size, {after} nodes in place of {before}, pairs at the "
-        f"same points; {REFINED['mesh'].why}. What the element's own theory leaves out is not seen",
-        case.beside(case.of(model), REFINED["mesh"]),
+        f"the same {case.samples} samples on meshes of half the size, {after} nodes instead of {before}, pairs at the "
+        f"same points; {REFINED['mesh'].why}. Errors of the element theory are not included",
+        case.error(case.of(model), REFINED["mesh"]),
     )
 
 
 def _order(case: Case) -> tuple[str, pd.DataFrame]:
     others = orders(case.model.scene)
     if len(others) == 1:
-        return "there is one order only", case.none()
+        return "none: there is only one order", case.none()
     most = None
     for other in others[1:]:
-        again = case.of(replace(case.model, scene=other.scene))
-        change = case.beside(again, REFINED["law"])[list(FIGURES)].abs()
+        results = case.of(replace(case.model, scene=other.scene))
+        change = case.error(results, REFINED["law"])[list(FIGURES)].abs()
         most = change if most is None else most.combine(change, np.fmax)
     return (
-        f"the most that {len(others) - 1} other orders change on the same {case.samples} samples",
+        f"bound: largest change by {len(others) - 1} other orders on the same {case.samples} samples",
         bounded(most["mean"], most["six_sigma"]),
     )
 
 
-#: How each source is estimated: what was done, and errors by quantity.
+#: Function for each source that returns the method and the errors by quantity.
 SOURCES: dict[str, Callable[[Case], tuple[str, pd.DataFrame]]] = {
     "law": _law,
     "path": _path,
@@ -398,45 +396,45 @@ SOURCES: dict[str, Callable[[Case], tuple[str, pd.DataFrame]]] = {
 }
 
 
-#: Why the sum does not contain a source.
+#: Reason why the sum does not contain a source.
 OUTSIDE = {
-    ORDER: "the scene states its own order, so that this is no error of it, and the sum does not contain it",
-    NODES: "the sum contains what the pairs at a share of the distance say of the same error",
+    ORDER: "not in the sum, because the scene states its order",
+    NODES: "not in the sum, which contains the pair error from denser pairs",
 }
 
-#: All that :func:`estimate` knows.
+#: All sources of :func:`estimate`.
 EVERY = (*SOURCES, STIFFNESS)
 
 
 def stated_order(scene) -> bool:
-    """Whether the scene itself says in which order things close or open."""
+    """Whether the scene states the order in which clamps and welds close or open."""
     return any(stage.order is not None or stage.sequence for stage in scene.stages)
 
 
 def estimate(case: Case, folder: Path, key: str, team: Team, sources, say=print) -> list[Item]:
-    """What each of the sources leaves, shared out over the ranks; what the folder holds already is read.
+    """Estimate the error of each source, distributed over the ranks; stored estimates are read from the folder.
 
     Parameters
     ----------
     case : Case
     folder : Path
-        Gets one file for each source.
+        Receives one file for each source.
     key : str
-        Names the scene, its meshes and its samples.
+        Cache key of the scene, its meshes and its samples.
     team : Team
     sources : collection of str
-        Of :data:`SOURCES`, and :data:`STIFFNESS`.
+        Keys of :data:`SOURCES`, and :data:`STIFFNESS`.
     say : callable
-        Called with one line of text for each source that was estimated.
+        Called with one line of text for each estimated source.
     """
-    case.production  # noqa: B018  code is compiled before clocks start, and all ranks need it
-    keep = partial(_kept, case, folder=folder, key=key, say=say)
-    found = team.map(keep, [source for source in sources if source in SOURCES])
-    return found + ([_stiffness(case, folder, key, team, say)] if STIFFNESS in sources else [])
+    case.production  # noqa: B018  compiles code before time is measured; all ranks need it
+    of_source = partial(_item, case, folder=folder, key=key, say=say)
+    items = team.map(of_source, [source for source in sources if source in SOURCES])
+    return items + ([_stiffness(case, folder, key, team, say)] if STIFFNESS in sources else [])
 
 
 def _stiffness(case: Case, folder: Path, key: str, team: Team, say) -> Item:
-    """What the stiffness of the nominal shape leaves: the first samples with those of their own shapes."""
+    """Error of the nominal stiffness, from the first samples with the stiffness of their own shapes."""
     try:
         stiffness = DeviatedStiffness(case.assembly, case.model)
     except MicError as problem:
@@ -446,20 +444,20 @@ def _stiffness(case: Case, folder: Path, key: str, team: Team, say) -> Item:
         model, deviations = stiffness.at(case.deviations[sample]), case.deviations[[sample]]
         return values(model, model.process(case.law).attempt(deviations)).iloc[0].to_dict()
 
-    def once(sample: int) -> dict:
+    def stored(sample: int) -> dict:
         path = folder / f"{_mark(case, f'{STIFFNESS} {sample}', key)}.json"
         return _stored(path, lambda: _timed(lambda: {"values": solve(sample)}))
 
-    found = team.map(once, range(min(DEVIATED, case.samples)))
-    seconds = sum(one["seconds"] for one in found)
+    solved = team.map(stored, range(min(DEVIATED, case.samples)))
+    seconds = sum(item["seconds"] for item in solved)
     if team.rank == 0:
         say(f"  {STIFFNESS}: {seconds:.1f} s")
     how = (
-        f"{len(found)} samples again, each with the stiffness of its own deviated shape, beside {case.samples} with "
-        "that of the nominal one (two levels)"
+        f"{len(solved)} samples, each with the stiffness of its deviated shape, combined with {case.samples} with "
+        "nominal stiffness (two-level estimate)"
     )
-    dear = pd.DataFrame([one["values"] for one in found], dtype=float)
-    return Item(STIFFNESS, how, seconds, two_levels(case.production, dear))
+    better = pd.DataFrame([item["values"] for item in solved], dtype=float)
+    return Item(STIFFNESS, how, seconds, two_levels(case.production, better))
 
 
 def _mark(case: Case, what: str, key: str) -> str:
@@ -474,18 +472,18 @@ def _timed(work: Callable[[], dict]) -> dict:
 
 
 def _stored(path: Path, work: Callable[[], dict]) -> dict:
-    """What the file holds, or what `work` finds, which it then holds."""
+    """Content of the file, or the result of `work`, which is then stored."""
     if path.is_file():
         return json.loads(path.read_text())
-    found = work()
+    result = work()
     path.parent.mkdir(parents=True, exist_ok=True)
     temporary = path.with_name(f".{path.name}")
-    temporary.write_text(json.dumps(found, indent=1))
+    temporary.write_text(json.dumps(result, indent=1))
     temporary.replace(path)
-    return found
+    return result
 
 
-def _kept(case: Case, source: str, folder: Path, key: str, say) -> Item:
+def _item(case: Case, source: str, folder: Path, key: str, say) -> Item:
     counts = source != NODES and (source != ORDER or not stated_order(case.model.scene))
     path = folder / f"{_mark(case, source, key)}.json"
 
@@ -495,13 +493,13 @@ def _kept(case: Case, source: str, folder: Path, key: str, say) -> Item:
 
     known = path.is_file()
     try:
-        found = _stored(path, lambda: _timed(solve))
+        result = _stored(path, lambda: _timed(solve))
     except (MicError, MemoryError) as problem:
         say(f"  {source}: not estimated: {problem}")
         return Item(source, f"not estimated: {problem}", 0.0, None, counts)
     if not known:
-        say(f"  {source}: {found['seconds']:.1f} s")
-    how = found["how"]
+        say(f"  {source}: {result['seconds']:.1f} s")
+    how = result["how"]
     if not counts:
         how += f"; {OUTSIDE[source]}"
-    return Item(source, how, found["seconds"], pd.DataFrame(**found["table"]).astype(float), counts)
+    return Item(source, how, result["seconds"], pd.DataFrame(**result["table"]).astype(float), counts)

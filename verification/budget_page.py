@@ -1,6 +1,6 @@
-"""An error budget on paper: its sentences, its figure and its tables.
+"""Sentences, figure and tables of an error budget.
 
-Figures of a key characteristic are weighed by its tolerance, those of a zone's slip by the slip's own 6σ.
+Errors of a key characteristic are relative to its tolerance, those of a zone slip to the 6σ of the slip.
 """
 
 from __future__ import annotations
@@ -16,33 +16,33 @@ __all__ = ["budget_figure", "budget_rows", "budget_sentences", "by_quantity", "i
 
 WORDS = {"mean": "mean", "six_sigma": "6σ"}
 MICRO = 1e3  # µm in a mm
-#: What a user can do about a source, keys of the scene in quotes.
+#: What a user can do to reduce the error of a source, keys of the scene in quotes.
 REMEDIES = {
-    "law": "ask for `coulomb` in `report.laws`",
-    "path": "follow it closer, by a smaller `path.tolerance` or more `increments`",
-    ORDER: "state the order in which things close, by `order` in the stages",
-    "pairs": "leave `pairs` and `points` out of the zones, and give them a smaller `spacing_factor`",
+    "law": "add `coulomb` to `report.laws`",
+    "path": "use a smaller `path.tolerance` or more `increments`",
+    ORDER: "state the order of closing with `order` in the stages",
+    "pairs": "remove `pairs` and `points` from the zones, and set a smaller `spacing_factor`",
     "mesh and element": "refine the meshes",
-    STIFFNESS: 'let stiffness follow the shapes, by `stiffness = "first-order"` where it does not',
+    STIFFNESS: 'set `stiffness = "first-order"`',
     SAMPLING: "draw more samples",
 }
 
 
 def printed(outcome: Outcome, law: str) -> pd.DataFrame:
-    """What production prints, by quantity.
+    """Printed statistics by quantity.
 
     Returns
     -------
     DataFrame
-        ``mean, mean_half, six_sigma, six_sigma_half`` (mm, halves of the 95 % intervals that the samples leave),
+        ``mean, mean_half, six_sigma, six_sigma_half`` (mm, with half widths of the 95 % confidence intervals),
         ``lower, upper`` (mm, NaN for slips), ``samples``.
     """
     rows = {}
-    zones, own = outcome.zone_statistics, outcome.measurement_statistics
+    zones, measurements = outcome.zone_statistics, outcome.measurement_statistics
     for _, row in zones[zones["law"] == law].iterrows() if outcome.has_slip else ():
         name, suffix = f"slip:{row['stage']}:{row['zone']}", "_rms_tangential"
         rows[name] = _figures(row, suffix) | {"lower": np.nan, "upper": np.nan, "samples": row["samples"]}
-    for _, row in own[own["law"] == law].iterrows():
+    for _, row in measurements[measurements["law"] == law].iterrows():
         limits = {key: row[key] for key in ("lower", "upper", "samples")}
         rows[f"measurement:{row['measurement']}"] = _figures(row, "") | limits
     return pd.DataFrame.from_dict(rows, orient="index")
@@ -57,7 +57,7 @@ def _figures(row, suffix) -> dict[str, float]:
 
 
 def items_of(records: list[dict]) -> list[Item]:
-    """The sources as ``summary.json`` has them."""
+    """The items recorded in ``summary.json``."""
     found = []
     for record in records:
         table = pd.DataFrame(record["errors"]).set_index("quantity").astype(float) if record["errors"] else None
@@ -66,14 +66,14 @@ def items_of(records: list[dict]) -> list[Item]:
 
 
 def by_quantity(figures: pd.DataFrame, items: list[Item]) -> pd.DataFrame:
-    """What is printed and how far it is off, by quantity, the worst first, key characteristics before slips.
+    """Printed values and their errors by quantity, largest error first, key characteristics before slips.
 
     Returns
     -------
     DataFrame
-        Beside the columns of :func:`printed` the sum's (`error mean`, `error mean ±`, … mm), ``scale`` (mm: tolerance,
-        or the slip's 6σ), ``cpk`` as printed, ``cpk error`` and ``cpk error ±``, ``worst`` (largest possible error of
-        a figure over the scale) and ``dominating``.
+        Columns of :func:`printed`, errors of the sum (`error mean`, `error mean ±`, … mm), ``scale`` (tolerance or 6σ
+        of the slip, mm), printed ``cpk``, ``cpk error`` and ``cpk error ±``, ``worst`` (largest possible error over
+        the scale) and ``dominating`` (source).
     """
     errors = total(items).reindex(figures.index).fillna(0.0)
     table = figures.join(errors.rename(columns=lambda name: f"error {name}".replace("_half", " ±")))
@@ -97,14 +97,14 @@ def by_quantity(figures: pd.DataFrame, items: list[Item]) -> pd.DataFrame:
 
 
 def _cpk(row, mean: float, six_sigma: float) -> float:
-    """Of a characteristic between two limits; NaN for slips."""
+    """Cpk of a characteristic with two limits; NaN for slips."""
     if not six_sigma > 0:
         return np.nan
     return min(row["upper"] - mean, mean - row["lower"]) / (six_sigma / 2)
 
 
 def _dominating(items: list[Item], quantity: str, figure: str) -> str:
-    """The source with the largest possible error of a quantity's figure among those that count."""
+    """Source in the sum with the largest possible error of a statistic of a quantity."""
     sizes = {
         item.source: abs(item.table.at[quantity, figure]) + np.nan_to_num(item.table.at[quantity, f"{figure}_half"])
         for item in items
@@ -115,51 +115,51 @@ def _dominating(items: list[Item], quantity: str, figure: str) -> str:
 
 
 def _worst(table: pd.DataFrame) -> str:
-    """The key characteristic, or where there is none the slip, whose figures may be farthest off."""
+    """Key characteristic (or slip, if there is none) with the largest possible error."""
     return str(table.index[0])
 
 
 def budget_sentences(scene: str, table: pd.DataFrame, items: list[Item]) -> dict[str, str]:
-    """How far off the figures of a scene are, which source dominates, and what is not known, for a first page."""
+    """Sentences for the first page: errors of the results of a scene, the largest source, and missing estimates."""
     found, kinds = {}, table.index.str.split(":").str[0]
     characteristics, slips = table[kinds == "measurement"], table[kinds == "slip"]
     if len(characteristics):
         mean, six_sigma = (_farthest(characteristics, figure, "of its tolerance") for figure in FIGURES)
-        found["figures"] = f"{scene}: a mean may be off by {mean}; a 6σ by {six_sigma}."
+        found["figures"] = f"{scene}: largest error of a mean {mean}; of a 6σ {six_sigma}."
         cpk = characteristics[characteristics["cpk error"].notna()]
         if len(cpk):
             row = cpk.loc[(cpk["cpk error"].abs() + cpk["cpk error ±"]).idxmax()]
             found["cpk"] = (
-                f"{scene}: a Cpk may be off by {_signed(row['cpk error'])} ± {_plain(row['cpk error ±'])} "
+                f"{scene}: largest error of a Cpk {_signed(row['cpk error'])} ± {_plain(row['cpk error ±'])} "
                 f"({_name(row.name)}, printed as {row['cpk']:.2f})."
             )
     moving = slips[slips["six_sigma"] > 0]
     if len(moving):
         mean, six_sigma = (_farthest(moving, figure, "of its own 6σ") for figure in FIGURES)
-        found["slips"] = f"{scene}: the mean of a zone's slip may be off by {mean}; its 6σ by {six_sigma}."
+        found["slips"] = f"{scene}: largest error of the mean of a zone slip {mean}; of its 6σ {six_sigma}."
     first = table.loc[_worst(table)]
     found["dominating"] = (
-        f"{scene}: the source that may leave most is {first['dominating'] or 'not known'}, in the "
-        f"{WORDS[first['figure']]} of {_name(first.name)}. {_what_mends(items, first)}"
+        f"{scene}: largest source of error: {first['dominating'] or 'not known'}, in the "
+        f"{WORDS[first['figure']]} of {_name(first.name)}. {_remedy(items, first)}"
     )
     unknown = [item.source for item in items if item.table is None]
     if unknown:
-        found["unknown"] = f"{scene}: not estimated, and not in the sum: {', '.join(unknown)}."
+        found["unknown"] = f"{scene}: not estimated and not in the sum: {', '.join(unknown)}."
     return found
 
 
-def _what_mends(items: list[Item], first: pd.Series) -> str:
-    """What to do about the source that leaves most, and after samples about the next."""
+def _remedy(items: list[Item], first: pd.Series) -> str:
+    """Remedy for the largest source of error, and for the next largest if that is sampling."""
     source = first["dominating"]
     if source not in REMEDIES:
-        return "No key of the scene mends it." if source else "Nothing is known that would mend it."
-    told = f"What mends it: {REMEDIES[source]}"
+        return "No key of the scene reduces it." if source else "No remedy is known."
+    remedy = f"Remedy: {REMEDIES[source]}"
     if source != SAMPLING:
-        return f"{told}; more samples would not."
+        return f"{remedy}; more samples do not reduce it."
     other = _dominating([item for item in items if item.source != SAMPLING], str(first.name), first["figure"])
     if other not in REMEDIES:
-        return f"{told}."
-    return f"{told}, which leaves {other}; then {REMEDIES[other]}."
+        return f"{remedy}."
+    return f"{remedy}. The next largest source is {other}: {REMEDIES[other]}."
 
 
 def _farthest(table: pd.DataFrame, figure: str, whole: str) -> str:
@@ -173,7 +173,7 @@ def _farthest(table: pd.DataFrame, figure: str, whole: str) -> str:
 
 
 def _plain(value: float) -> str:
-    """Two figures, without an exponent; 0 for less than a thousandth."""
+    """Two significant digits without exponent; 0 for less than a thousandth."""
     return f"{float(f'{value:.2g}'):g}" if abs(value) >= 1e-3 else "0"
 
 
@@ -183,13 +183,13 @@ def _signed(value: float) -> str:
 
 
 def _name(quantity: str) -> str:
-    """A quantity in words."""
+    """Readable name of a quantity."""
     kind, *rest = quantity.split(":")
     return rest[0] if kind == "measurement" else f"zone {rest[1]} in stage {rest[0]}"
 
 
 def budget_figure(cases: list[tuple[str, pd.DataFrame, list[Item]]]):
-    """A bar for each source, with what is unsure of it, and the sum; one row of panels for each scene.
+    """Bars with uncertainties for each source and the sum; one row of panels for each scene.
 
     Parameters
     ----------
@@ -230,13 +230,13 @@ def _bars(axis, items: list[Item], first: pd.Series, kind: str) -> None:
 
 
 def _bar(axis, y, value, half, colour) -> None:
-    """The estimate as a bar, and about it what is unsure."""
+    """Bar of the estimate with its uncertainty."""
     axis.barh(y, MICRO * value, height=0.6, color=colour)
     axis.errorbar(MICRO * value, y, xerr=MICRO * half, color=colour, lw=1.6, capsize=3, zorder=3)
 
 
 def budget_rows(items: list[Item], table: pd.DataFrame) -> pd.DataFrame:
-    """Source by source: errors of the worst quantity, the largest of any, cost, and how they were estimated."""
+    """Table by source: errors of the quantity with the largest error, largest relative errors, cost and method."""
     name, rows = _worst(table), []
     for item in items:
         row = {"source": item.source if item.counts else f"{item.source} (not in the sum)"}
@@ -246,13 +246,13 @@ def budget_rows(items: list[Item], table: pd.DataFrame) -> pd.DataFrame:
                 _around(item.table.at[name, figure], item.table.at[name, f"{figure}_half"]) if known else "–"
             )
         shares = [_largest(item, table, kind) for kind in ("measurement", "slip")]
-        row |= dict(zip(("most of a tolerance, %", "most of a slip's 6σ, %"), shares))
-        rows.append(row | {"CPU s": round(item.seconds, 1), "how": item.how})
+        row |= dict(zip(("largest, % of tolerance", "largest, % of slip 6σ"), shares))
+        rows.append(row | {"CPU s": round(item.seconds, 1), "method": item.how})
     return pd.DataFrame(rows)
 
 
 def quantity_rows(table: pd.DataFrame) -> pd.DataFrame:
-    """:func:`by_quantity` as it is read: µm and shares."""
+    """Table by quantity for the report, in µm and %."""
     rows = []
     for name, row in table.iterrows():
         measured = str(name).startswith("measurement:")
@@ -260,10 +260,10 @@ def quantity_rows(table: pd.DataFrame) -> pd.DataFrame:
         for figure in FIGURES:
             error, half = row[f"error {figure}"], row[f"error {figure} ±"]
             cells[f"{WORDS[figure]}, mm"] = row[figure]
-            cells[f"off by, µm{' ' * FIGURES.index(figure)}"] = _around(error, half)
-        cells["at most, % of tolerance or 6σ"] = 100 * row["worst"]
-        cells |= {"Cpk": row["cpk"], "Cpk off by": row["cpk error"], "±": row["cpk error ±"]}
-        rows.append(cells | {"most by": row["dominating"]})
+            cells[f"error of {WORDS[figure]}, µm"] = _around(error, half)
+        cells["largest, % of tolerance or 6σ"] = 100 * row["worst"]
+        cells |= {"Cpk": row["cpk"], "error of Cpk": row["cpk error"], "±": row["cpk error ±"]}
+        rows.append(cells | {"largest source": row["dominating"]})
     return pd.DataFrame(rows)
 
 
@@ -274,9 +274,11 @@ def _around(value: float, half: float) -> str:
 
 
 def _largest(item: Item, table: pd.DataFrame, kind: str) -> float:
-    """The largest possible error of one source in any quantity of a kind, % of what weighs it."""
+    """Largest possible error of one source in any quantity of a kind, % of the scale."""
     if item.table is None:
         return np.nan
-    own = item.table[item.table.index.str.startswith(f"{kind}:")]
-    sizes = [(own[f].abs() + own[f"{f}_half"].fillna(0.0)) / table["scale"].reindex(own.index) for f in FIGURES]
-    return float(100 * np.nanmax([size.max() for size in sizes])) if len(own) and not own.isna().all().all() else np.nan
+    rows = item.table[item.table.index.str.startswith(f"{kind}:")]
+    if not len(rows) or rows.isna().all().all():
+        return np.nan
+    sizes = [(rows[f].abs() + rows[f"{f}_half"].fillna(0.0)) / table["scale"].reindex(rows.index) for f in FIGURES]
+    return float(100 * np.nanmax([size.max() for size in sizes]))

@@ -1,4 +1,4 @@
-"""One assembly, two routes: the reduced model's outcome beside that of the full finite elements."""
+"""Compare results of the reduced model with those of the full finite elements."""
 
 from __future__ import annotations
 
@@ -19,30 +19,28 @@ __all__ = ["Difference", "certificates", "difference", "reduced_and_assembly", "
 
 
 def reduced_and_assembly(scene: Scene, cache: Path) -> tuple[ReducedModel, Assembly]:
-    """The reduced model of a scene and the assembly that it came from, made by the production path on this process
-    alone."""
+    """Reduced model and assembly of a scene, built as in production on this process alone."""
     assembly = assemble(scene, cache)
     return reduced_model(assembly, cache), assembly
 
 
 def reduced_model(assembly: Assembly, cache: Path) -> ReducedModel:
-    """The reduced model of an assembly, made on this process alone, with the stiffness that its scene asks for."""
+    """Reduced model of an assembly with the stiffness stated in its scene, built on this process alone."""
     return ReducedModel.build(assembly, coefficients(assembly, cache, comm=MPI.COMM_SELF)[0])
 
 
 @dataclass(frozen=True)
 class Difference:
-    """How far a reduced outcome is from the full one, over all stages; each relative to the full outcome's largest
-    value.
+    """Largest differences of a reduced result from the full one, relative to the largest full value.
 
     Attributes
     ----------
     force : float
-        Of contact forces, within each stage.
+        Contact forces, relative within each stage.
     displacement : float
-        Of gaps and slips, within each stage.
+        Gaps and slips, relative within each stage.
     measurement : float
-        Of key characteristics.
+        Key characteristics.
     states : int
         Contacts whose state (open, stick, slip) differs.
     """
@@ -59,13 +57,13 @@ class Difference:
 
 
 def relative(value, reference) -> float:
-    """Largest difference over the largest value of the reference; infinite where only the reference vanishes."""
+    """Largest difference over the largest value of the reference; infinite if only the reference is zero."""
     value, reference = np.asarray(value, dtype=float), np.asarray(reference, dtype=float)
-    off = np.abs(value - reference).max(initial=0.0)
-    if off == 0:
+    error = np.abs(value - reference).max(initial=0.0)
+    if error == 0:
         return 0.0
     scale = np.abs(reference).max(initial=0.0)
-    return float(off / scale) if scale > 0 else float("inf")
+    return float(error / scale) if scale > 0 else float("inf")
 
 
 def difference(reduced: Evaluation, sample: int, full) -> Difference:
@@ -79,45 +77,44 @@ def difference(reduced: Evaluation, sample: int, full) -> Difference:
     """
     force, displacement, states = [], [], 0
     for stage, truth in full.resolutions.items():
-        mine = reduced.resolutions[stage]
-        force.append(relative(mine.force[sample], truth.force))
-        displacement.append(relative(mine.displacement[sample], truth.displacement))
-        states += int((mine.state[sample] != truth.state).sum())
+        resolution = reduced.resolutions[stage]
+        force.append(relative(resolution.force[sample], truth.force))
+        displacement.append(relative(resolution.displacement[sample], truth.displacement))
+        states += int((resolution.state[sample] != truth.state).sum())
     return Difference(max(force), max(displacement), relative(reduced.measurements[sample], full.measurements), states)
 
 
 def certificates(process, reduced: Evaluation, sample: int, full) -> dict[str, float]:
-    """Residual, by stage, of the full solve's contact forces in the reduced contact problem.
+    """Residual by stage of the full solve's contact forces in the reduced contact problem.
 
-    A solution of Coulomb's law need not be unique: where both routes have small residuals, both are solutions, however
-    far apart. Stages must be resolved in one increment, under a law whose contacts do not yield before they slip.
+    Solutions of Coulomb's law need not be unique: if both residuals are small, both are solutions. Stages must be
+    resolved in one increment under a law without tangential compliance.
 
     Parameters
     ----------
     process : mic.process.process.Process
-        What made `reduced`.
+        Process that computed `reduced`.
     """
-    found = {}
+    residuals = {}
     for prepared in process.stages:
         name = prepared.plan.name
         if name in full.resolutions:
-            mine = reduced.resolutions[name]
+            resolution = reduced.resolutions[name]
             contacts = process.model.contacts
-            b = mine.displacement[sample].ravel() - prepared.response.S.under(mine.force[[sample]].reshape(1, -1))[0]
-            found[name] = certify(
+            free = prepared.response.S.under(resolution.force[[sample]].reshape(1, -1))[0]
+            residuals[name] = certify(
                 prepared.response.S.whole(),
-                b,
+                resolution.displacement[sample].ravel() - free,
                 contacts.friction_in(name),
                 full.resolutions[name].force.ravel(),
                 process.law,
                 contacts.dimension,
             ).residual
-    return found
+    return residuals
 
 
 def zone_slip(displacement, contacts, zones: int) -> np.ndarray:
-    """RMS tangential displacement of each zone, mm, as reports print it: pairs that are stated count alike, candidates
-    by their area.
+    """RMS tangential displacement of each zone, mm; stated pairs have equal weights, candidates their area.
 
     Parameters
     ----------
@@ -131,5 +128,5 @@ def zone_slip(displacement, contacts, zones: int) -> np.ndarray:
     """
     square = (np.asarray(displacement)[..., 1:] ** 2).sum(-1)
     weight = np.where(contacts.watched, contacts.area, 1.0)
-    own = [contacts.zone == z for z in range(zones)]
-    return np.stack([np.sqrt(square[..., mine] @ weight[mine] / weight[mine].sum()) for mine in own], axis=-1)
+    members = [contacts.zone == z for z in range(zones)]
+    return np.stack([np.sqrt(square[..., of] @ weight[of] / weight[of].sum()) for of in members], axis=-1)

@@ -1,4 +1,4 @@
-"""What a piece of work takes of the machine: wall and processor seconds, and the most memory of its process."""
+"""Measure wall time, processor time and peak memory of a piece of work."""
 
 from __future__ import annotations
 
@@ -14,25 +14,25 @@ __all__ = ["Cost", "Meter", "give_back", "together"]
 
 PROC = Path("/proc/self")
 KILO = 1024e-9  # GB in what Linux counts memory in
-LARGER = 1.05  # times this process's most: more can only be a program's own
+LARGER = 1.05  # a child process with more than this times the peak of its parent has memory of its own
 
 
 @dataclass(frozen=True)
 class Cost:
-    """What one process took for one study.
+    """Time and memory that one process used for one study.
 
     Attributes
     ----------
     process : int
-        Its rank.
+        Rank.
     began : float
-        s since 1970.
+        Start, s since 1970.
     wall : float
-        s.
+        Wall time, s.
     cpu : float
-        s, those of programs that it called among them.
+        Processor time including child processes, s.
     memory : float
-        GB that the process held at most meanwhile, and the largest program that it called, where that is the larger.
+        Peak memory of the process, plus that of its largest child process if that is larger, GB.
     """
 
     process: int
@@ -43,29 +43,29 @@ class Cost:
 
 
 class Meter:
-    """Runs from when it is made; what was freed before is then given back to the system, and not counted."""
+    """Measures from its creation, at which freed memory is returned to the system."""
 
     def __init__(self, process: int):
         self.process = process
         give_back()
         try:
-            (PROC / "clear_refs").write_text("5")  # Linux begins anew to look for the most
+            (PROC / "clear_refs").write_text("5")  # Linux resets its peak
         except OSError:
-            pass  # then it is the most since the process began
+            pass  # the peak then counts from the start of the process
         self.began, self.start, self.cpu, self.called = time.time(), time.perf_counter(), _cpu(), _program()
 
     def read(self) -> Cost:
-        """What was taken so far."""
+        """Cost so far."""
         wall, memory, called = time.perf_counter() - self.start, _most(), _program()
-        # Linux counts to what is called what the process held itself just then: `true` called with 5 GB has 5 GB.
+        # Linux includes the memory of the parent at the call: `true` called by a process of 5 GB counts as 5 GB.
         if called > max(self.called, LARGER * memory):
             memory += called
         return Cost(self.process, self.began, wall, _cpu() - self.cpu, memory)
 
 
 def give_back(beyond: float = 0.0) -> None:
-    """Return to the system what was freed, if the process holds more than so many GB: under MPI glibc keeps all."""
-    if beyond and _told("VmRSS") <= beyond:
+    """Return freed memory to the system if the process is larger than `beyond` GB: under MPI glibc does not."""
+    if beyond and _status("VmRSS") <= beyond:
         return
     gc.collect()
     trim = getattr(ctypes.CDLL(None), "malloc_trim", None)  # glibc's own
@@ -74,36 +74,36 @@ def give_back(beyond: float = 0.0) -> None:
 
 
 def together(costs: list[Cost]) -> float:
-    """GB that all processes held at most at a time, no less: each counts with its most of what went on meanwhile."""
+    """Upper bound of the simultaneous memory of all processes, GB, from the peaks of overlapping studies."""
     most = 0.0
-    for one in costs:
-        beside: dict[int, float] = {}
+    for cost in costs:
+        overlapping: dict[int, float] = {}
         for other in costs:
-            if other.began < one.began + one.wall and one.began < other.began + other.wall:
-                beside[other.process] = max(beside.get(other.process, 0.0), other.memory)
-        most = max(most, sum(beside.values()) - beside[one.process] + one.memory)
+            if other.began < cost.began + cost.wall and cost.began < other.began + other.wall:
+                overlapping[other.process] = max(overlapping.get(other.process, 0.0), other.memory)
+        most = max(most, sum(overlapping.values()) - overlapping[cost.process] + cost.memory)
     return most
 
 
 def _cpu() -> float:
-    """s of this process and of those that it called and that have ended."""
+    """Processor time of this process and its finished child processes, s."""
     return sum(os.times()[:4])
 
 
 def _program() -> float:
-    """GB of the largest program that this process ever called and that has ended, no less than its own just then."""
+    """Peak memory of the largest finished child process, GB; at least that of this process at the call."""
     return resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss * KILO
 
 
 def _most() -> float:
-    """GB that this process held at most."""
-    return _told("VmHWM") or resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * KILO
+    """Peak memory of this process, GB."""
+    return _status("VmHWM") or resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * KILO
 
 
-def _told(key: str) -> float:
-    """GB that Linux tells of this process; 0 where it is not Linux."""
+def _status(key: str) -> float:
+    """Entry of this process's /proc status, GB; 0 on other systems than Linux."""
     try:
-        told = dict(line.split(":", 1) for line in (PROC / "status").read_text().splitlines())
-        return float(told[key].split()[0]) * KILO
+        status = dict(line.split(":", 1) for line in (PROC / "status").read_text().splitlines())
+        return float(status[key].split()[0]) * KILO
     except (OSError, KeyError):
         return 0.0

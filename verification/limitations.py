@@ -1,4 +1,4 @@
-"""What the program does not do, as its own README says it."""
+"""Limitations of the program, from its README."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ HEADING = "## Limitations"
 
 
 def limitations() -> list[str]:
-    """The points of the README's section, of a checkout or as the package carries it; none where neither has it."""
-    text = README.read_text(encoding="utf-8") if README.is_file() else _carried()
+    """Points of the README's section on limitations; empty if neither a checkout nor the package has it."""
+    text = README.read_text(encoding="utf-8") if README.is_file() else _packaged()
     _, found, rest = text.partition(f"\n{HEADING}\n")
     section = rest.partition("\n## ")[0]
     points = re.split(r"^- ", section, flags=re.MULTILINE)[1:] if found else []
@@ -22,11 +22,11 @@ def limitations() -> list[str]:
 
 
 def _plain(text: str) -> str:
-    """Without the marks of code and of links."""
+    """Text without Markdown for code and links."""
     return re.sub(r"\[([^\]]*)\]\([^)]*\)", r"\1", text).replace("`", "")
 
 
-def _carried() -> str:
+def _packaged() -> str:
     try:
         found = metadata("mic-contact")
     except PackageNotFoundError:

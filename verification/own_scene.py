@@ -1,10 +1,9 @@
-"""A user's own scene verified: its Monte Carlo, a few of its samples by full finite elements, and what follows for mean
-and 6σ.
+"""Verification of a user's scene: Monte Carlo, full finite-element solves of some samples, and errors of mean and 6σ.
 
-The folder holds ``production/`` (the Monte Carlo, as `mic run` leaves it), ``reduced/`` (the same on one increment a
-step, where the scene's path is followed), ``full/`` and ``budget/`` (one file per full solve and per source of error; a
-second call takes up where the first was stopped), ``summary.json``, ``samples.csv``, ``estimates.csv``,
-``budget.csv`` and ``report.html``.
+The folder contains ``production/`` (the Monte Carlo run, as `mic run` writes it), ``reduced/`` (the same with one
+increment per step, if the scene follows a path), ``full/`` and ``budget/`` (one file per full solve and per source of
+error, from which an interrupted run resumes), ``summary.json``, ``samples.csv``, ``estimates.csv``, ``budget.csv`` and
+``report.html``.
 """
 
 from __future__ import annotations
@@ -53,14 +52,12 @@ __all__ = ["Choice", "choose", "verify_scene"]
 
 SHOWN, LINEAR = 5.0, 0.1  # range of the error-bar figure, and its linear part
 TICKS = (-5, -1, -0.1, 0, 0.1, 1, 5)
-LEADING = (
-    0.1  # quantities that vary by less than this share of the most variable one of their kind do not make the headline
-)
+LEADING = 0.1  # the headline leaves out quantities whose 6σ is below this fraction of the largest of their kind
 
 
 @dataclass(frozen=True)
 class Choice:
-    """A sample chosen for a full solve.
+    """A sample selected for a full solve.
 
     Attributes
     ----------
@@ -73,7 +70,7 @@ class Choice:
 
 
 def choose(results: np.ndarray, numbers: np.ndarray, count: int, seed: int) -> list[Choice]:
-    """Pick samples by their cheap results: one typical, then extreme and random ones by turns.
+    """Select samples by their reduced results: one typical, then alternately extreme and random ones.
 
     Parameters
     ----------
@@ -82,14 +79,14 @@ def choose(results: np.ndarray, numbers: np.ndarray, count: int, seed: int) -> l
     numbers : (n,) int array
         The samples' numbers.
     count : int
-        At most n are picked.
+        Number of samples to select; at most n.
     seed : int
 
     Returns
     -------
     list of Choice
-        The first is the sample nearest to the median; each extreme one is the farthest from all picked before it, every
-        quantity measured in its own standard deviation; the random ones do not depend on `results`.
+        The first is the sample nearest to the median. Each extreme one is the farthest from all selected before it,
+        with quantities scaled by their standard deviations. The random ones do not depend on `results`.
     """
     spread = results.std(axis=0)
     z = (results - np.median(results, axis=0))[:, spread > 0] / spread[spread > 0]
@@ -110,9 +107,9 @@ def choose(results: np.ndarray, numbers: np.ndarray, count: int, seed: int) -> l
 
 
 def _record(scene: Scene, chosen, full, seconds, ranks: int) -> dict:
-    """Samples, full solves and times of a verification, for ``summary.json``."""
+    """Entries of ``summary.json`` on samples, full solves and times."""
     samples, laws = scene.monte_carlo.samples, scene.report.laws
-    taken = [result["seconds"] for result in full if "failure" not in result]
+    times = [result["seconds"] for result in full if "failure" not in result]
     return {
         "scene": scene.name,
         "samples": samples,
@@ -125,7 +122,7 @@ def _record(scene: Scene, chosen, full, seconds, ranks: int) -> dict:
         "seconds": {
             "reduced_model": seconds[0],
             "reduced_sample": seconds[1] * ranks / (samples * len(laws)),
-            "full_sample": float(np.mean(taken)) if taken else None,
+            "full_sample": float(np.mean(times)) if times else None,
         },
         "versions": versions(),
         "ranks": ranks,
@@ -133,7 +130,7 @@ def _record(scene: Scene, chosen, full, seconds, ranks: int) -> dict:
 
 
 def _write_results(folder: Path, summary: dict, per_sample: pd.DataFrame, table: pd.DataFrame, budget, items) -> dict:
-    """Write tables, ``summary.json`` and the page; returns the summary."""
+    """Write the tables, ``summary.json`` and the report; returns the summary."""
     per_sample.to_csv(folder / "samples.csv", index=False)
     table.to_csv(folder / "estimates.csv", index=False)
     _write(folder / "summary.json", json.dumps(summary, indent=2, allow_nan=False) + "\n")
@@ -142,8 +139,8 @@ def _write_results(folder: Path, summary: dict, per_sample: pd.DataFrame, table:
     return summary
 
 
-def _sample_reduced(scene: Scene, asked: Scene, folder: Path, cache: Path, tell):
-    """Monte Carlo of the reduced model, on increments and, where the scene follows its path, as the scene states it.
+def _sample_reduced(scene: Scene, original: Scene, folder: Path, cache: Path, report):
+    """Monte Carlo of the reduced model with one increment per step and, if the scene follows a path, as stated.
 
     Returns
     -------
@@ -151,30 +148,30 @@ def _sample_reduced(scene: Scene, asked: Scene, folder: Path, cache: Path, tell)
     production : Path
         Results folder of the scene as stated.
     seconds : (2,) tuple of float
-        Wall time of the model, and of its samples on increments.
+        Wall time of the model preparation, and of the samples with one increment per step.
     """
     samples, seed, law = scene.monte_carlo.samples, scene.monte_carlo.seed, scene.report.laws[0]
     start = time.perf_counter()
-    tell(f"{scene.name}: reduced model and {samples} samples under {', '.join(scene.report.laws)} …")
+    report(f"{scene.name}: reduced model, {samples} samples, laws {', '.join(scene.report.laws)} …")
     model, assembly = reduced_and_assembly(scene, cache)
     prepared = time.perf_counter()
     sample_into(folder / "reduced", model, scene.report.laws, samples, seed)
     evaluated = time.perf_counter()
     production = folder / "reduced"
-    if scene != asked:
-        tell(f"{samples} samples as the scene has its path, under {law} …")
+    if scene != original:
+        report(f"{samples} samples with the followed path, law {law} …")
         production = folder / "production"
-        sample_into(production, dataclasses.replace(model, scene=asked), [law], samples, seed)
+        sample_into(production, dataclasses.replace(model, scene=original), [law], samples, seed)
     return model, assembly, production, (prepared - start, evaluated - prepared)
 
 
 def _chosen(cheap, truth: str, scene: Scene, count: int) -> list[Choice]:
-    """Samples to solve in full; raises SceneError if there is nothing to compare."""
+    """Samples to solve in full; raises SceneError if there is no quantity to compare."""
     base = cheap.get(truth, next(iter(cheap.values())))
     if base.shape[1] == 0 or len(base) == 0:
         raise SceneError(
-            f"scene {scene.name!r} has nothing to verify: it needs samples that do not fail, and measurements or "
-            "contact zones with friction; add [[measurements]], or find out with mic run why samples fail"
+            f"scene {scene.name!r} has nothing to verify: it needs valid samples, and measurements or contact zones "
+            "with friction; add [[measurements]], or run `mic run` to see why samples fail"
         )
     return choose(base.to_numpy(), base.index.to_numpy(), count, scene.monte_carlo.seed)
 
@@ -189,65 +186,62 @@ def verify_scene(
     say=print,
     sources: Collection[str] = EVERY,
 ) -> dict:
-    """Verify the Monte Carlo of a scene by a few full solves; returns the content of ``summary.json``.
+    """Verify the Monte Carlo of a scene by full solves of some samples; returns the content of ``summary.json``.
 
-    Followed stages take one increment a step here, in the reduced model and in the full solves: every run reports its
-    own path error, and followed full solves would take minutes a sample.
+    Followed stages use one increment per step: every run reports its path error, and followed full solves are slow.
 
     Parameters
     ----------
     scene : mic.scene.schema.Scene
     folder : Path
     cache : Path
-        Folder of meshes and influence coefficients.
+        Cache folder of meshes and influence coefficients.
     count : int
-        Full solves.
+        Number of full solves.
     deviated : bool
-        Use meshes that carry each sample's shape deviation, with its stiffness, normals and gaps.
+        Use meshes with each sample's shape deviation (stiffness, normals, gaps).
     team : Team
     say : callable
         Receives lines of text on the first rank.
     sources : collection of str
-        Sources of error to estimate, of :data:`verification.budget.EVERY`; without any there is no budget.
+        Sources of error from :data:`verification.budget.EVERY`; empty for no error budget.
 
     Raises
     ------
     SceneError
-        If no sample of the Monte Carlo is valid, or the scene has nothing to compare.
+        If no sample of the Monte Carlo is valid, or there is no quantity to compare.
     """
     folder = Path(folder)
-    tell = say if team.rank == 0 else lambda line: None
-    law, asked = scene.report.laws[0], _with_truth(scene)
-    scene = _on_increments(asked)
+    report = say if team.rank == 0 else lambda line: None
+    law, original = scene.report.laws[0], _with_truth(scene)
+    scene = _on_increments(original)
     truth = "coulomb" if any(zone.frictional for zone in scene.zones) else "frictionless"
     samples, seed = scene.monte_carlo.samples, scene.monte_carlo.seed
     with threadpool_limits(limits=1, user_api="blas"):
-        model, assembly, production, seconds = _sample_reduced(scene, asked, folder, cache, tell)
+        model, assembly, production, seconds = _sample_reduced(scene, original, folder, cache, report)
         outcome = read_outcome(folder / "reduced")
         cheap = {law: _quantities(outcome, law) for law in outcome.laws}
         chosen = _chosen(cheap, truth, scene, count)
-        tell(
-            f"full finite elements, {'deviated' if deviated else 'nominal'} meshes: samples "
-            + ", ".join(f"{choice.sample} ({choice.kind})" for choice in chosen)
-        )
+        selected = ", ".join(f"{choice.sample} ({choice.kind})" for choice in chosen)
+        report(f"full finite elements, {'deviated' if deviated else 'nominal'} meshes: samples {selected}")
         key = hashlib.sha256(json.dumps([_model_key(model), deviated, truth, seed]).encode()).hexdigest()[:16]
         full = _full_solves(assembly, deviated, truth, chosen, folder / "full", key, team, say)
         items = []
         if sources:
-            tell("error budget: " + ", ".join(sources) + " …")
-            printing = outcome if production.name == "reduced" else read_outcome(production)
-            figures = printed(printing, law)
-            followed = (dataclasses.replace(one, scene=asked) for one in (assembly, model))
+            report("error budget: " + ", ".join(sources) + " …")
+            stated = outcome if production.name == "reduced" else read_outcome(production)
+            figures = printed(stated, law)
+            followed = (dataclasses.replace(item, scene=original) for item in (assembly, model))
             case = Case(*followed, law, cache, figures["six_sigma"])
             items.append(_reduction(case, model, truth, deviated, list(zip(chosen, full)), team))
-            model = dataclasses.replace(model)  # without what it has prepared, which takes room and is done with
+            model = dataclasses.replace(model)  # without its cached preparations, to free memory
             mark = f"{_model_key(case.model)} {seed} {samples} {versions()['mic-contact']}"
             items += estimate(case, folder / "budget", mark, team, sources, say)
     if team.rank > 0:
         return {}
     budget = None
     if sources:
-        items = [_algebra(printing, law), *items, _sampling(figures)]
+        items = [_algebra(stated, law), *items, _sampling(figures)]
         budget = by_quantity(figures, items)
         budget.to_csv(folder / "budget.csv", index_label="quantity")
     solved = [(choice, result) for choice, result in zip(chosen, full) if "failure" not in result]
@@ -265,37 +259,38 @@ def verify_scene(
 
 
 def _algebra(outcome, law) -> Item:
-    """What the solver's residual leaves, as far as each quantity comes from zero."""
-    residual, reach = outcome.worst_residual(law), _quantities(outcome, law).abs().max()
-    how = f"bound: the largest certificate residual, {residual:.1g}, times the largest value; every run tells it"
-    return Item("algebra", how, 0.0, bounded(residual * reach, residual * reach))
+    """Bound on the error from the solver's residual: residual times the largest value of each quantity."""
+    residual, largest = outcome.worst_residual(law), _quantities(outcome, law).abs().max()
+    how = f"bound: largest certificate residual, {residual:.1g}, times the largest value; reported by every run"
+    return Item("algebra", how, 0.0, bounded(residual * largest, residual * largest))
 
 
 def _sampling(figures) -> Item:
-    how = f"half the 95 % interval of {int(figures['samples'].max())} samples; every run tells it"
+    """Statistical uncertainty of the Monte Carlo."""
+    how = f"half the 95 % confidence interval of {int(figures['samples'].max())} samples; reported by every run"
     return Item(SAMPLING, how, 0.0, bounded(figures["mean_half"], figures["six_sigma_half"]))
 
 
 def _reduction(case, model, truth, deviated, solved, team) -> Item:
-    """What the reduction leaves on the same meshes, as full solves see it."""
+    """Error of the reduction on the same meshes: reduced against full solves of the selected samples."""
     solved = [(choice, result) for choice, result in solved if "failure" not in result]
-    meshes = "meshes that carry each sample's shape" if deviated else "nominal meshes"
-    how = f"bound: {len(solved)} picked samples by full finite elements on {meshes}, one increment a step"
+    meshes = "meshes with each sample's shape" if deviated else "nominal meshes"
+    how = f"bound: {len(solved)} samples by full finite elements on {meshes}, one increment per step"
     seconds = float(sum(result.get("cpu", result["seconds"]) for _, result in solved))
     if not solved:
         return Item("reduction", "not estimated: no full solve succeeded", seconds, None)
 
-    def again(pair) -> pd.Series:
+    def reduced_values(pair) -> pd.Series:
         sample = draw(model.scene, model.scene.monte_carlo.seed, pair[0].sample, 1)
-        own = DeviatedStiffness(case.assembly, model).at(sample[0]) if deviated else model
-        return values(own, own.process(truth).attempt(sample)).iloc[0]
+        same = DeviatedStiffness(case.assembly, model).at(sample[0]) if deviated else model
+        return values(same, same.process(truth).attempt(sample)).iloc[0]
 
     try:
-        mine = team.map(again, solved)
+        reduced = team.map(reduced_values, solved)
     except SceneError as problem:
         return Item("reduction", f"not estimated: {problem}", seconds, None)
-    full = pd.DataFrame([_of_full(model, result) for _, result in solved])
-    return Item("reduction", how, seconds, largest_difference(pd.DataFrame(mine).reset_index(drop=True), full))
+    full = pd.DataFrame([_full_quantities(model, result) for _, result in solved])
+    return Item("reduction", how, seconds, largest_difference(pd.DataFrame(reduced).reset_index(drop=True), full))
 
 
 def _budget_record(name, budget, items) -> dict:
@@ -317,7 +312,7 @@ def _budget_record(name, budget, items) -> dict:
 
 
 def _on_increments(scene):
-    """The scene with one increment a step where paths are followed."""
+    """The scene with one increment per step in stages that would follow a path."""
     steps = {"path": "increments", "increments": 1}
     stages = [
         stage.model_copy(update=steps)
@@ -329,7 +324,7 @@ def _on_increments(scene):
 
 
 def _with_truth(scene):
-    """The scene with Coulomb's law among its laws where it has friction, and without fields."""
+    """The scene with Coulomb's law among its laws if it has friction, and without fields."""
     laws = list(scene.report.laws)
     if any(zone.frictional for zone in scene.zones) and "coulomb" not in laws:
         laws.insert(0, "coulomb")
@@ -344,27 +339,27 @@ def _model_key(model):
 
 
 def _full_solves(assembly, deviated, law, chosen, folder, key, team, say) -> list[dict]:
-    """Of chosen samples; what they hold is free again once they are done."""
+    """Full solves of the chosen samples; the full model is freed on return."""
     full_model, scene = FullModel(assembly, deviated=deviated, comm=MPI.COMM_SELF), assembly.scene
     seed = scene.monte_carlo.seed
     return team.map(lambda choice: _full(full_model, scene, seed, law, choice.sample, folder, key, say), chosen)
 
 
 def _full(full_model, scene, seed, law, sample, folder, key, say) -> dict:
-    """The full solve of one sample, from the folder if it holds it."""
+    """Full solve of one sample, read from the folder if it is stored there."""
     path = folder / f"{sample:06d}-{key}.npz"
     if path.is_file():
         with np.load(path) as data:
             return dict(data)
     start, worked = time.perf_counter(), time.process_time()
     try:
-        found = full_model.evaluate(draw(scene, seed, sample, 1)[0], law)
+        evaluation = full_model.evaluate(draw(scene, seed, sample, 1)[0], law)
     except ContactFailure as problem:
         say(f"  sample {sample} failed: {problem}")
         return {"failure": str(problem)}
-    result = {"measurements": found.measurements, "seconds": np.array(time.perf_counter() - start)}
+    result = {"measurements": evaluation.measurements, "seconds": np.array(time.perf_counter() - start)}
     result["cpu"] = np.array(time.process_time() - worked)
-    for stage, resolution in found.resolutions.items():
+    for stage, resolution in evaluation.resolutions.items():
         result |= {
             f"force:{stage}": resolution.force,
             f"displacement:{stage}": resolution.displacement,
@@ -392,33 +387,33 @@ def _quantities(outcome, law) -> pd.DataFrame:
     return pd.DataFrame(columns, index=outcome.sample_numbers(law))
 
 
-def _of_full(model, result) -> dict[str, float]:
-    """The same quantities of one full solve."""
-    scene, found = model.scene, {}
+def _full_quantities(model, result) -> dict[str, float]:
+    """Slips and measurements of one full solve."""
+    scene, quantities = model.scene, {}
     for name, moved in result.items():
         if name.startswith("displacement:") and model.contacts.dimension == 3:
             slip = zone_slip(moved, model.contacts, len(scene.zones))
-            found |= {
+            quantities |= {
                 f"slip:{name.removeprefix('displacement:')}:{zone.name}": float(s) for zone, s in zip(scene.zones, slip)
             }
-    return found | {
+    return quantities | {
         f"measurement:{item.name}": float(value) for item, value in zip(scene.measurements, result["measurements"])
     }
 
 
 def _sample_rows(outcome, model, choice, result) -> list[dict]:
-    """How far one sample's reduced results are from the full ones, under each law."""
+    """Differences between reduced and full results of one sample under each law."""
     stages = [name.removeprefix("force:") for name in result if name.startswith("force:")]
     axes = ("n", "t1", "t2")[: model.contacts.dimension]
-    truth, rows = _of_full(model, result), []
+    truth, rows = _full_quantities(model, result), []
     for law in outcome.laws:
         place = np.flatnonzero(outcome.sample_numbers(law) == choice.sample)
         if not len(place):
             continue
         force, states = [], 0
         for stage in stages:
-            mine = np.stack([outcome.contact(law, stage, f"f_{axis}")[place[0]] for axis in axes], axis=-1)
-            force.append(relative(mine, result[f"force:{stage}"]))
+            reduced = np.stack([outcome.contact(law, stage, f"f_{axis}")[place[0]] for axis in axes], axis=-1)
+            force.append(relative(reduced, result[f"force:{stage}"]))
             states += int((outcome.contact(law, stage, "state")[place[0]] != result[f"state:{stage}"]).sum())
         row = _quantities(outcome, law).iloc[place[0]]
         slips, measured = ([name for name in truth if name.startswith(kind)] for kind in ("slip:", "measurement:"))
@@ -438,25 +433,25 @@ def _sample_rows(outcome, model, choice, result) -> list[dict]:
 
 
 def _statistics_rows(law, cheap, model, solved) -> list[dict]:
-    """Mean and 6σ of every quantity: what the Monte Carlo says, and what the two levels together say."""
-    dear = {choice.sample: _of_full(model, result) for choice, result in solved if choice.sample in cheap.index}
-    place = [cheap.index.get_loc(sample) for sample in dear]
+    """Mean and 6σ of every quantity from the Monte Carlo and from the two-level estimate."""
+    full = {choice.sample: _full_quantities(model, result) for choice, result in solved if choice.sample in cheap.index}
+    place = [cheap.index.get_loc(sample) for sample in full]
     rows = []
     for name in cheap.columns:
         y = cheap[name].to_numpy()
         row = {"law": law, "quantity": name}
         row |= _estimate("mean", estimates.mean(y)) | _estimate("6σ", estimates.six_sigma(y))
-        if dear:
-            found = two_level(y, place, [values[name] for values in dear.values()])
-            row |= _estimate("corrected mean", found.mean) | _estimate("corrected 6σ", found.six_sigma)
+        if full:
+            corrected = two_level(y, place, [values[name] for values in full.values()])
+            row |= _estimate("corrected mean", corrected.mean) | _estimate("corrected 6σ", corrected.six_sigma)
             row |= {
-                "slope": found.slope,
-                "residual, mm": found.residual,
-                "worth, full solves": found.worth,
-                "error of the mean, σ": (row["mean"] - found.mean.value) / found.sigma.value
-                if found.sigma.value > 0
+                "slope": corrected.slope,
+                "residual, mm": corrected.residual,
+                "worth, full solves": corrected.worth,
+                "error of the mean, σ": (row["mean"] - corrected.mean.value) / corrected.sigma.value
+                if corrected.sigma.value > 0
                 else 0.0,
-                "error of 6σ": row["6σ"] / found.six_sigma.value - 1 if found.sigma.value > 0 else 0.0,
+                "error of 6σ": row["6σ"] / corrected.six_sigma.value - 1 if corrected.sigma.value > 0 else 0.0,
             }
         rows.append(row)
     return rows
@@ -467,21 +462,20 @@ def _estimate(name, estimate):
 
 
 def _figure(table, truth):
-    """Error bars on the Monte Carlo: the corrected mean and 6σ of every quantity with their intervals, seen from the
-    reduced ones."""
+    """Corrected mean and 6σ of every quantity relative to the reduced ones, with confidence intervals."""
     laws = list(dict.fromkeys(table["law"]))
     names = list(dict.fromkeys(table["quantity"]))
     figure, (left, right) = panels(2, 6.0, 1.4 + 0.26 * len(names))
     for k, law in enumerate(laws):
-        own = table[table["law"] == law].set_index("quantity").loc[names]
+        rows = table[table["law"] == law].set_index("quantity").loc[names]
         y = np.arange(len(names)) + 0.22 * (k - (len(laws) - 1) / 2)
-        sigma = own["6σ"].to_numpy() / 6
+        sigma = rows["6σ"].to_numpy() / 6
         for axis, corrected, centre, scale in (
-            (left, "corrected mean", own["mean"], sigma),
-            (right, "corrected 6σ", own["6σ"], own["6σ"]),
+            (left, "corrected mean", rows["mean"], sigma),
+            (right, "corrected 6σ", rows["6σ"], rows["6σ"]),
         ):
             with np.errstate(divide="ignore", invalid="ignore"):
-                value, low, high = ((own[f"{corrected}{end}"] - centre) / scale for end in ("", " low", " high"))
+                value, low, high = ((rows[f"{corrected}{end}"] - centre) / scale for end in ("", " low", " high"))
             axis.errorbar(
                 value,
                 y,
@@ -535,17 +529,16 @@ def _page(summary, per_sample, table, truth, budget, items) -> str:
 
 
 def worst(table) -> list[dict]:
-    """By law, the largest error of the mean and of 6σ over the leading quantities, as the two-level estimate sees
-    it."""
-    found = []
+    """Largest error of mean and 6σ over the leading quantities by the two-level estimate, for each law."""
+    errors = []
     kind = table["quantity"].str.split(":").str[0]
     leading = (
         table[table["6σ"] >= LEADING * table.groupby(["law", kind])["6σ"].transform("max")] if len(table) else table
     )
-    for law, own in leading.groupby("law", sort=False):
-        if "error of 6σ" in own:
-            six, mean = own.loc[own["error of 6σ"].abs().idxmax()], own.loc[own["error of the mean, σ"].abs().idxmax()]
-            found.append(
+    for law, rows in leading.groupby("law", sort=False):
+        if "error of 6σ" in rows:
+            six, mean = (rows.loc[rows[column].abs().idxmax()] for column in ("error of 6σ", "error of the mean, σ"))
+            errors.append(
                 {
                     "law": law,
                     "six_sigma": six["error of 6σ"],
@@ -556,7 +549,7 @@ def worst(table) -> list[dict]:
                     "mean_of": mean["quantity"],
                 }
             )
-    return found
+    return errors
 
 
 def _finite(value):

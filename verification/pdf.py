@@ -1,4 +1,4 @@
-"""A report's page as PDF, printed by a browser without a window."""
+"""Print an HTML report as PDF with a headless browser."""
 
 from __future__ import annotations
 
@@ -11,15 +11,15 @@ from pathlib import Path
 __all__ = ["NoBrowser", "browser", "write_pdf"]
 
 BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome")
-LONGEST = 180.0  # s, for a report of all studies; some take ten
+LONGEST = 180.0  # s, time limit of printing
 
 
 class NoBrowser(FileNotFoundError):
-    """Nothing prints."""
+    """No browser is installed, or it does not print."""
 
 
 def browser() -> str:
-    """The browser that prints.
+    """Path of an installed browser.
 
     Raises
     ------
@@ -30,8 +30,8 @@ def browser() -> str:
         if found:
             return found
     raise NoBrowser(
-        "--pdf: no chromium or chrome is installed to print with; install one (Debian: apt install chromium), or leave "
-        "--pdf away and print report.html from any browser"
+        "--pdf: no chromium or chrome is installed; install one (Debian: apt install chromium), or omit --pdf and "
+        "print report.html from any browser"
     )
 
 
@@ -41,7 +41,7 @@ def write_pdf(page: Path) -> Path:
     Raises
     ------
     NoBrowser
-        If there is none, or it does not print.
+        If no browser is installed, or it does not print.
     """
     page = Path(page).resolve()
     target = page.with_suffix(".pdf")
@@ -50,13 +50,13 @@ def write_pdf(page: Path) -> Path:
     with tempfile.TemporaryDirectory() as profile:
         command = [browser(), "--headless", "--disable-gpu", "--no-pdf-header-footer", f"--user-data-dir={profile}"]
         if os.geteuid() == 0:
-            command.append("--no-sandbox")  # a browser refuses to run as root otherwise; the page holds no scripts
+            command.append("--no-sandbox")  # required as root; the page has no scripts
         command += [f"--print-to-pdf={temporary}", page.as_uri()]
         try:
             done = subprocess.run(command, capture_output=True, text=True, timeout=LONGEST)
-            said = done.stderr.strip().splitlines()[-1:] or ["it said nothing"]
+            said = done.stderr.strip().splitlines()[-1:] or ["no message"]
         except subprocess.TimeoutExpired:
-            said = [f"it took more than {LONGEST:g} s"]
+            said = [f"no result after {LONGEST:g} s"]
     if not temporary.is_file():
         raise NoBrowser(f"--pdf: {command[0]} did not print {page.name}: {said[0]}; print it from any browser")
     temporary.replace(target)

@@ -81,21 +81,21 @@ class Body:
         return found[np.argsort(self.nodes[found, order])]
 
     def pressed(self, chain, direction) -> np.ndarray:
-        """Forces (freedoms,) of a unit traction along `direction` (2,) on the edges of a chain of nodes, whose first is
+        """Forces (freedoms,) of a unit traction along `direction` (2,) on the edges of a chain of nodes that starts at
         a corner."""
         load = np.zeros((len(self.nodes), 2))
         for i in range(0, len(chain) - 2, 2):
-            own = chain[i : i + 3]
-            length = np.linalg.norm(self.nodes[own[2]] - self.nodes[own[0]])
-            circle = 2 * np.pi * self.nodes[own, 0] if self.revolved else 1.0
-            load[own] += (length * np.array([1, 4, 1]) / 6 * circle)[:, None] * direction
+            edge = chain[i : i + 3]
+            length = np.linalg.norm(self.nodes[edge[2]] - self.nodes[edge[0]])
+            circle = 2 * np.pi * self.nodes[edge, 0] if self.revolved else 1.0
+            load[edge] += (length * np.array([1, 4, 1]) / 6 * circle)[:, None] * direction
         return load.ravel()
 
     def springs(self, nodes, component: int, stiffness: float) -> None:
-        """Hold nodes by springs, N/mm each."""
-        own = np.zeros(2 * len(self.nodes))
-        own[2 * np.asarray(nodes) + component] = stiffness
-        self.stiffness = self.stiffness + sp.diags(own)
+        """Support nodes by springs, N/mm each."""
+        diagonal = np.zeros(2 * len(self.nodes))
+        diagonal[2 * np.asarray(nodes) + component] = stiffness
+        self.stiffness = self.stiffness + sp.diags(diagonal)
 
     def rows(self, nodes) -> sp.csr_matrix:
         """Rows that read both components at nodes, node by node."""
@@ -105,7 +105,7 @@ class Body:
         )
 
     def reduced(self, rows, held=(), loads=(), steered=()) -> Reduced:
-        """What rows read of the body.
+        """Compliance of the body with respect to rows.
 
         Parameters
         ----------
@@ -114,7 +114,7 @@ class Body:
             Freedoms that do not move.
         loads : sequence of (freedoms,) arrays
         steered : sequence of (freedoms,) arrays
-            Loads of resultant 1, whose own displacement is prescribed.
+            Loads of resultant 1 whose work-conjugate displacement is prescribed.
         """
         free = np.setdiff1d(np.arange(2 * len(self.nodes)), held)
         border = sp.csc_matrix(np.array(steered).reshape(len(steered), -1).T[free]) if len(steered) else None
@@ -134,7 +134,7 @@ class Body:
 
 @dataclass(frozen=True)
 class Reduced:
-    """What k rows read of a body: ``H f + U p + G d``, mm, N."""
+    """Readings of k rows of a body, ``H f + U p + G d``, mm and N."""
 
     H: np.ndarray
     U: np.ndarray
@@ -148,11 +148,11 @@ class Pairs:
     Attributes
     ----------
     S : (2m, 2m) array
-        Compliance, normal and tangent by turns, mm/N.
+        Compliance, normal and tangential rows alternate, mm/N.
     b : (2m,) array
         Gap and offset without forces, mm.
     G : (2m, s) array
-        What steered displacements add, mm/mm.
+        Effect of steered displacements, mm/mm.
     """
 
     S: np.ndarray
@@ -160,7 +160,7 @@ class Pairs:
     G: np.ndarray
 
     def solver(self, mu, soft: float) -> ContactSolver:
-        """The solver of the problem, steered loads brought on by springs `soft` (N/mm)."""
+        """Contact solver of the problem, with steered loads applied through springs `soft` (N/mm)."""
         m = len(self.b) // 2
         S = np.zeros((m, 3, m, 3))
         S[:, :2, :, :2] = (self.S + self.G @ self.G.T / soft).reshape(m, 2, m, 2)
@@ -169,18 +169,18 @@ class Pairs:
 
 
 def followed(pairs: Pairs, mu: float, legs, steered=None, tolerance: float = PATH) -> tuple[np.ndarray, np.ndarray]:
-    """Go through loads one after the other.
+    """Solve a sequence of loads.
 
     Parameters
     ----------
     pairs : Pairs
     mu : float
     legs : (q, 2m) array
-        What loads add to b at the end of each leg, mm.
+        Change of b by the loads at the end of each leg, mm.
     steered : (q, s) array
         Steered loads at the end of each leg, N.
     tolerance : float
-        Of the path with friction, as :class:`mic.contact.path.Followed` has it.
+        Tolerance of the path with friction, as in :class:`mic.contact.path.Followed`.
 
     Returns
     -------
@@ -190,7 +190,7 @@ def followed(pairs: Pairs, mu: float, legs, steered=None, tolerance: float = PAT
     Raises
     ------
     ArithmeticError
-        If a leg was not solved.
+        If the contact solver does not converge.
     """
     m, s, legs = len(pairs.b) // 2, pairs.G.shape[1], np.asarray(legs, dtype=float)
     soft = SOFT / np.diag(pairs.S).mean()
@@ -209,13 +209,13 @@ def followed(pairs: Pairs, mu: float, legs, steered=None, tolerance: float = PAT
         force, shift = (x.reshape(m, 3)[:, :2].ravel() for x in (solved.force[0], solved.displacement[0]))
         if s:
             end = (given[-1] + soft * motion[-1] + pairs.G.T @ force) / soft
-            # loads of one direction: its displacement goes as the load, as far as a soft spring cares
+            # loads of one direction: to the accuracy of a soft spring, its displacement is proportional to the load
             motion = np.where(given[-1] != 0, given / np.where(given[-1] != 0, given[-1], 1.0), 1.0) * end
     return force, shift
 
 
 def rectangle(x, y) -> tuple[np.ndarray, np.ndarray]:
-    """Points and triangles of a grid between the coordinates x and y; diagonals by turns."""
+    """Points and triangles of a grid between the coordinates x and y, with alternating diagonals."""
     x, y = np.asarray(x), np.asarray(y)
     points = np.array([(xi, yj) for yj in y for xi in x])
     triangles, n = [], len(x)
@@ -226,8 +226,8 @@ def rectangle(x, y) -> tuple[np.ndarray, np.ndarray]:
     return points, np.array(triangles)
 
 
-def graded(outline, sizes, kept: int) -> tuple[np.ndarray, np.ndarray]:
-    """Points and triangles within an outline whose corners are all nodes, elements growing from side to side.
+def graded(outline, sizes, undivided: int) -> tuple[np.ndarray, np.ndarray]:
+    """Points and triangles of a graded mesh within an outline whose corners are all nodes.
 
     Parameters
     ----------
@@ -235,8 +235,8 @@ def graded(outline, sizes, kept: int) -> tuple[np.ndarray, np.ndarray]:
         Corners in order, the first at a contact.
     sizes : (k,) array
         Element size at each corner, mm.
-    kept : int
-        So many sides from the first corner on are edges of elements, and not divided further.
+    undivided : int
+        Number of sides from the first corner that are single element edges.
     """
     import gmsh
 
@@ -246,7 +246,7 @@ def graded(outline, sizes, kept: int) -> tuple[np.ndarray, np.ndarray]:
         gmsh.option.setNumber("Mesh.Algorithm", 6)
         corner = [gmsh.model.geo.addPoint(x, y, 0, h) for (x, y), h in zip(outline, sizes)]
         side = [gmsh.model.geo.addLine(a, b) for a, b in zip(corner, np.roll(corner, -1))]
-        for line in side[:kept]:
+        for line in side[:undivided]:
             gmsh.model.geo.mesh.setTransfiniteCurve(line, 2)
         gmsh.model.geo.addPlaneSurface([gmsh.model.geo.addCurveLoop(side)])
         gmsh.model.geo.synchronize()

@@ -1,4 +1,4 @@
-"""Figures of studies: one style, one way to a file."""
+"""Common style and SVG output of the studies' figures."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def panels(count: int, width: float = 5.2, height: float = 3.8):
 
 
 def svg(figure) -> bytes:
-    """A figure as SVG, the same bytes for the same drawing; the figure is closed."""
+    """SVG of a figure, reproducible to the byte; the figure is closed."""
     buffer = io.BytesIO()
     with plt.rc_context(STYLE):
         figure.savefig(buffer, format="svg", bbox_inches="tight", metadata={"Date": None})

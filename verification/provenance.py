@@ -1,4 +1,4 @@
-"""Where and of what a result was made: for the block that somebody signs."""
+"""Provenance of a result: commit, machine and date."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def provenance() -> dict[str, str]:
 
 
 def _commit() -> str:
-    """Of the code that runs; says so where files differ from it, or where there is no checkout."""
+    """Commit of the running code, with a note if files differ from it or if there is no checkout."""
     if not (ROOT / ".git").exists():
         return "no checkout: an installed package"
     try:
@@ -32,8 +32,8 @@ def _commit() -> str:
             for words in (["rev-parse", "HEAD"], ["status", "--porcelain", "--untracked-files=no"])
         )
     except (OSError, subprocess.SubprocessError):
-        return "not known: git cannot be asked"
-    return found.strip() + (", with changes that are not committed" if changed.strip() else "")
+        return "unknown: git failed"
+    return found.strip() + (", with uncommitted changes" if changed.strip() else "")
 
 
 def _processor() -> str:

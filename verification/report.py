@@ -1,7 +1,7 @@
-"""The report of a run folder: one HTML file that opens offline, and prints.
+"""Report of a run folder: one self-contained HTML file, laid out for printing.
 
-Its first page says what was validated, how far off the program is, what dominates, what failed, where it must not be
-used, and is signed; a page for each study follows, then the limitations in full, and all numbers.
+The first page has scope, errors, limits not met, limitations and signatures. One section per study, the full
+limitations and a table of all results follow.
 """
 
 from __future__ import annotations
@@ -23,11 +23,11 @@ from verification.run import read_results, write_summary
 
 __all__ = ["environment", "number", "over_limit", "table_cells", "write_report"]
 
-BUDGET = "error_budget"  # the study that the first page tells of
-LONG = 12  # rows of a table that is folded on the screen
-WIDE = 9  # columns of a table that is set smaller
+BUDGET = "error_budget"  # the study on the first page
+LONG = 12  # a table with more rows is collapsed on the screen
+WIDE = 9  # a table with more columns has a smaller font
 SIGNERS = ("Validated by", "Approved by")
-FARTHEST = 1e4  # ratio of measured and limit beyond which a bar is cut
+FARTHEST = 1e4  # largest ratio of measured value and limit that a bar shows
 
 
 def write_report(folder: Path, pdf: bool = False) -> Path:
@@ -36,12 +36,12 @@ def write_report(folder: Path, pdf: bool = False) -> Path:
     Returns
     -------
     Path
-        Of what is to be read: the PDF where it was asked for.
+        The report: the PDF if requested, otherwise the HTML file.
 
     Raises
     ------
     FileNotFoundError
-        If the folder holds no finished study, or nothing prints.
+        If the folder contains no finished study, or no browser prints.
     """
     folder = Path(folder)
     if pdf:
@@ -49,7 +49,7 @@ def write_report(folder: Path, pdf: bool = False) -> Path:
     results = read_results(folder)
     if not results:
         raise FileNotFoundError(
-            f"{folder}: holds no finished study; name the folder that `python -m verification run --out` wrote"
+            f"{folder}: no finished study; name a folder that `python -m verification run --out` wrote"
         )
     entries = write_summary(folder)
     _fill_in(results)
@@ -65,8 +65,8 @@ def write_report(folder: Path, pdf: bool = False) -> Path:
             budget=next((result for result in results if result["study"] == BUDGET), None),
             seconds=sum(result["cpu_seconds"] for result in results),
             limitations=points,
-            beginnings=[_first_clause(point) for point in points],
-            made=_made(results),
+            short_limitations=[_first_clause(point) for point in points],
+            provenance=_provenance(results),
             signers=SIGNERS,
         )
     )
@@ -78,26 +78,26 @@ def write_report(folder: Path, pdf: bool = False) -> Path:
 
 
 def environment() -> jinja2.Environment:
-    """Of the pages of this package."""
-    found = jinja2.Environment(
+    """Jinja environment of the templates of this package."""
+    templates = jinja2.Environment(
         loader=jinja2.FileSystemLoader(Path(__file__).parent), autoescape=True, trim_blocks=True, lstrip_blocks=True
     )
-    found.filters |= {"number": number, "keys": keys}
-    return found
+    templates.filters |= {"number": number, "keys": keys}
+    return templates
 
 
 def keys(text: str) -> Markup:
-    """A sentence with what stands between backticks, keys of a scene, set as such."""
+    """HTML of a sentence, with text between backticks set as code."""
     return Markup(re.sub("`([^`]*)`", r"<code>\1</code>", str(escape(text))))
 
 
 def _fill_in(results: list[dict]) -> None:
-    """What the page shows beside what the folder holds: verdicts, pictures, tables, and their numbers."""
+    """Add pass or fail, figures, tables and their numbers to the stored results."""
     figures, tables = itertools.count(1), itertools.count(1)
     order = sorted(results, key=lambda result: result["study"] != BUDGET)  # the first page has the first figure
     for result in order:
-        result["kept"] = sum(finding["passed"] for finding in result["findings"])
-        result["passed"] = result["kept"] == len(result["findings"])
+        result["met"] = sum(finding["passed"] for finding in result["findings"])
+        result["passed"] = result["met"] == len(result["findings"])
         drawn = [finding for finding in result["findings"] if "figure" in finding]
         first = result["study"] == BUDGET
         if first:
@@ -123,8 +123,7 @@ def _draw(findings, folder, numbers) -> None:
 
 
 def _limits(findings: list[dict]):
-    """Each number over its limit, or the limit over the number where it is to be at least that: beyond 1 it is not
-    kept."""
+    """Bar chart of measured value over limit (limit over measured value for lower limits)."""
     figure, (axis,) = panels(1, 7.6, 0.7 + 0.3 * len(findings))
     for y, finding in enumerate(findings):
         ratio = over_limit(finding)
@@ -136,16 +135,14 @@ def _limits(findings: list[dict]):
     ratios = [ratio for ratio in map(over_limit, findings) if math.isfinite(ratio)]
     axis.axvline(1.0, color="k", lw=1.4)
     low = min([0.5, *ratios]) / 2
-    axis.set(
-        xscale="log", xlim=(low, max([1.0, *ratios]) * 2), xlabel="share of the limit that is used up; 1: the limit"
-    )
+    axis.set(xscale="log", xlim=(low, max([1.0, *ratios]) * 2), xlabel="measured value / limit")
     axis.set_yticks(range(len(findings)), [finding["name"] for finding in findings])
     axis.invert_yaxis()
     return figure
 
 
 def over_limit(finding: dict) -> float:
-    """What of its limit a number uses up, within 1/`FARTHEST` and `FARTHEST`; NaN where nothing was measured."""
+    """Ratio of measured value and limit, at most 1 if met, clipped to `FARTHEST`; NaN if not measured."""
     measured, limit = finding["measured"], finding["limit"]
     if measured is None:
         return math.nan
@@ -156,16 +153,16 @@ def over_limit(finding: dict) -> float:
 
 
 def _first_clause(point: str) -> str:
-    """What a limitation begins with, to its first full stop, colon or semicolon that ends a clause."""
+    """Text of a limitation up to the first full stop, colon or semicolon."""
     return re.split(r"(?<=[^\d])[.:;](?:\s|$)", point, maxsplit=1)[0] + "."
 
 
-def _made(results: list[dict]) -> list[tuple[str, str]]:
-    """Of what and where the results were made; all values where studies differ."""
+def _provenance(results: list[dict]) -> list[tuple[str, str]]:
+    """Versions, commit, machine and date of the results; all values if studies differ."""
     rows = [("versions", ", ".join(f"{name} {version}" for name, version in results[0]["versions"].items()))]
     for result in results[1:]:
         if result["versions"] != results[0]["versions"]:
-            rows.append(("versions", f"{result['title']}: other versions; run it again"))
+            rows.append(("versions", f"{result['title']}: different versions; run it again"))
     for key in ("commit", "machine", "date"):
         values = sorted({result.get(key, "not recorded") for result in results})
         if key == "date" and len(values) > 1:
@@ -175,7 +172,7 @@ def _made(results: list[dict]) -> list[tuple[str, str]]:
 
 
 def number(value) -> str:
-    """Three significant figures, or a dash for what does not exist."""
+    """Three significant figures, or a dash for None and NaN."""
     if value is None or value != value:
         return "–"
     if isinstance(value, (bool, str)):

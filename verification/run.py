@@ -1,8 +1,8 @@
-"""Running studies into a folder that is readable, and can be taken up again, at any moment.
+"""Run studies into a folder from which an interrupted run resumes.
 
-A run folder holds ``studies/NAME/`` (``result.json``, figures as SVG, tables as CSV), written in one stroke when a
-study has finished, ``cache/``, and ``summary.json`` and ``report.html`` at the end. A study is run again when its
-result was made by another version of the code, or by the other of the full and the quick version.
+A run folder contains ``studies/NAME/`` (``result.json``, figures as SVG, tables as CSV), written atomically when a
+study has finished, ``cache/``, ``summary.json`` and ``report.html``. A study is run again if its stored result is from
+another version of the code, or from the full version instead of the quick one or the reverse.
 """
 
 from __future__ import annotations
@@ -22,27 +22,26 @@ from mic.results.run_folder import versions
 from verification.cost import Cost, Meter, together
 from verification.plots import svg
 from verification.provenance import provenance
-from verification.study import FOLDER, Context, ItemFailed, Judged, Study, Team
+from verification.study import FOLDER, CheckedFinding, Context, ItemFailed, Study, Team
 
-__all__ = ["apart", "read_results", "run", "team", "write_summary"]
+__all__ = ["read_results", "run", "shared_and_whole", "team", "write_summary"]
 
-JUDGED = (FOLDER.parent / "mic", FOLDER.parent / "fem_reference", *map(examples.folder, examples.names()))
+VERIFIED_CODE = (FOLDER.parent / "mic", FOLDER.parent / "fem_reference", *map(examples.folder, examples.names()))
 SOURCES = (".py", ".toml", ".html")
-ROOM = 8.0  # GB that all processes may hold at a time
+MEMORY = 8.0  # GB of all processes together
 
 
 def team() -> Team:
-    """The MPI world when started by ``mpirun``, else this process alone."""
+    """The processes of ``mpirun``, or this process alone."""
     return Team(communicator())
 
 
 def run(chosen: list[Study], folder: Path, quick: bool, team: Team, say=print) -> None:
-    """Run studies, those already finished left out.
+    """Run the studies that are not finished.
 
-    Each process takes whole studies, whoever is idle the longest of those for which there is room beside what the
-    others hold; a study that is longer than a process's share of what is left is shared out over all of them before.
-    One that fails is stored as not measured, is run again by the next call, and keeps none of the others from being
-    run.
+    Studies longer than a process's share of the total time are divided over all processes first. Each process then
+    takes whole studies, the longest first that fits into the remaining memory. A study that raises an error is stored
+    as not measured, and is run again by the next call; the others still run.
 
     Parameters
     ----------
@@ -51,17 +50,16 @@ def run(chosen: list[Study], folder: Path, quick: bool, team: Team, say=print) -
     quick : bool
     team : Team
     say : callable
-        Called with some lines of text at a time, on the rank that has worked.
+        Called with lines of text on the rank that did the work.
 
     Raises
     ------
     Exception
-        What one of several ranks raises outside of :meth:`Team.map`, in a study that they share: the others do not
-        know of it, and must be ended.
+        An error of one rank outside of :meth:`Team.map` in a shared study; the caller must then end all ranks.
     """
     folder = Path(folder)
     first = team.rank == 0
-    base = _digest(JUDGED)
+    base = _digest(VERIFIED_CODE)
     cache = folder / "cache" / base
     if first:
         for old in (folder / "cache").glob("*"):
@@ -71,65 +69,66 @@ def run(chosen: list[Study], folder: Path, quick: bool, team: Team, say=print) -
     missing = {study.name: study.missing() for study in chosen}
     marks = {study.name: _fingerprint(base, study, quick) for study in chosen}
     done = {name for name, mark in marks.items() if _stored(folder / "studies" / name) == mark}
-    team.wait()  # nobody writes before everybody has looked
+    team.wait()  # all ranks have read the stored results before one writes
     for study in chosen if first else ():
         if missing[study.name]:
-            say(f"{study.name}: left out, {missing[study.name]}")
+            say(f"{study.name}: skipped, {missing[study.name]}")
         elif study.name in done:
-            say(f"{study.name}: finished before")
-    shared, whole = apart([one for one in chosen if not missing[one.name] and one.name not in done], quick, team.size)
+            say(f"{study.name}: already finished")
+    pending = [study for study in chosen if not missing[study.name] and study.name not in done]
+    shared, whole = shared_and_whole(pending, quick, team.size)
     meter, costs = Meter(team.rank), []
 
-    def take(study: Study, workers: Team) -> None:
+    def execute(study: Study, workers: Team) -> None:
         if workers.rank == 0:
-            say(f"{study.name}: begun, about {study.seconds[quick]:.0f} s of one core …")
-        own = Meter(team.rank)
-        judged, error = _judged(study, Context(quick, cache, workers))
-        took = workers.of_each(own.read())
-        costs.extend(took if workers.rank == 0 else ())
+            say(f"{study.name}: started, about {study.seconds[quick]:.0f} s on one core …")
+        study_meter = Meter(team.rank)
+        checked, error = _evaluated(study, Context(quick, cache, workers))
+        study_costs = workers.of_each(study_meter.read())
+        costs.extend(study_costs if workers.rank == 0 else ())
         if workers.rank == 0:
             record = {"fingerprint": "" if error else marks[study.name], "quick": quick, "error": error}
-            _store(folder / "studies" / study.name, study, judged, record | _taken(took) | provenance())
-            say("\n".join(_told(study, judged, took, error)))
+            _store(folder / "studies" / study.name, study, checked, record | _cost_record(study_costs) | provenance())
+            say("\n".join(_result_lines(study, checked, study_costs, error)))
 
     for study in shared:
-        take(study, team)
-    for i in team.taken([study.memory for study in whole], ROOM):
+        execute(study, team)
+    for i in team.taken([study.memory for study in whole], MEMORY):
         with alone():
-            take(whole[i], Team())
-    every = [cost for own in team.of_each(costs) for cost in own]
+            execute(whole[i], Team())
+    every = [cost for of_rank in team.of_each(costs) for cost in of_rank]
     if first and every:
         wall, cpu = meter.read().wall, sum(cost.cpu for cost in every)
         say(
             f"{len(shared) + len(whole)} studies: {wall:.0f} s on {team.size} processes, {cpu:.0f} s of CPU, "
-            f"{cpu / wall:.2f} at a time; at most {together(every):.1f} GB together"
+            f"{cpu / wall:.2f} cores used; peak memory {together(every):.1f} GB"
         )
 
 
-def apart(studies: list[Study], quick: bool, size: int) -> tuple[list[Study], list[Study]]:
-    """Studies that several processes share, and those that each takes whole; the longest first.
+def shared_and_whole(studies: list[Study], quick: bool, size: int) -> tuple[list[Study], list[Study]]:
+    """Studies that all processes share, and studies that one process runs; the longest first.
 
-    What is longer than a process's share of what is left would keep the others waiting. It is taken whole all the same
-    where several processes at it might need more than :data:`ROOM`, unless there is nothing else to do.
+    A study is shared if it is longer than a process's part of the remaining time, unless all processes together would
+    exceed :data:`MEMORY` and there are other studies to run.
     """
     queue = sorted(studies, key=lambda study: -study.seconds[quick])
     shared = []
     for study in list(queue):
-        if study.memory * size > ROOM and len(queue) > 1:
+        if study.memory * size > MEMORY and len(queue) > 1:
             continue
-        if study.seconds[quick] * size <= sum(one.seconds[quick] for one in queue) * (1 + 1e-9):
+        if study.seconds[quick] * size <= sum(other.seconds[quick] for other in queue) * (1 + 1e-9):
             break
         queue.remove(study)
         shared.append(study)
     return shared, queue
 
 
-def _judged(study: Study, context: Context) -> tuple[list[Judged], str]:
-    """What was measured, or that nothing was, and the traceback that says why."""
+def _evaluated(study: Study, context: Context) -> tuple[list[CheckedFinding], str]:
+    """Findings of a study and an empty string, or unmeasured findings and the traceback."""
     try:
-        # One BLAS thread: sums are then formed in the same order on every machine and for every number of ranks.
+        # One BLAS thread: the order of summation does not depend on the machine or the number of ranks.
         with threadpool_limits(limits=1, user_api="blas"):
-            return study.judge(context), ""
+            return study.evaluate(context), ""
     except Exception as problem:
         if context.team.size > 1 and not isinstance(problem, ItemFailed):
             raise
@@ -137,8 +136,8 @@ def _judged(study: Study, context: Context) -> tuple[list[Judged], str]:
         return study.unmeasured(context.quick, f"Not measured: {error.strip().splitlines()[-1]}"), error
 
 
-def _taken(costs: list[Cost]) -> dict:
-    """What a study took, as its record has it: of the processes that worked on it."""
+def _cost_record(costs: list[Cost]) -> dict:
+    """Time and memory of a study, over its processes, for its record."""
     return {
         "ranks": len(costs),
         "seconds": round(max(cost.wall for cost in costs), 3),
@@ -148,12 +147,12 @@ def _taken(costs: list[Cost]) -> dict:
     }
 
 
-def _told(study: Study, judged: list[Judged], costs: list[Cost], error: str) -> list[str]:
-    """Lines that tell of a study once it has ended."""
-    took = _taken(costs)
-    where = ", ".join(f"{memory:.1f} GB in process {process}" for process, memory in took["memory_gb"].items())
-    lines = [f"{study.name}: ended, {took['seconds']:.0f} s, {took['cpu_seconds']:.0f} s of CPU, {where}"]
-    for item in judged:
+def _result_lines(study: Study, checked: list[CheckedFinding], costs: list[Cost], error: str) -> list[str]:
+    """Console lines on a finished study."""
+    cost = _cost_record(costs)
+    memory = ", ".join(f"{gigabytes:.1f} GB in process {process}" for process, gigabytes in cost["memory_gb"].items())
+    lines = [f"{study.name}: finished, {cost['seconds']:.0f} s, {cost['cpu_seconds']:.0f} s of CPU, {memory}"]
+    for item in checked:
         unit = "" if item.acceptance.unit == "1" else f" {item.acceptance.unit}"
         lines.append(
             f"  {'passed' if item.passed else 'FAILED'}  {item.finding.name}: {item.finding.measured:.3g} "
@@ -163,20 +162,17 @@ def _told(study: Study, judged: list[Judged], costs: list[Cost], error: str) -> 
 
 
 def read_results(folder: Path) -> list[dict]:
-    """Stored results of a run folder, in the order of the report; each as ``result.json`` holds it, with its
-    ``folder``."""
-    found = []
-    for path in sorted(Path(folder).glob("studies/*/result.json")):
-        told = json.loads(path.read_text())
-        before = {"cpu_seconds": told["seconds"], "memory_gb": {}}  # of a result that did not record them yet
-        found.append(before | told | {"folder": path.parent})
-    return sorted(found, key=lambda result: (result["order"], result["study"]))
+    """Stored results of a run folder in the order of the report: the content of ``result.json`` and its ``folder``."""
+    results = [
+        json.loads(path.read_text()) | {"folder": path.parent} for path in Path(folder).glob("studies/*/result.json")
+    ]
+    return sorted(results, key=lambda result: (result["order"], result["study"]))
 
 
 def write_summary(folder: Path) -> list[dict]:
-    """Write ``summary.json``: one entry per acceptance number; seconds and memory are those of its whole study.
+    """Write ``summary.json``: one entry per acceptance limit, with time and memory of the whole study.
 
-    ``memory_gb`` is the most that each process held, by rank; ``began`` counts seconds since 1970.
+    ``memory_gb`` is the peak memory of each process by rank; ``began`` is in seconds since 1970.
     """
     entries = [
         {
@@ -214,8 +210,8 @@ def _digest(folders) -> str:
 
 
 def _fingerprint(base: str, study: Study, quick: bool) -> str:
-    own = _digest([*sorted(FOLDER.glob("*.py")), FOLDER / study.name])
-    return hashlib.sha256(json.dumps([base, own, quick, versions()]).encode()).hexdigest()[:16]
+    code = _digest([*sorted(FOLDER.glob("*.py")), FOLDER / study.name])
+    return hashlib.sha256(json.dumps([base, code, quick, versions()]).encode()).hexdigest()[:16]
 
 
 def _stored(target: Path) -> str | None:
@@ -223,13 +219,13 @@ def _stored(target: Path) -> str | None:
     return json.loads(path.read_text())["fingerprint"] if path.is_file() else None
 
 
-def _store(target: Path, study: Study, judged: list[Judged], record: dict) -> None:
-    """Write the folder of a study in one stroke."""
+def _store(target: Path, study: Study, checked: list[CheckedFinding], record: dict) -> None:
+    """Write the folder of a study atomically."""
     partial = target.with_name(f".{target.name}.partial")
     shutil.rmtree(partial, ignore_errors=True)
     partial.mkdir(parents=True)
     findings = []
-    for item in judged:
+    for item in checked:
         finding, acceptance = item.finding, item.acceptance
         entry = {
             "name": finding.name,

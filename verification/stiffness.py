@@ -1,7 +1,7 @@
-"""A reduced model with the stiffness of a deviated shape, in place of that of the nominal one.
+"""Reduced models with the stiffness of a deviated shape instead of the nominal one.
 
-Its parts stand on meshes that carry the shape; normals, frames and gaps of contacts and welds go with them. What the
-fixture prescribes, and what is measured, reads the shape as before.
+Meshes, normals, frames and gaps of contacts and welds follow the deviated shape. Prescribed values and measurements
+read the shape as in the nominal model.
 """
 
 from __future__ import annotations
@@ -27,36 +27,40 @@ class DeviatedStiffness:
     ----------
     assembly : Assembly
     model : ReducedModel
-        Of its nominal meshes.
+        Model with the nominal meshes.
 
     Raises
     ------
     SceneError
-        Of an assembly with superelements, which have no shape that could deviate.
+        If the assembly has a superelement or a part of varying thickness.
     """
 
     def __init__(self, assembly: Assembly, model: ReducedModel):
-        own = [part.name for part in assembly.parts if part.superelement is not None]
-        if own:
-            raise SceneError(f"part {own[0]!r} is a superelement: its stiffness cannot follow a deviated shape")
+        superelements = [part.name for part in assembly.parts if part.superelement is not None]
+        if superelements:
+            raise SceneError(
+                f"part {superelements[0]!r} is a superelement: its stiffness cannot follow a deviated shape"
+            )
         if model.thicknesses:
-            raise SceneError(f"the thickness of part {next(iter(model.thicknesses))!r} varies: its stiffness does too")
+            raise SceneError(
+                f"the thickness of part {next(iter(model.thicknesses))!r} varies: no deviated stiffness is available"
+            )
         self._assembly, self._model = assembly, model
         self._full = FullModel(assembly, comm=MPI.COMM_SELF)
 
     def at(self, deviations: np.ndarray) -> ReducedModel:
-        """The model for one sample, whose deviations (p,) are to be given to it."""
+        """Model with the stiffness of the shape under deviations (p,), to be evaluated for the same deviations."""
         assembly, model = self._assembly, self._model
         fields = self._full.shape_fields(deviations)
         parts = deviated_parts(assembly, fields)
-        found = {part.name: provider.find(part).coefficients([part])[part.name] for part in parts}
-        return with_shape(model, assembly, fields, found, deviations)
+        influence = {part.name: provider.find(part).coefficients([part])[part.name] for part in parts}
+        return with_shape(model, assembly, fields, influence, deviations)
 
     def shaping(self) -> np.ndarray:
-        """(p,) bool: the deviations that give a part another shape."""
+        """(p,) bool: whether each deviation changes the shape of a part."""
         return self._full.unit_shapes.any(axis=0)
 
     def largest(self, deviations: np.ndarray) -> float:
-        """Largest displacement from nominal that deviations (p,) give any vertex, mm."""
+        """Largest displacement of a vertex from nominal under deviations (p,), mm."""
         fields = self._full.shape_fields(deviations)
         return max(float(np.linalg.norm(field[:, :3], axis=1).max()) for field in fields.values())

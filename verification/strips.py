@@ -1,7 +1,7 @@
-"""Scenes of flat rectangular sheets, for cases that can be worked out by hand.
+"""Scenes of flat rectangular sheets, for cases with closed-form solutions.
 
-A sheet lies in a plane z = const, from ``x`` to ``x + length`` and from y = 0 to ``width``; its mesh is written to a
-file, so that a case goes the way of a user's own part.
+A sheet is in a plane z = const, from ``x`` to ``x + length`` and from y = 0 to ``width``. Its mesh is written to a file
+and read like a user's part.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ def build(folder: Path, sheets: dict, turn: np.ndarray | None = None, **tables) 
     Parameters
     ----------
     folder : Path
-        Where the meshes go.
+        Folder for the meshes.
     sheets : dict
         By part name: ``x, z, length, width, size`` (mm) of the mesh, and the keys of the scene's part.
     turn : (3, 3) array
@@ -50,13 +50,13 @@ def build(folder: Path, sheets: dict, turn: np.ndarray | None = None, **tables) 
         The other keys of the scene; clamps of a stage close together.
     """
     clamping = [stage for stage in tables["stages"] if stage["kind"] == "clamp"]
-    for stage in clamping:  # a distributed load is many clamps, brought on together
+    for stage in clamping:  # a distributed load is many clamps that close together
         name = stage.get("name", "clamp")
-        own = [
+        together = [
             clamp["name"] for clamp in tables["clamps"] if clamp.get("stage", clamping[0].get("name", "clamp")) == name
         ]
-        if own:
-            stage["order"] = [own]
+        if together:
+            stage["order"] = [together]
     parts = []
     for name, sheet in sheets.items():
         x, z, length, width, size = (sheet[key] for key in ("x", "z", "length", "width", "size"))

@@ -1,7 +1,7 @@
-"""What a study is, and how the studies of this package are found.
+"""Definition of a study, its acceptance limits and findings, and the processes that run it.
 
-A study is a folder with a ``study.py`` that defines ``STUDY`` and a ``README.md`` that opens with the study's claim,
-its reference and its acceptance numbers (:meth:`Study.opening`). It measures numbers; the limits were declared before.
+A study is a folder with a ``study.py`` that defines ``STUDY`` and a ``README.md`` that starts with the study's claim,
+its reference and its acceptance limits (:meth:`Study.opening`). Limits are declared before the study is run.
 """
 
 from __future__ import annotations
@@ -23,32 +23,33 @@ from mic.scene import Scene
 from verification.comparison import reduced_and_assembly
 from verification.cost import give_back
 
-__all__ = ["Acceptance", "Context", "Finding", "ItemFailed", "Judged", "Study", "Team", "studies"]
+__all__ = ["Acceptance", "CheckedFinding", "Context", "Finding", "ItemFailed", "Study", "Team", "studies"]
 
 FOLDER = Path(__file__).parent
-PAUSE = 0.5  # s, after which a rank without room looks again
-MUCH = 1.0  # GB: a process that holds more gives back what was freed before it begins with an item
+PAUSE = 0.5  # s between two attempts of a rank to get memory
+MUCH = 1.0  # GB: a larger process returns freed memory to the system before it starts an item
 
 
 @dataclass(frozen=True)
 class Acceptance:
-    """A number that a study must keep.
+    """Limit on a quantity that a study measures.
 
     Attributes
     ----------
     name : str
-        Names the number within its study.
+        Identifies the quantity within its study.
     claim : str
-        What is claimed by keeping it, one sentence without the number.
+        The claim that holds if the limit is met, one sentence without the number.
     limit : float
     unit : str
         ``"1"`` for ratios.
     bound : {"at most", "at least"}
     quick : float or None
-        The limit of the quick version where its coarser meshes need another.
+        Limit of the quick version if its coarser meshes need another. It shows that the study runs, and is no
+        validation.
     reason : str
-        Why this number and no other: what theory gives, what a peer or a standard reaches, or what a user can bear.
-        What was measured is none. Limits of the quick version show that a study runs, and validate nothing.
+        Reason for the limit: theory, accuracy of a peer program, a standard, or a user's requirement; never the
+        measured value.
     """
 
     name: str
@@ -64,7 +65,7 @@ class Acceptance:
         return self.quick if quick and self.quick is not None else self.limit
 
     def words(self) -> str:
-        """The acceptance number in words."""
+        """The limit as text."""
         unit = "" if self.unit == "1" else f" {self.unit}"
         other = "" if self.quick is None else f" (quick: {self.quick:g}{unit})"
         return f"{self.bound} {self.limit:g}{unit}{other}"
@@ -72,16 +73,16 @@ class Acceptance:
 
 @dataclass(frozen=True)
 class Finding:
-    """What a study measured against one of its acceptance numbers, with what shows it.
+    """Measured value for one acceptance limit, with the evidence.
 
     Attributes
     ----------
     name : str
-        Of the acceptance number.
+        Name of the acceptance limit.
     measured : float
-        In its unit.
+        In the unit of the limit.
     note : str
-        Text for the report; its numbers are put in by the program, never typed.
+        Text for the report; its numbers are computed, never typed.
     figure : matplotlib.figure.Figure or None
     table : pandas.DataFrame or None
         Column names carry the units.
@@ -95,8 +96,8 @@ class Finding:
 
 
 @dataclass(frozen=True)
-class Judged:
-    """A finding held against its acceptance number."""
+class CheckedFinding:
+    """A finding compared with its acceptance limit."""
 
     finding: Finding
     acceptance: Acceptance
@@ -104,7 +105,7 @@ class Judged:
 
     @property
     def passed(self) -> bool:
-        """False for a number that is not finite, too."""
+        """Whether the limit is met; False if the measured value is not finite."""
         measured = self.finding.measured
         if not math.isfinite(measured):
             return False
@@ -112,11 +113,11 @@ class Judged:
 
 
 class ItemFailed(RuntimeError):
-    """An item that processes shared out failed on one of them; the message is the traceback from there."""
+    """An item of :meth:`Team.map` failed on one process; the message is the traceback from there."""
 
 
 class Team:
-    """The processes that work on a study together.
+    """Processes that work on a study together.
 
     Parameters
     ----------
@@ -129,57 +130,59 @@ class Team:
         self.rank, self.size = (comm.rank, comm.size) if comm is not None else (0, 1)
 
     def map(self, function: Callable, items) -> list:
-        """``[function(item) for item in items]``, shared out over the ranks; the whole list on every rank.
+        """``[function(item) for item in items]``, distributed over the ranks; the whole list on every rank.
 
-        Every rank must call it with the same items, the dearest first: whoever is idle takes the next. Each item is
-        worked on by itself, so the number of ranks leaves no trace in the results.
+        Every rank must call it with the same items, the most expensive first; an idle rank takes the next item. The
+        results do not depend on the number of ranks.
 
         Raises
         ------
         ItemFailed
-            On every rank of several, where an item failed on one of them. One rank alone raises what the item raised.
+            On every rank, if an item failed on one of several ranks. A single rank raises the item's exception.
         """
         items = list(items)
 
-        def worked(item):
+        def call(item):
             give_back(MUCH)
             return function(item)
 
         if self.size == 1:
-            return [worked(item) for item in items]
-        own, failed = [], ""
+            return [call(item) for item in items]
+        results, failed = [], ""
         for i in self.taken(np.zeros(len(items))):
             if failed:
-                continue  # so that nobody begins with what is left
+                continue  # takes the remaining items from the other ranks without starting them
             try:
-                own.append((i, worked(items[i])))
+                results.append((i, call(items[i])))
             except Exception:
                 failed = traceback.format_exc()
-        shares = self.comm.allgather((own, failed))
-        for _, failed in shares:
+        gathered = self.comm.allgather((results, failed))
+        for _, failed in gathered:
             if failed:
                 raise ItemFailed(failed)
-        found = dict(pair for share, _ in shares for pair in share)
-        return [found[i] for i in range(len(items))]
+        by_item = dict(pair for results, _ in gathered for pair in results)
+        return [by_item[i] for i in range(len(items))]
 
     def taken(self, sizes: Sequence[float], room: float = math.inf) -> Iterator[int]:
-        """Numbers of the items that this rank takes, one after the other: the first that nobody has and for which there
-        is room beside those that the other ranks are at, or any where they are at none.
+        """Indices of the items that this rank works on, assigned one by one.
 
-        Every rank must call it, and take until nothing is left: it then waits for the others.
+        A rank gets the first free item that fits into `room` together with the active items of the other ranks, or any
+        free item if no other rank is active. Every rank must call this and iterate to the end, where it waits for the
+        others.
 
         Parameters
         ----------
         sizes : sequence of float
-            What each item takes of the room.
+            Size of each item.
         room : float
+            Limit on the total size of active items.
         """
         if self.size == 1:
             yield from range(len(sizes))
             return
-        from mpi4py import MPI  # only among several ranks: importing it starts MPI
+        from mpi4py import MPI  # imported here because the import starts MPI
 
-        # By rank what it holds, and by item whether somebody has it.
+        # size of the active item of each rank, then for each item whether it is assigned
         state = np.zeros(self.size + len(sizes))
         window = MPI.Win.Allocate(state.nbytes if self.rank == 0 else 0, state.itemsize, comm=self.comm)
         if self.rank == 0:
@@ -207,7 +210,7 @@ class Team:
         window.Free()
 
     def from_first(self, value):
-        """The first rank's value, on every rank."""
+        """The value of the first rank, on every rank."""
         return value if self.size == 1 else self.comm.bcast(value)
 
     def of_each(self, value) -> list:
@@ -215,21 +218,20 @@ class Team:
         return [value] if self.size == 1 else self.comm.allgather(value)
 
     def wait(self) -> None:
-        """Until every rank has come here; who waits leaves the core to the others."""
+        """Wait for all ranks without using the processor."""
         wait(self.comm)
 
 
 @dataclass(frozen=True)
 class Context:
-    """What a run gives to a study.
+    """Settings of a run that a study receives.
 
     Attributes
     ----------
     quick : bool
-        Whether small meshes and few samples are asked for.
+        Whether to use coarse meshes and small samples.
     cache : Path
-        Folder for meshes and influence coefficients. It belongs to one version of the code, so that coefficients
-        computed by another are never judged.
+        Cache folder of meshes and influence coefficients, separate for each version of the code.
     team : Team
     """
 
@@ -238,30 +240,30 @@ class Context:
     team: Team
 
     def model(self, scene: Scene) -> ReducedModel:
-        """The scene's reduced model, made by the production path on this process alone."""
+        """The scene's reduced model, built as in production on this process alone."""
         return reduced_and_assembly(scene, self.cache)[0]
 
 
 @dataclass(frozen=True)
 class Study:
-    """A claim, what it is held against, and how it is measured.
+    """A claim, its reference, and the measurement that compares them.
 
     Attributes
     ----------
     order : int
-        Place in the report.
+        Position in the report.
     title, claim, reference : str
     acceptance : tuple of Acceptance
     seconds : tuple of two float
         Expected time of the full and of the quick version on one core.
     run : callable
-        ``run(context)`` returns one :class:`Finding` per acceptance number, and the same on every rank.
+        ``run(context)`` returns one :class:`Finding` per acceptance limit, identical on every rank.
     missing : callable
-        What it needs and does not find, in words; empty where all is there. Without it the study is left out.
+        Text that names missing requirements, for which the study is skipped; empty if there are none.
     memory : float
-        GB that one process holds at most in the full version.
+        Peak memory of one process in the full version, GB.
     name : str
-        The folder's; set when the study is found.
+        Name of the folder; set by :func:`studies`.
     """
 
     order: int
@@ -275,26 +277,29 @@ class Study:
     memory: float = 1.0
     name: str = ""
 
-    def judge(self, context: Context) -> list[Judged]:
-        """Run the study and hold each finding against its acceptance number.
+    def evaluate(self, context: Context) -> list[CheckedFinding]:
+        """Run the study and compare each finding with its acceptance limit.
 
         Raises
         ------
         ValueError
-            If an acceptance number was not measured exactly once.
+            If a quantity with an acceptance limit was not measured exactly once.
         """
         findings = self.run(context)
         limits = {acceptance.name: acceptance for acceptance in self.acceptance}
         if sorted(finding.name for finding in findings) != sorted(limits):
             raise ValueError(
-                f"study {self.name!r} measured {sorted(f.name for f in findings)}, its acceptance numbers are "
+                f"study {self.name!r} measured {sorted(f.name for f in findings)}, but its acceptance limits are for "
                 f"{sorted(limits)}"
             )
-        return [Judged(finding, limits[finding.name], limits[finding.name].at(context.quick)) for finding in findings]
+        return [
+            CheckedFinding(finding, limits[finding.name], limits[finding.name].at(context.quick))
+            for finding in findings
+        ]
 
-    def unmeasured(self, quick: bool, why: str) -> list[Judged]:
-        """All its acceptance numbers, none of them measured, and so none kept."""
-        return [Judged(Finding(one.name, math.nan, why), one, one.at(quick)) for one in self.acceptance]
+    def unmeasured(self, quick: bool, why: str) -> list[CheckedFinding]:
+        """Findings without measured values, which meet no limit."""
+        return [CheckedFinding(Finding(limit.name, math.nan, why), limit, limit.at(quick)) for limit in self.acceptance]
 
     def opening(self) -> str:
         """First lines of the study's page: title, claim, reference and the table of limits."""

@@ -1,12 +1,13 @@
-"""What it takes for a scene's 6σ to be right to a given share: which named setting, or what beyond the finest.
+"""Find the cheapest named setting for which the error of 6σ of a scene is below a target.
 
-Settings are tried from the cheapest on, each on samples of the scene itself: it takes the setting's element size,
-its path and candidates for contact, whatever it states of these, and what path, pairs and mesh leave is estimated as
-for an error budget (:mod:`verification.budget`). A setting keeps a target where their sum and what is unsure of it
-stay below, for every key characteristic and every zone's slip that varies by at least a tenth of the most variable of
-its kind; it does not where one of these is sure to be above. Where the samples leave it open, more are taken, as many
-as would decide it if what is unsure falls by their root (Stein's second stage), :data:`MOST` at most, and none where as
-many would show nothing. What no setting changes (the law, the stiffness of the nominal shape) is not counted.
+Settings are tried from the cheapest to the most expensive on samples of the scene, with the setting's element size,
+path and contact candidates. The errors of path, pairs and mesh are estimated as in an error budget
+(:mod:`verification.budget`). A setting meets the target if the sum of errors plus its uncertainty is below it for every
+leading quantity, and fails if the error minus its uncertainty exceeds it for one. Leading quantities are key
+characteristics and zone slips whose 6σ is at least a tenth of the largest of their kind. If the samples do not decide,
+more are drawn: as many as would decide if the uncertainty falls with their square root (Stein's second stage), at most
+:data:`MOST`, and none if even those could not decide. Errors that do not depend on the setting (the law, the nominal
+stiffness) are not counted.
 """
 
 from __future__ import annotations
@@ -33,35 +34,35 @@ from verification.study import Team
 
 __all__ = ["Tried", "advice", "as_set", "choose", "enough", "leading", "share_of", "shares", "table"]
 
-LEADING = 0.1  # of the 6σ of the most variable quantity of a kind: what varies less is not judged
-MOST = 120  # samples that a setting is tried on
+LEADING = 0.1  # quantities with a 6σ below this fraction of the largest of their kind are ignored
+MOST = 120  # largest number of samples per setting
 SOURCES = ("path", "pairs", "mesh and element")
 ALL = "all"
-#: By which power of its knob an error falls, at least: elements are of second order, sums over pairs of first where
-#: pressure begins, and a sixteenth of a tolerance leaves a sixth of the error.
+#: Lower bound of the order of convergence of each error in its parameter: second for elements, first for pairs at the
+#: edge of the pressed area; a path tolerance of 1/16 reduces the error to 1/6.
 ORDERS = {"path": math.log(6) / math.log(16), "pairs": 1.0, "mesh and element": 2.0}
-KNOBS = {
-    "path": "a path followed to {:.2g} of its tolerance",
-    "pairs": "candidates at {:.2g} of their distance (`spacing_factor`)",
-    "mesh and element": "elements of {:.2g} of their size",
+REFINEMENTS = {
+    "path": "{:.2g} times the path tolerance",
+    "pairs": "{:.2g} times the distance of candidates (`spacing_factor`)",
+    "mesh and element": "{:.2g} times the element size",
 }
 
 
 @dataclass(frozen=True)
 class Tried:
-    """A setting as it was found to be on a scene.
+    """Result of a setting on a scene.
 
     Attributes
     ----------
     setting : str
     errors : DataFrame
-        By source, and ``all`` for their sum: ``error`` and ``unsure``, shares of a 6σ, of the ``quantity`` for which
-        both together are largest; ``least``, what the error of some quantity is at least; ``largest``, the largest
-        error alone. NaN where a source could not be estimated.
+        By source, and ``all`` for their sum: ``error`` and uncertainty ``unsure``, relative to 6σ, of the ``quantity``
+        for which their sum is largest; ``least``, the largest lower bound of an error; ``largest``, the largest error.
+        NaN if a source could not be estimated.
     preparation, each : float
-        CPU seconds from nothing to the reduced model, and for a sample.
+        CPU seconds for the reduced model without cache, and per sample.
     samples : int
-        It was tried on.
+        Number of samples.
     """
 
     setting: str
@@ -72,16 +73,15 @@ class Tried:
 
     @property
     def most(self) -> float:
-        """What the sum may be; NaN if a source is not known."""
+        """Largest possible total error; NaN if a source is unknown."""
         return float(self.errors[["error", "unsure"]].sum(axis=1, skipna=False)[ALL])
 
-    def keeps(self, target: float) -> bool:
-        """Whether all sources together stay below a target, as far as they are known."""
+    def meets(self, target: float) -> bool:
+        """Whether the largest possible total error is at most the target."""
         return self.most <= target
 
     def further(self, target: float) -> int:
-        """How many samples would decide whether it keeps a target; 0 where these do, or where not even :data:`MOST`
-        would show it of an error of nothing."""
+        """Number of samples that would decide whether the target is met; 0 if these do, or if :data:`MOST` cannot."""
         row = self.errors.loc[ALL]
         if not np.isfinite(self.most) or self.most <= target or row["least"] > target or self.samples >= MOST:
             return 0
@@ -92,24 +92,24 @@ class Tried:
 
 
 def share_of(text: str) -> float:
-    """The share that a word such as ``2%`` or ``0.02`` means.
+    """Relative error given as text such as ``2%`` or ``0.02``.
 
     Raises
     ------
     ValueError
-        If it is none, or not between 0 and a half.
+        If the text is no number, or not between 0 and 0.5.
     """
     try:
         value = float(text.removesuffix("%")) / (100 if text.endswith("%") else 1)
     except ValueError:
         value = math.nan
     if not 0 < value <= 0.5:
-        raise ValueError(f"{text!r} is no share of a 6σ: give one such as 2% or 0.02, above 0 and at most 50%")
+        raise ValueError(f"{text!r} is no relative error of 6σ: give one such as 2% or 0.02, above 0 and at most 50%")
     return value
 
 
 def as_set(scene: Scene, setting: str) -> Scene:
-    """A scene as a setting has it, whatever it states of the knobs: sizes of parts with a geometry, pairs, path."""
+    """The scene with element sizes (of parts with a geometry), candidates and path of a setting."""
     gives = SETTINGS[setting]
     parts = [
         part.model_copy(update={"size": gives["size"]}) if part.geometry is not None and part.accuracy is None else part
@@ -123,19 +123,19 @@ def as_set(scene: Scene, setting: str) -> Scene:
 
 
 def leading(six_sigma: pd.Series) -> pd.Index:
-    """Quantities that vary by at least :data:`LEADING` of the most variable of their kind."""
+    """Quantities whose 6σ is at least :data:`LEADING` times the largest of their kind."""
     kind = six_sigma.index.str.partition(":").get_level_values(0)
     most = six_sigma.groupby(kind).transform("max")
     return six_sigma.index[(six_sigma > 0) & (six_sigma >= LEADING * most)]
 
 
 def shares(items: list[Item], six_sigma: pd.Series) -> pd.DataFrame:
-    """What each source and their sum leave of the leading quantities' 6σ, as :class:`Tried` has it."""
+    """Errors of each source and their sum relative to the leading quantities' 6σ, as in :class:`Tried`."""
     names = leading(six_sigma)
     tables = {item.source: item.table for item in items}
     if any(table is None for table in tables.values()):
         tables[ALL] = None
-    else:  # the sum of an error budget passes over what is not known; here nothing is known then
+    else:  # unlike in an error budget, an unknown error makes the sum unknown
         unknown = [table.loc[names].isna() for table in tables.values()]
         tables[ALL] = total(items).loc[names].mask(np.logical_or.reduce(unknown))
     rows = {}
@@ -156,15 +156,15 @@ def shares(items: list[Item], six_sigma: pd.Series) -> pd.DataFrame:
 
 
 def choose(scene: Scene, target: float, folder: Path, cache: Path, team: Team, say=print) -> list[Tried]:
-    """Try settings from the cheapest on, until one keeps the target.
+    """Try settings from the cheapest to the most expensive until one meets the target.
 
     Parameters
     ----------
     scene : Scene
     target : float
-        Share of a 6σ.
+        Largest error relative to 6σ.
     folder : Path
-        Keeps what was estimated, so that a second call takes up where the first was stopped.
+        Stores the estimates, so that an interrupted run can be resumed.
     cache : Path
     team : Team
     say : callable
@@ -173,26 +173,26 @@ def choose(scene: Scene, target: float, folder: Path, cache: Path, team: Team, s
     Returns
     -------
     list of Tried
-        The last keeps the target, if one does.
+        The last one meets the target, if any does.
 
     Raises
     ------
     SceneError
-        If nothing of the scene varies, or not even the first setting fits it.
+        If no quantity of the scene varies, or the first setting cannot be applied to it.
     """
-    found: list[Tried] = []
+    tried: list[Tried] = []
     for setting in SETTINGS:
         try:
-            found.append(attempt(as_set(scene, setting), setting, target, folder, cache, team, say))
-        except MicError as problem:  # a geometry without that named size, candidates that its elements have no room for
-            if not found:
+            tried.append(attempt(as_set(scene, setting), setting, target, folder, cache, team, say))
+        except MicError as problem:  # no such named size of a geometry, or candidates too close for the elements
+            if not tried:
                 raise
             if team.rank == 0:
                 say(f"{setting}: not tried: {problem}")
             break
-        if found[-1].keeps(target):
+        if tried[-1].meets(target):
             break
-    return found
+    return tried
 
 
 def attempt(scene, setting, target, folder, cache, team, say) -> Tried:
@@ -200,7 +200,7 @@ def attempt(scene, setting, target, folder, cache, team, say) -> Tried:
     model, assembly = reduced_and_assembly(scene, cache)
     prepared = time.process_time() - start
     law, samples = scene.report.laws[0], SAMPLES
-    model.process(law).attempt(draw(scene, scene.monte_carlo.seed, 0, 1))  # compiled before the clock goes on
+    model.process(law).attempt(draw(scene, scene.monte_carlo.seed, 0, 1))  # compiles code before time is measured
     mark = hashlib.sha256(f"{scene.model_dump_json()} {assembly.scene.folder} {versions()}".encode()).hexdigest()[:16]
     while samples:
         case, start = Case(assembly, model, law, cache, samples=samples), time.process_time()
@@ -208,68 +208,70 @@ def attempt(scene, setting, target, folder, cache, team, say) -> Tried:
         each = (time.process_time() - start) / samples
         if not len(leading(six_sigma)):
             raise SceneError(
-                f"scene {scene.name!r}: nothing varies that a target could be for; add [[deviations]] with a sigma, "
-                "and [[measurements]] or contact zones with friction"
+                f"scene {scene.name!r}: no quantity varies; add [[deviations]] with a sigma, and [[measurements]] or "
+                "contact zones with friction"
             )
         items = estimate(case, folder, mark, team, SOURCES, say)
-        # From the first, since times differ from rank to rank.
+        # from the first rank, because times differ between ranks
         tried = team.from_first(Tried(setting, shares(items, six_sigma), prepared, each, samples))
         samples = tried.further(target)
         if team.rank == 0:
             more = f", not decided; {samples} samples next" if samples else ""
-            say(f"{setting}: 6σ to {tried.most:.2g} by {tried.samples} samples{more}")
+            say(f"{setting}: error of 6σ at most {tried.most:.2g} by {tried.samples} samples{more}")
     return tried
 
 
 def enough(target: float) -> int:
-    """Number of normal samples that know a 6σ to a share: half the interval."""
+    """Number of normal samples for which half the confidence interval of 6σ is the target."""
     return math.ceil((norm.ppf((1 + LEVEL) / 2) / target) ** 2 / 2) + 1
 
 
-def advice(found: list[Tried], target: float) -> str:
-    """What to do, in sentences."""
-    last, samples = found[-1], enough(target)
+def advice(tried: list[Tried], target: float) -> str:
+    """Recommendation as text."""
+    last, samples = tried[-1], enough(target)
     seconds = last.preparation + samples * last.each
-    cost = f"{samples} samples know a 6σ to {target:.2g} as well; they take {seconds:.0f} CPU s by this setting."
-    if last.keeps(target):
+    cost = f"{samples} samples have a sampling error of {target:.2g}; they take {seconds:.0f} CPU s with this setting."
+    if last.meets(target):
         row = last.errors.loc[ALL]
-        given = f'setting = "{last.setting}", with element sizes, pairs and path left open, is enough'
         return (
-            f"6σ to {target:.2g}: {given}: path, pairs and mesh leave {row['error']:.2g} ± {row['unsure']:.2g} of it "
+            f'6σ to {target:.2g}: setting = "{last.setting}" is enough, without element sizes, pairs and path in the '
+            f"scene. Error of path, pairs and mesh: {row['error']:.2g} ± {row['unsure']:.2g} of 6σ "
             f"({row['quantity']}). {cost}"
         )
     unknown = [
         source for source in SOURCES if not np.isfinite(last.errors.loc[source, ["error", "unsure"]].sum(skipna=False))
     ]
     if unknown:
-        return f"6σ to {target:.2g}: not known, since {', '.join(unknown)} could not be estimated at {last.setting}."
+        return f"6σ to {target:.2g}: not known, {', '.join(unknown)} could not be estimated at setting {last.setting}."
     row, part = last.errors.loc[ALL], target / len(SOURCES)
-    told = (
-        f"6σ to {target:.2g}: not by a setting. By {last.setting} path, pairs and mesh leave {row['error']:.2g} ± "
-        f"{row['unsure']:.2g} of it ({row['quantity']}), as {last.samples} samples tell;"
+    result = (
+        f"6σ to {target:.2g}: no setting is shown to be enough. With {last.setting} the error of path, pairs and mesh "
+        f"is {row['error']:.2g} ± {row['unsure']:.2g} of 6σ ({row['quantity']}) by {last.samples} samples;"
     )
-    left = last.errors.loc[list(SOURCES), "largest"]
+    error = last.errors.loc[list(SOURCES), "largest"]
     wanted = [
-        KNOBS[source].format((part / left[source]) ** (1 / ORDERS[source])) for source in SOURCES if left[source] > part
+        REFINEMENTS[source].format((part / error[source]) ** (1 / ORDERS[source]))
+        for source in SOURCES
+        if error[source] > part
     ]
     if wanted:
-        return f"{told} it would take about {', '.join(wanted)}. {cost}"
+        return f"{result} it needs about {', '.join(wanted)}. {cost}"
     more = math.ceil(last.samples * (row["unsure"] / (target - row["error"])) ** 2)
-    return f"{told} it may keep it, but some {more} samples would have to tell. {cost}"
+    return f"{result} about {more} samples would decide. {cost}"
 
 
-def table(found: list[Tried]) -> pd.DataFrame:
+def table(tried: list[Tried]) -> pd.DataFrame:
     """One row for each setting and source."""
     return pd.concat(
         [
-            one.errors.rename_axis("source")
+            result.errors.rename_axis("source")
             .reset_index()
             .assign(
-                setting=one.setting,
-                samples=one.samples,
-                **{"preparation, CPU s": one.preparation, "sample, CPU s": one.each},
+                setting=result.setting,
+                samples=result.samples,
+                **{"preparation, CPU s": result.preparation, "sample, CPU s": result.each},
             )
-            for one in found
+            for result in tried
         ],
         ignore_index=True,
     )

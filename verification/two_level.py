@@ -1,6 +1,6 @@
-"""Many cheap samples and a few dear ones, put together: the regression (control-variate) estimate.
+"""Two-level regression (control-variate) estimate from N cheap and n expensive samples.
 
-Each of N samples has a cheap result y (the reduced model); n of them also have the dear result x (the full finite
+Each of N samples has a cheap result y (the reduced model); n of them also have the expensive result x (the full finite
 elements). With
 
     x = α + β y + e,        e of zero mean and variance σ_e², given y,
@@ -13,14 +13,13 @@ and least squares over the n pairs (β̂, residual variance s_e² with n − 2 d
               var σ̂² = 4 β̂² s_y⁴ s_e²/S_yy + (1 − s_y²/S_yy)² 2 s_e⁴/(n − 2) + β̂⁴ var s_y²
               var s_y² = [m₄ − s_y⁴ (N − 3)/(N − 1)]/N,     m₄ the fourth central moment
 
-Intervals are Student's, with the degrees of freedom that Welch and Satterthwaite give to the sum of variances; that of
-σ is taken on ln σ, so that it stays positive. Nothing in (1) and (2) asks that the n samples be drawn at random: they
-may be *chosen by y*, since e is judged given y. Extreme samples make S_yy large and β̂ sharp; that the relation is a
-straight line is then what one relies on. Where y does not vary over the n samples, β = 1 and the residuals have n − 1
-degrees of freedom.
+Intervals are Student's with Welch–Satterthwaite degrees of freedom; that of σ is computed for ln σ, so that it is
+positive. The n samples need not be random: (1) and (2) are conditional on y, so samples may be *chosen by y*. Extreme
+samples increase S_yy and the precision of β̂, but then the result relies on the linearity of the relation. If y does not
+vary over the n samples, β = 1 and the residuals have n − 1 degrees of freedom.
 
-How far the cheap results are off, ȳ_N − μ̂ and s_y − σ̂, is known better than μ̂ and σ̂ are, since both rest on the same N
-samples: what these leave counts only as far as the slope differs from 1,
+The errors of the cheap results, ȳ_N − μ̂ and s_y − σ̂, have a smaller variance than μ̂ and σ̂, because both use the same N
+samples: sampling errors contribute only as far as the slope differs from 1,
 
     var (ȳ_N − μ̂) = s_e² [1/n + (ȳ_N − ȳ_n)²/S_yy] + (1 − β̂)² s_y²/N                                         (3)
     var (s_y − σ̂) = [the first two terms of var σ̂²]/(4 σ̂²) + (1 − β̂² s_y/σ̂)² var s_y²/(4 s_y²)
@@ -51,15 +50,15 @@ class TwoLevel:
     Attributes
     ----------
     mean, sigma : Estimate
-        In the unit of the samples; `used` counts the dear samples. Intervals are NaN with fewer than three of them.
+        In the unit of the samples; `used` counts the expensive samples. Intervals are NaN with fewer than three.
     mean_error, sigma_error : Estimate
-        How far mean and standard deviation of the cheap samples are off: theirs less those above.
+        Mean and standard deviation of the cheap samples minus those above.
     slope : float
         β̂.
     residual : float
-        s_e, in the unit of the samples: what the straight line leaves unexplained.
+        s_e, in the unit of the samples: standard deviation of the residuals.
     worth : float
-        Dear samples that would know the mean as well without the cheap ones.
+        Number of expensive samples that would give the same variance of the mean without cheap ones.
     """
 
     mean: Estimate
@@ -77,39 +76,39 @@ class TwoLevel:
 
     @property
     def six_sigma_error(self) -> Estimate:
-        """How far six standard deviations of the cheap samples are off."""
+        """Error of six standard deviations of the cheap samples."""
         return _six(self.sigma_error)
 
 
 def two_level(cheap, chosen, dear, level: float = LEVEL) -> TwoLevel:
-    """Combine N cheap results with n dear ones.
+    """Combine N cheap results with n expensive ones.
 
     Parameters
     ----------
     cheap : (N,) array
         y, all finite.
     chosen : (n,) int array
-        Which of the N samples have a dear result; each once.
+        Indices of the samples with an expensive result; each once.
     dear : (n,) array
-        x of these.
+        x of these samples.
     level : float
         Confidence level.
 
     Raises
     ------
     ValueError
-        Without dear results, with fewer than two cheap ones, or with values that are not finite.
+        Without expensive results, with fewer than two cheap ones, or with values that are not finite.
     """
     y_all, x = np.asarray(cheap, dtype=float), np.asarray(dear, dtype=float)
     y = y_all[np.asarray(chosen, dtype=int)]
     N, n = len(y_all), len(x)
     if n < 1 or N < 2 or len(y) != n:
         raise ValueError(
-            f"two-level estimate: got {N} cheap and {n} dear results for {len(y)} chosen samples; at least 2 and 1 "
-            "are needed"
+            f"two-level estimate: got {N} cheap and {n} expensive results for {len(y)} chosen samples; at least 2 "
+            "and 1 are needed"
         )
     if not (np.isfinite(y_all).all() and np.isfinite(x).all()):
-        raise ValueError("two-level estimate: results must be finite; leave failed samples out")
+        raise ValueError("two-level estimate: results must be finite; remove failed samples")
     centred = y_all - y_all.mean()
     s_y2 = centred @ centred / (N - 1)
     var_s_y2 = max(0.0, ((centred**4).mean() - s_y2**2 * (N - 3) / (N - 1)) / N)
@@ -152,7 +151,7 @@ def two_level(cheap, chosen, dear, level: float = LEVEL) -> TwoLevel:
 
 
 def _errors(slope, mean_parts, variance_parts, s_y, sigma, var_s_y2, N):
-    """The two parts of each variance of (3), of the dear samples and of the cheap ones."""
+    """The two parts of each variance of (3), from the expensive and from the cheap samples."""
     mean = np.array([mean_parts[0], (1 - slope) ** 2 * s_y**2 / N])
     if sigma == 0 or s_y == 0:
         return mean, np.zeros(2)

@@ -1,18 +1,18 @@
-"""The linear part of an equilibrium, condensed onto the contact forces: exact algebra, one factorisation for a mesh.
+"""Exact condensation of an equilibrium onto the contact forces, with one factorisation per mesh.
 
-Of the unknowns (u, r, f) of :mod:`fem_reference.full.equilibrium` the first two obey linear equations. All parts, held
-on rows D, are factorised once, LDLᵀ,
+The unknowns u and r of :mod:`fem_reference.full.equilibrium` satisfy linear equations. The stiffness of all parts,
+supported by rows D, is factorised once (LDLᵀ),
 
-    K u = Dᵀ λ + p,        D u = w        gives u and λ for any p, w,                                      (1)
+    K u = Dᵀ λ + p,        D u = w        gives u and λ for any p, w.                                      (1)
 
-and a step whose bilateral rows are B is that with as many more unknowns as it has rows, r and w: its rows read what
-they shall, and D carries nothing,
+A step with bilateral rows B is a bordered system with unknowns r and w: its rows have the prescribed values, and D
+carries no force,
 
     B u + c r = v,         λ = 0,         p + Bᵀ r + Cᵀ f in place of p.                                   (2)
 
-Elimination of r and w leaves what the contacts read, δ = C u = δ⁰ + S f, so that an iteration of Newton's method is a
-system of the contact lines alone. Nothing is left out and nothing approximated; whoever uses the result holds it
-against the whole system's residual.
+Elimination of r and w gives the relative displacements of the contacts, δ = C u = δ⁰ + S f, so that a Newton iteration
+solves a system of the contact equations only. There is no approximation; the caller checks the residual of the whole
+system.
 """
 
 from __future__ import annotations
@@ -30,19 +30,19 @@ _BLOCK = 64  # right-hand sides at a time
 
 
 class HeldParts:
-    """System (1), on one process, and what rows read under unit forces on rows: each is solved for once.
+    """System (1) on one process, with cached responses to unit forces on rows.
 
     Parameters
     ----------
     K : (N, N) csr_matrix
         Stiffness of the free parts.
     D : (d, N) csr_matrix
-        Independent rows that hold them.
+        Independent rows that exclude all rigid motions.
 
     Attributes
     ----------
     solved : int
-        Right-hand sides so far.
+        Number of right-hand sides solved so far.
 
     Raises
     ------
@@ -55,9 +55,9 @@ class HeldParts:
         self.N, self.d = K.shape[0], D.shape[0]
         system = bmat([[K, -D.T], [-D, None]], format="csr") + diags(np.zeros(self.N + self.d), format="csr")
         self._factors = PetscFactors(system, definite=False)
-        self._response: dict[tuple, np.ndarray] = {}  # (N,) of unit forces on a row
-        self._place: dict[tuple, int] = {}  # of a row in `_read`
-        self.formed: tuple = (None, None)  # the step whose compliance is kept, and that
+        self._response: dict[tuple, np.ndarray] = {}  # (N,) u under a unit force on a row
+        self._place: dict[tuple, int] = {}  # index of a row in `_read`
+        self.formed: tuple = (None, None)  # step whose compliance matrix is cached, and that matrix
         self._rows, self._read, self.solved = csr_matrix((0, self.N)), np.zeros((0, 0)), 0
         self.moved, self.carried = self.solve(np.zeros((self.N, self.d)), np.eye(self.d))
 
@@ -69,7 +69,7 @@ class HeldParts:
         return x[: self.N], x[self.N :]
 
     def response(self, rows: csr_matrix) -> np.ndarray:
-        """(N, r) u under unit forces on rows, D held; remembered row by row."""
+        """(N, r) u under unit forces on rows with D u = 0; cached row by row."""
         names = _names(rows)
         new = [i for i, name in enumerate(names) if name not in self._response]
         if new:
@@ -78,7 +78,7 @@ class HeldParts:
         return np.array([self._response[name] for name in names]).reshape(len(names), self.N).T
 
     def readings(self, rows: csr_matrix) -> np.ndarray:
-        """(r, r) what rows read under unit forces on them, D held; remembered, the displacements are not."""
+        """(r, r) readings of rows under unit forces on them with D u = 0; cached without the displacements."""
         names = _names(rows)
         new = [i for i, name in enumerate(names) if name not in self._place]
         if new:
@@ -101,11 +101,11 @@ class HeldParts:
         return self._read[np.ix_(place, place)]
 
     def _solve(self, right: np.ndarray) -> np.ndarray:
-        found = np.empty(right.shape)
+        solution = np.empty(right.shape)
         self.solved += right.shape[1]
         for j in range(0, right.shape[1], _BLOCK):
-            found[:, j : j + _BLOCK] = self._factors.solve(right[:, j : j + _BLOCK])
-        return found
+            solution[:, j : j + _BLOCK] = self._factors.solve(right[:, j : j + _BLOCK])
+        return solution
 
 
 class Condensation:
@@ -115,7 +115,7 @@ class Condensation:
     ----------
     parts : HeldParts
     B : (b, N) csr_matrix
-        Bilateral rows, independent, that hold all parts.
+        Independent bilateral rows that exclude all rigid motions.
     yielding : (b,) array or None
         c, mm/N.
     C : (k, N) csr_matrix
@@ -124,28 +124,28 @@ class Condensation:
 
     def __init__(self, parts: HeldParts, B: csr_matrix, yielding: np.ndarray | None, C: csr_matrix):
         self.parts, self.B, self.C, self.b = parts, B, C, B.shape[0]
-        unit = np.column_stack([parts.response(B), parts.moved])  # u under unit r and w: not kept, a step's are large
+        unit = np.column_stack([parts.response(B), parts.moved])  # u under unit r and w; too large to store
         border = np.zeros((self.b + parts.d, self.b + parts.d))
         border[: self.b] = B @ unit
         border[self.b :, : self.b] = -border[: self.b, self.b :].T
         border[self.b :, self.b :] = parts.carried
         border[np.arange(self.b), np.arange(self.b)] += 0.0 if yielding is None else yielding
-        self._scale = 1 / np.sqrt(np.abs(border).max(axis=1))  # forces beside displacements
+        self._scale = 1 / np.sqrt(np.abs(border).max(axis=1))  # forces and displacements differ in scale
         self._border = np.linalg.inv(border * np.outer(self._scale, self._scale))
         self._read = C @ unit
 
     def compliance(self) -> np.ndarray:
-        """(k, k) S, mm/N; of all steps of a mesh, the one that asked last has it kept."""
+        """(k, k) S, mm/N; only the last step of a mesh that called this has it cached."""
         step, S = self.parts.formed
         if step is None or step() is not self:
-            own = self._read.copy()
-            own[:, : self.b] *= -1
-            S = self.parts.readings(self.C) + self._read @ self._bordered(own.T)
+            signed = self._read.copy()
+            signed[:, : self.b] *= -1
+            S = self.parts.readings(self.C) + self._read @ self._bordered(signed.T)
             self.parts.formed = weakref.ref(self), S
         return S
 
     def solve(self, p: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """u (N,) and r (b,) under loads p (N,), contact forces among them, and values v (b,)."""
+        """u (N,) and r (b,) under loads p (N,), which include the contact forces, and values v (b,)."""
         u, λ = self.parts.solve(p[:, None], np.zeros((self.parts.d, 1)))
         u = u[:, 0]
         unknown = self._bordered(np.concatenate([v - self.B @ u, -λ[:, 0]]))
@@ -158,6 +158,6 @@ class Condensation:
 
 
 def _names(rows: csr_matrix) -> list[tuple]:
-    """What tells each row from others: its columns and numbers."""
+    """Cache key of each row: its columns and values."""
     edges = rows.indptr
     return [(rows.indices[lo:hi].tobytes(), rows.data[lo:hi].tobytes()) for lo, hi in zip(edges, edges[1:])]

@@ -18,20 +18,20 @@ from mic.process.plan import Limit, Step, row_compliance
 __all__ = ["Discretisation", "System"]
 
 REDUNDANT = 1e-12  # squared distance of a normalised row from the span of the others
-SOFT = 1e7  # 1/k of the stiffest contact: how far springs yield that resting parts lie on
-CONTRADICTS = 1e-8  # of the largest value: by so much a redundant row may miss what the others prescribe
+SOFT = 1e7  # compliance of the springs of resting parts, in 1/k of the stiffest contact
+CONTRADICTS = 1e-8  # largest misfit of a redundant row, relative to the largest value
 
 
 @dataclass(frozen=True)
 class System:
-    """A step's equilibrium: its bilateral rows (b, N), the independent ones, and the rest as combinations of these.
+    """Equilibrium of a step: bilateral rows (b, N), the independent ones, the others as their combinations.
 
-    The last of its rows are the rest rows `place` that tell where resting parts are: these lie there on springs that
-    yield by `springs` (k,), mm/N; 0 for parts that are not there yet.
+    The last rows are the rest rows `place`, which read the positions of resting parts. Each acts as a spring of
+    compliance `springs` (k,), mm/N; 0 for parts that are not yet placed.
     """
 
     rows: csr_matrix
-    kept: np.ndarray
+    independent: np.ndarray
     combination: np.ndarray
     names: list[str]
     equilibrium: Equilibrium
@@ -44,20 +44,20 @@ class System:
         return self.rows.shape[0] - len(self.place) + np.flatnonzero(self.springs)
 
     def consistent(self, value: np.ndarray) -> np.ndarray:
-        """Values of the independent rows, once those of the others follow from them.
+        """Values of the independent rows, after checking those of the others.
 
         Raises
         ------
         ValueError
-            Naming the row that contradicts the others.
+            If a redundant row contradicts the others; the message names it.
         """
-        others = np.setdiff1d(np.arange(len(value)), self.kept)
-        misfit = np.abs(value[others] - self.combination @ value[self.kept])
+        others = np.setdiff1d(np.arange(len(value)), self.independent)
+        misfit = np.abs(value[others] - self.combination @ value[self.independent])
         bad = np.flatnonzero(misfit > CONTRADICTS * np.abs(value).max(initial=0.0))
         if len(bad):
             name = self.names[others[bad[0]]]
             raise ValueError(f"{name} is redundant and contradicts the other rows by {misfit[bad[0]]:.2g}; remove it")
-        return value[self.kept]
+        return value[self.independent]
 
 
 class Discretisation:
@@ -67,7 +67,7 @@ class Discretisation:
     ----------
     assembly : mic.model.assembly.Assembly
     parts : sequence of mic.compliance.part.Part
-        Those of the assembly, or the same on other meshes.
+        Parts of the assembly, or the same parts on other meshes.
     comm : MPI.Comm
     resting : iterable of int
         Parts that rest by contact alone in some step.
@@ -78,10 +78,10 @@ class Discretisation:
     readings : (F, N) csr_matrix
         The functionals of all parts over their freedoms.
     rows : dict of str to (r, N) csr_matrix
-        Those of the assembly, and of `rest`.
+        Rows of the assembly and of `rest`.
     rest : RestRows
     rigid : Blocks
-        Readings of the parts' rigid motions by the functionals; it holds no compliance.
+        Readings of the parts' rigid motions by the functionals; without compliance.
     contact_stiffness : (m,) array
         k = E t of each contact's softer sheet, N/mm.
     """
@@ -110,13 +110,13 @@ class Discretisation:
         return (self._contact_rows(stops) @ u).reshape(-1, self.assembly.contacts.dimension)
 
     def stiffness(self, stops: tuple[Limit, ...]) -> np.ndarray:
-        """(m + s,) k of the contacts, and of stops: that of the stiffest sheet."""
+        """(m + s,) k of the contacts and of the stops; stops have that of the stiffest sheet."""
         k = max(part.young * part.thickness for part in self.assembly.parts)
         return np.concatenate([self.contact_stiffness, np.full(len(stops), k)])
 
     def _contact_rows(self, stops: tuple[Limit, ...]) -> csr_matrix:
-        """Rows of the contacts, then of stops: their gap closes as a row moves the way that it is pushed; a stop reads
-        nothing along its tangents."""
+        """Rows of the contacts, then of the stops, whose gap closes in the direction of the push; tangential rows of
+        stops are zero."""
         none = csr_matrix((self.assembly.contacts.dimension - 1, self.parts.offsets[-1]))
         rows = [self.rows["contact"]]
         for stop in stops:
@@ -134,7 +134,7 @@ class Discretisation:
         }
 
     def system(self, step: Step) -> System:
-        """The system with the bilateral rows, resting parts and stops of a step, set up once.
+        """The system of a step with its bilateral rows, resting parts and stops; cached.
 
         Raises
         ------
@@ -154,18 +154,18 @@ class Discretisation:
             springs = np.where(np.isin(self.rest.part[place], step.parked), 0.0, SOFT / self.contact_stiffness.max())
             soft = row_compliance(self.assembly.scene, held)
             soft = np.concatenate([np.zeros(len(held)) if soft is None else soft, springs])
-            kept, combination = _independent(B, soft)
+            independent, combination = _independent(B, soft)
             names = [self.assembly.labels[kind][i] for kind, i in held] + ["a part that rests"] * len(place)
             contacts = self._contact_rows(stops)
             dimension = self.assembly.contacts.dimension
-            given = soft[kept] if soft.any() else None
-            equilibrium = Equilibrium(self.parts, B[kept], contacts, dimension, given, held=not step.resting)
-            self._systems[key] = System(B, kept, combination, names, equilibrium, place, springs)
+            given = soft[independent] if soft.any() else None
+            equilibrium = Equilibrium(self.parts, B[independent], contacts, dimension, given, held=not step.resting)
+            self._systems[key] = System(B, independent, combination, names, equilibrium, place, springs)
         return self._systems[key]
 
 
 def _independent(B, soft):
-    """Rows that span all (ascending), and the others as combinations of them; those that yield are independent."""
+    """Independent rows (ascending), and the others as their combinations; rows that yield are independent."""
     scale = 1 / np.sqrt(np.asarray(B.multiply(B).sum(axis=1)).ravel())
     gram = (B @ B.T).toarray() * np.outer(scale, scale)
     gram[soft > 0], gram[:, soft > 0] = 0.0, 0.0

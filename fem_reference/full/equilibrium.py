@@ -5,39 +5,38 @@ with
 
     K u = Bᵀ r + Cᵀ f + p,        B u + c r = v,                                                       (1)
 
-c the compliance of rows that yield, 0 of the others, K the block-diagonal stiffness of the free parts, and Coulomb's
-law in its penalty (augmented-Lagrangian) form. With the gap g = g⁰ + δ_n and the slip s = δ_t − a of each contact,
-δ = C u, the trial force is
+with c the compliance of yielding rows (0 for rigid ones), K the block-diagonal stiffness of the free parts, and
+Coulomb's law in its penalty (augmented-Lagrangian) form. With the gap g = g⁰ + δ_n and the slip s = δ_t − a of each
+contact, δ = C u, the trial force is
 
     y_n = f̂_n − ε g,              y_t = f̂_t − ε s,                                                     (2)
 
-and the return mapping, not associated (the bound scales the trial force along itself and leaves f_n alone), is
+and the return mapping, not associated (it scales f_t and does not change f_n), is
 
     f_n = max(0, y_n),            f_t = y_t                  where ‖y_t‖ ≤ g(f_n)     (stick)           (3)
                                   f_t = g(f_n) y_t/‖y_t‖     elsewhere                (slip),
 
 with g(f_n) = μ f_n, or g(f_n) = μ(f_n/A) f_n where the coefficient depends on pressure.
 
-f̂ = (0, f_t of the increment before) is the plain penalty method, whose elastic slip f_t/ε is recovered on reversal;
-repeating f̂ ← f (Uzawa) drives ε g → 0 and ε s → 0 in contact, so that (3) becomes Coulomb's law proper whatever ε.
+f̂ = (0, f_t of the previous increment) is the plain penalty method, whose elastic slip f_t/ε is recovered on reversal;
+repeating f̂ ← f (Uzawa) drives ε g → 0 and ε s → 0 in contact, so that (3) becomes Coulomb's law for any ε.
 
-A contact that yields before it slips has a true tangential stiffness k_t A. For its tangential rows ε = k_t A and
-f̂_t = 0, always: the elastic slip −f_t/ε from a, where its slider stands, is then no error to be removed but the
-contact's own. In contact that holds, the slider moves to δ_t + f_t/ε. Where the sheets yield through their thickness,
-by c f_n, the same holds of the normal row, with ε = 1/c.
+A contact with tangential compliance has a physical stiffness k_t A. Its tangential rows use ε = k_t A and f̂_t = 0:
+the elastic slip −f_t/ε, measured from the slider position a, is then physical and is not removed. In contact the
+slider moves to δ_t + f_t/ε. Sheets that are compressed through their thickness, by c f_n, use ε = 1/c in the normal
+row in the same manner.
 
-Newton's method treats (u, r, f) together. Per contact, multiplied so that each line is a force (k a stiffness of the
-sheets):
+Newton's method solves for (u, r, f) together. The equations of each contact, scaled to forces by a stiffness k of the
+sheets, are:
 
     open     f = 0
     closed   k g + (k/ε)(f_n − f̂_n) = 0
     stick    k s + (k/ε)(f_t − f̂_t) = 0                                                                 (4)
     slip     f_t − g(f_n) τ = 0,   τ = y_t/‖y_t‖,    dτ = −ε (I − ττᵀ) ds/‖y_t‖
 
-Eliminating f from (4) gives the consistent tangent K + Cᵀ(−∂f/∂δ)C of the textbooks, so the iterates are the same;
-kept as unknowns, the forces leave the tangent sparse where a contact's patch covers many nodes, its condition does
-not grow with ε, and f carries no rounding error of ε times a displacement. The tangent is unsymmetric where contacts
-slip.
+Eliminating f from (4) gives the consistent tangent K + Cᵀ(−∂f/∂δ)C of the textbooks, so the iterates are the same.
+With the forces as unknowns the tangent stays sparse if a contact patch covers many nodes, its condition number does
+not grow with ε, and f has no rounding error of ε times a displacement. The tangent is unsymmetric if contacts slip.
 
 References
 ----------
@@ -58,19 +57,19 @@ from petsc4py import PETSc
 from scipy.sparse import block_diag, csr_matrix, diags, hstack, vstack
 
 from fem_reference.full.condensation import Condensation, HeldParts
+from fem_reference.full.contact_law import ContactLaw
 from fem_reference.full.coulomb import contact_forces
-from fem_reference.full.friction import ContactFriction
 from mic.contact.states import OPEN, SLIP, STICK
 
-__all__ = ["ContactLaw", "Equilibrium", "Iteration", "NoConvergence", "Parts", "State"]
+__all__ = ["Equilibrium", "Iteration", "NoConvergence", "Parts", "State"]
 
 MAX_ITERATIONS = 60
-_PATIENCE = 25  # iterations with full steps
-_TOLERANCE = 1e-11  # of the largest force in the system
+_FULL_STEPS = 25  # iterations without line search
+_TOLERANCE = 1e-11  # relative to the largest force in the system
 _WORST_ROUNDING = 1e-7
-_CORRECTIONS = 6  # of a condensed solution by what it leaves in the whole system
-_LINE_SEARCH = 0.8  # a full step whose work falls below this share of the start's is taken as it is
-CONDENSED = 5000  # contact forces at most: what each moves at the others is 200 MB then
+_REFINEMENTS = 6  # iterative refinements of a condensed solution by the residual of the whole system
+_LINE_SEARCH = 0.8  # no line search if a full step reduces the work below this fraction of its initial value
+CONDENSED = 5000  # largest number of contact forces to condense onto: their compliance matrix takes 200 MB
 _ICNTL_EXTRA_MEMORY, _INFOG_STATUS = 14, 1  # MUMPS
 
 
@@ -83,9 +82,9 @@ class NoConvergence(RuntimeError):
 
 
 class Parts:
-    """Where the freedoms of several parts live: their natural order, and the rows of the processes.
+    """Numbering of the degrees of freedom of several parts, and their distribution over processes.
 
-    Naturally, freedoms are numbered part after part, each part's as `ShellPart` numbers them.
+    The natural order numbers part after part, each part as `ShellPart` does.
 
     Parameters
     ----------
@@ -115,13 +114,13 @@ class Parts:
         self._held: HeldParts | None = None
 
     def held(self, rows: csr_matrix) -> HeldParts:
-        """All parts, on one process, held on the rows that are asked for first: independent ones that hold them."""
+        """Factorised stiffness of all parts on one process, supported by the rows of the first call."""
         if self._held is None:
             self._held = HeldParts(self.stiffness, rows)
         return self._held
 
     def layout(self, extra: int) -> tuple[np.ndarray, np.ndarray]:
-        """Rows of this process and the place of every unknown, with `extra` unknowns that the last process owns.
+        """Rows of this process and the position of every unknown; the last process owns `extra` more unknowns.
 
         Returns
         -------
@@ -140,135 +139,19 @@ class Parts:
 
 
 @dataclass(frozen=True)
-class ContactLaw:
-    """Law (2)–(3) of m contacts in one increment.
-
-    Attributes
-    ----------
-    friction : ContactFriction
-    gap : (m,) array
-        g⁰, mm, with the parts' deviations.
-    anchor : (m, d) array
-        Where slip is measured from, mm, a slider's place where contacts yield; the normal column is not used.
-    estimate : (m, d) array
-        f̂, N, but for the tangential rows of contacts that yield.
-    penalty : (m,) array
-        ε, N/mm, but for the tangential rows of contacts that yield.
-    stiffness : (m,) array
-        k, N/mm.
-    layer : (m,) array or 0
-        c, mm/N.
-    """
-
-    friction: ContactFriction
-    gap: np.ndarray
-    anchor: np.ndarray
-    estimate: np.ndarray
-    penalty: np.ndarray
-    stiffness: np.ndarray
-    layer: np.ndarray | float = 0.0
-
-    def displacement(self, δ: np.ndarray) -> np.ndarray:
-        """(m, d) gap and slip from the relative displacements δ."""
-        moved = δ - self.anchor
-        moved[:, 0] = self.gap + δ[:, 0]
-        return moved
-
-    @cached_property
-    def _ε(self):
-        """(m, d) ε of every row."""
-        ε = np.repeat(self.penalty[:, None], self.estimate.shape[1], axis=1)
-        yields = self.friction.compliance > 0
-        ε[yields, 1:] = 1 / self.friction.compliance[yields, None]
-        layer = np.broadcast_to(self.layer, len(ε))
-        ε[layer > 0, 0] = 1 / layer[layer > 0]
-        return ε
-
-    @cached_property
-    def _held(self):
-        """(m, d) f̂ of every row."""
-        f = self.estimate.copy()
-        f[self.friction.compliance > 0, 1:] = 0.0
-        f[np.broadcast_to(self.layer, len(f)) > 0, 0] = 0.0
-        return f
-
-    def augmented(self, force: np.ndarray) -> ContactLaw:
-        """f̂ ← f."""
-        law = replace(self, estimate=force)
-        return replace(law, estimate=law._held)
-
-    def _trial(self, δ):
-        y = self._held - self._ε * self.displacement(δ)
-        return y, np.linalg.norm(y[:, 1:], axis=1)
-
-    def force(self, δ: np.ndarray) -> np.ndarray:
-        """The return mapping (3)."""
-        y, size = self._trial(δ)
-        f = y.copy()
-        f[:, 0] = np.maximum(0, y[:, 0])
-        bound, _ = self.friction.bound(f[:, 0])
-        f[:, 1:] *= np.where(size > bound, bound / np.where(size > 0, size, 1), 1)[:, None]
-        return f
-
-    def state(self, δ: np.ndarray) -> np.ndarray:
-        """(m,) open, stick or slip; a closed contact without friction slips."""
-        y, size = self._trial(δ)
-        closed = y[:, 0] > 0
-        bound, _ = self.friction.bound(np.maximum(y[:, 0], 0))
-        stick = (size <= bound) & (bound > 0)
-        return np.where(closed, np.where(stick, STICK, SLIP), OPEN)
-
-    def reverses(self, δ: np.ndarray, new: np.ndarray) -> bool:
-        """Whether a contact that slips at δ and at `new` turns by more than 90° between them: a kink that Newton
-        steps over."""
-        (y, _), (z, _) = self._trial(δ), self._trial(new)
-        bound, _ = self.friction.bound(np.maximum(y[:, 0], 0))
-        slips = (self.state(δ) == SLIP) & (self.state(new) == SLIP) & (bound > 0)
-        return bool((slips & (np.einsum("kj,kj->k", y[:, 1:], z[:, 1:]) < 0)).any())
-
-    def linearise(self, δ: np.ndarray, f: np.ndarray, state: np.ndarray):
-        """Residual (m, d) of the lines (4) and its derivatives by δ and f, both (m, d, d)."""
-        m, d = f.shape
-        y, size = self._trial(δ)
-        moved = self.displacement(δ)
-        residual, by_δ, by_f = f.copy(), np.zeros((m, d, d)), np.tile(np.eye(d), (m, 1, 1))
-        k, ε = self.stiffness, self._ε
-        g, slope = self.friction.bound(np.maximum(f[:, 0], 0))
-        g = g + slope * np.minimum(f[:, 0], 0)  # on the way, a normal force may pull
-        trial, _ = self.friction.bound(np.maximum(y[:, 0], 0))
-        closed, stick, slip = state != OPEN, state == STICK, (state == SLIP) & (size > 0) & (trial > 0)
-
-        def elastic(which, component):
-            soft = k / ε[:, component]
-            residual[which, component] = (k * moved[:, component] + soft * (f - self._held)[:, component])[which]
-            by_δ[which, component, component] = k[which]
-            by_f[which, component, component] = soft[which]
-
-        elastic(closed, 0)
-        for j in range(1, d):
-            elastic(stick, j)
-        τ = y[slip, 1:] / size[slip, None]
-        residual[slip, 1:] = f[slip, 1:] - g[slip, None] * τ
-        by_f[slip, 1:, 0] = -slope[slip, None] * τ
-        turning = trial[slip] * ε[slip, -1] / size[slip]
-        by_δ[slip, 1:, 1:] = turning[:, None, None] * (np.eye(d - 1) - τ[:, :, None] * τ[:, None, :])
-        return residual, by_δ, by_f
-
-
-@dataclass(frozen=True)
 class Iteration:
     """One Newton iteration.
 
     Attributes
     ----------
     residual : float
-        Largest residual of (1) and (4) at its end, N, as a share of the largest force in the system.
+        Largest residual of (1) and (4) after the iteration, relative to the largest force in the system.
     step : float
         Step length.
     open, stick, slip : int
-        Contacts in each state, at its end.
+        Number of contacts in each state after the iteration.
     changed : int
-        Contacts whose state it changed.
+        Number of contacts whose state changed.
     """
 
     residual: float
@@ -280,13 +163,13 @@ class Iteration:
 
     @classmethod
     def of(cls, residual: float, step: float, state: np.ndarray, changed: int) -> Iteration:
-        """With the contacts' states (m,) counted."""
+        """Iteration with the number of contacts in each of the states (m,)."""
         return cls(residual, step, *(int((state == s).sum()) for s in (OPEN, STICK, SLIP)), changed)
 
 
 @dataclass(frozen=True)
 class State:
-    """Unknowns of (1).
+    """Unknowns of equations (1) and (4).
 
     Attributes
     ----------
@@ -304,12 +187,12 @@ class State:
 
     @property
     def stacked(self) -> np.ndarray:
-        """(N + b + m d,) u, r and f, one after the other."""
+        """(N + b + m d,) concatenation of u, r and f."""
         return np.concatenate([self.u, self.reaction, self.force.ravel()])
 
 
 class Equilibrium:
-    """System (1) with (4): the tangent's pattern is set up once, its symbolic factorisation serves all later solves.
+    """System (1) with (4); sparsity pattern and symbolic factorisation of the tangent are reused by all solves.
 
     Parameters
     ----------
@@ -323,8 +206,8 @@ class Equilibrium:
     yielding : (b,) array, optional
         c of the bilateral rows, mm/N.
     held : bool
-        Whether the bilateral rows alone hold all parts. On one process the linear part is then condensed onto the
-        contact forces (:mod:`fem_reference.full.condensation`).
+        Whether the bilateral rows alone exclude all rigid motions. On one process the linear part is then condensed
+        onto the contact forces (:mod:`fem_reference.full.condensation`).
     """
 
     def __init__(
@@ -349,7 +232,7 @@ class Equilibrium:
 
     @cached_property
     def _matrix(self) -> PETSc.Mat:
-        """Of the unknowns (u, r, f), the lines of f to be set."""
+        """Tangent of the unknowns (u, r, f); :meth:`_update` sets the rows of f."""
         rows, contacts = [self._balance], self.m * self.d
         self._contact_pattern()
         if self._last:
@@ -391,19 +274,19 @@ class Equilibrium:
         return ksp
 
     def __del__(self):
-        """Free the factors, hundreds of MB that petsc4py would keep to the end of the process.
+        """Free the factors of one process, which petsc4py would hold until exit (hundreds of MB).
 
-        Freeing distributed ones is collective, and the processes do not forget them at the same moment: those stay.
+        Distributed factors are not freed: that is a collective call, and garbage collection is not simultaneous.
         """
         if self.parts.comm.size == 1:
-            for held in ("_factor", "_ksp", "_matrix"):
-                if held in self.__dict__:
-                    self.__dict__[held].destroy()
+            for name in ("_factor", "_ksp", "_matrix"):
+                if name in self.__dict__:
+                    self.__dict__[name].destroy()
 
     # ------------------------------------------------------------------------------------------ sparse contact operator
 
     def _contact_pattern(self):
-        """Columns of each contact's rows: every freedom that one of its d rows reads, then its d forces."""
+        """Columns of the rows of each contact: the freedoms that its d rows read, then its d forces."""
         C, d = self.C, self.d
         self._columns, self._owner, values = [], [], []
         for k in range(self.m):
@@ -452,9 +335,9 @@ class Equilibrium:
 
     def _scatter(self, natural, vector):
         lo, hi = vector.getOwnershipRange()
-        mine = np.empty(len(natural))
-        mine[self._place] = natural
-        vector.setArray(mine[lo:hi])
+        distributed = np.empty(len(natural))
+        distributed[self._place] = natural
+        vector.setArray(distributed[lo:hi])
 
     def _gathered(self, vector):
         return np.concatenate(self.parts.comm.allgather(vector.getArray()))[self._place]
@@ -472,8 +355,7 @@ class Equilibrium:
         status = self._factor.getMumpsInfog(_INFOG_STATUS)
         if status < 0:
             raise NoConvergence(
-                f"MUMPS reports INFOG(1) = {status}, INFOG(2) = "
-                f"{self._factor.getMumpsInfog(2)} when it factorises the tangent"
+                f"MUMPS cannot factorise the tangent: INFOG(1) = {status}, INFOG(2) = {self._factor.getMumpsInfog(2)}"
             )
         solution = self._gathered(solved)
         if not np.isfinite(solution).all():
@@ -503,7 +385,7 @@ class Equilibrium:
         Raises
         ------
         NoConvergence
-            After `MAX_ITERATIONS`, or where the tangent cannot be factorised.
+            After `MAX_ITERATIONS`, or if the tangent cannot be factorised.
         """
         N, b = self.N, self.b
         x = start.stacked
@@ -534,11 +416,10 @@ class Equilibrium:
         )
 
     def condensed(self, force: np.ndarray, p: np.ndarray, v: np.ndarray, law: ContactLaw):
-        """The same on the system that is condensed onto the contact forces, begun from forces (m, d).
+        """Solve (1) and (4) on the system condensed onto the contact forces, starting from forces (m, d).
 
-        The law's penalty may be infinite: no contact yields then but those that do so of themselves. Returned are the
-        solution, its contacts' states (m,) and the iterations, the residual of the last being that of the whole system,
-        its bilateral rows among it.
+        An infinite penalty enforces Coulomb's law exactly. Returns the solution, the contact states (m,) and the
+        iterations; the residual of the last one is that of the whole system including its bilateral rows.
 
         Raises
         ------
@@ -547,20 +428,20 @@ class Equilibrium:
         linear, history = self._condensation, []
         S, soft = linear.compliance(), 0.0 if self._yielding is None else self._yielding
         u, r, f = np.zeros(self.N), np.zeros(self.b), np.zeros_like(force)
-        for _ in range(_CORRECTIONS):  # what rounding has left is less each time
+        for _ in range(_REFINEMENTS):
             x = np.concatenate([u, r, f.ravel()])
             du, dr = linear.solve(p - self._balance @ x, v - self.B @ u - soft * r)
             force, iterations = contact_forces(S, self._contact(u + du), f, law, force)
-            history += [Iteration.of(*one) for one in iterations]
+            history += [Iteration.of(*iteration) for iteration in iterations]
             if force is None:
-                raise NoConvergence("no contact forces were found on the condensed system")
-            more, added = linear.solve(self.C.T @ (force - f).ravel(), np.zeros(self.b))
-            u, r, f = u + du + more, r + dr + added, force
+                raise NoConvergence("Newton's method does not converge on the condensed system")
+            contact_u, contact_r = linear.solve(self.C.T @ (force - f).ravel(), np.zeros(self.b))
+            u, r, f = u + du + contact_u, r + dr + contact_r, force
             x, δ = np.concatenate([u, r, f.ravel()]), self._contact(u)
-            own = replace(law, penalty=law.stiffness).augmented(f) if np.isinf(law.penalty).any() else law
-            state = own.state(δ)
-            contact, _, _ = own.linearise(δ, f, state)
-            residual, allowed = self._measure(x, p, contact, own)
+            finite = replace(law, penalty=law.stiffness).augmented(f) if np.isinf(law.penalty).any() else law
+            state = finite.state(δ)
+            contact, _, _ = finite.linearise(δ, f, state)
+            residual, allowed = self._measure(x, p, contact, finite)
             if largest := np.abs(x[self.N :]).max(initial=0.0):
                 misfit = np.abs(self.B @ u + soft * r - v).max(initial=0.0)
                 residual = max(residual, float(law.stiffness.max(initial=0.0) * misfit / largest))
@@ -568,8 +449,7 @@ class Equilibrium:
             if residual <= allowed:
                 return self.unpack(x), state, history
         raise NoConvergence(
-            f"the condensed system's solution leaves {residual:.1e} of the largest force in the whole one, over "
-            f"{allowed:.1e}"
+            f"condensed solution: residual of the whole system {residual:.1e} of the largest force, limit {allowed:.1e}"
         )
 
     @cached_property
@@ -580,7 +460,7 @@ class Equilibrium:
         return (self.C @ x[: self.N]).reshape(self.m, self.d)
 
     def unpack(self, x: np.ndarray) -> State:
-        """The unknowns from (u, r, f) stacked."""
+        """The unknowns from the concatenation of u, r and f."""
         return State(
             x[: self.N].copy(), x[self.N : self.N + self.b].copy(), x[self.N + self.b :].reshape(self.m, self.d).copy()
         )
@@ -591,12 +471,12 @@ class Equilibrium:
         return F
 
     def _measure(self, x, p, contact, law):
-        """Relative residual, and the one allowed: the tolerance, or what rounding makes of the sums where that is more.
+        """Relative residual and its limit: the larger of the tolerance and the rounding error of the sums.
 
-        Rounding that leaves no digits to trust (a part that nothing holds any more has flown off) is no excuse.
+        The limit is at most `_WORST_ROUNDING`, so that a part without support does not count as converged.
         """
         N = self.N
-        left = np.abs(self._balance @ x - p[self._u_rows]).max(initial=0.0)
+        imbalance = np.abs(self._balance @ x - p[self._u_rows]).max(initial=0.0)
         rounding = self._largest((self._magnitude @ np.abs(x)).max(initial=0.0))
         if self.m:
             rounding = max(
@@ -604,22 +484,21 @@ class Equilibrium:
                 float((law.stiffness * (np.abs(self.C) @ np.abs(x[:N])).reshape(self.m, self.d).max(axis=1)).max()),
             )
         scale = np.abs(x[N:]).max(initial=0.0)
-        residual = max(self._largest(left), np.abs(contact).max(initial=0.0))
-        nothing = 1e-13 * max(np.abs(law.stiffness * law.gap).max(initial=0.0), rounding if scale == 0 else 0.0)
-        if scale <= nothing:  # no contact carries anything, nor does a row
-            return (0.0 if residual <= nothing else np.inf), 0.0
+        residual = max(self._largest(imbalance), np.abs(contact).max(initial=0.0))
+        negligible = 1e-13 * max(np.abs(law.stiffness * law.gap).max(initial=0.0), rounding if scale == 0 else 0.0)
+        if scale <= negligible:  # all contact forces and reactions are zero
+            return (0.0 if residual <= negligible else np.inf), 0.0
         return residual / scale, min(max(_TOLERANCE, 1e-14 * rounding / scale), _WORST_ROUNDING)
 
     def _step_length(self, x, dx, F, law, state, iteration):
-        """α with G(α) = du·(K u(α) − p − Cᵀ f(u(α))) = 0, u(α) = u + α du: the residual does no more work on the step.
+        """α with G(α) = du·(K u(α) − p − Cᵀ f(u(α))) = 0, u(α) = u + α du: the residual does no work on the step.
 
-        At first full steps find the contacts that open and close fastest, and only a slip that turns back is searched
-        along; after `_PATIENCE` iterations every step that changes a state is. A step that moves the bilateral rows
-        is taken whole.
+        Steps are searched along if a slip reverses and, after `_FULL_STEPS` iterations, if a state changes. Full steps
+        before that find the open and closed contacts fastest. A step that moves bilateral rows has length 1.
         """
         N, b = self.N, self.b
         δ, dδ = self._contact(x), self._contact(dx)
-        if not law.reverses(δ, δ + dδ) and (iteration < _PATIENCE or (law.state(δ + dδ) == state).all()):
+        if not law.reverses(δ, δ + dδ) and (iteration < _FULL_STEPS or (law.state(δ + dδ) == state).all()):
             return 1.0
         if np.abs(F[N : N + b]).max(initial=0.0) > 1e-9 * np.abs(x[:N]).max():
             return 1.0

@@ -1,6 +1,6 @@
-"""How much friction a contact has in a stage: its bound ``g(f_n)``, and how far it yields before it slips.
+"""Friction of the contacts in a stage: friction bound ``g(f_n)`` and tangential compliance.
 
-Pressure is ``p = f_n/A``; μ(p) is read from the scene's keys as they stand, point by point or as a power.
+The pressure is ``p = f_n/A``; μ(p) is the scene's table or power law.
 """
 
 from __future__ import annotations
@@ -22,9 +22,9 @@ class ContactFriction:
     coefficient : (m,) array
         μ.
     bounds : tuple of (int array, function)
-        Contacts whose coefficient depends on the normal force instead, and ``function(f_n) -> (g, g')`` of theirs.
+        Contacts whose coefficient depends on pressure, and their ``function(f_n) -> (g, g')``.
     compliance : (m,) array
-        1/(k_t A), mm/N: a contact that sticks has this tangential compliance; 0 where it does not yield.
+        1/(k_t A), mm/N: tangential compliance of a sticking contact; 0 if it is rigid.
     """
 
     coefficient: np.ndarray
@@ -33,33 +33,32 @@ class ContactFriction:
 
     @classmethod
     def constant(cls, coefficient: np.ndarray) -> ContactFriction:
-        """One coefficient each, and nothing else."""
+        """Constant coefficients without tangential compliance."""
         return cls(coefficient, (), np.zeros(len(coefficient)))
 
     def __len__(self):
         return len(self.coefficient)
 
     def with_stops(self, count: int) -> ContactFriction:
-        """The same, with so many more contacts that have none."""
+        """The same with `count` more contacts without friction."""
         none = np.zeros(count)
         return ContactFriction(
             np.concatenate([self.coefficient, none]), self.bounds, np.concatenate([self.compliance, none])
         )
 
     def any(self) -> bool:
-        """Whether any contact may hold anything by friction."""
+        """Whether any contact has friction."""
         return bool(self.bounds or self.coefficient.any())
 
     def slider(self, δ: np.ndarray, force: np.ndarray) -> np.ndarray:
-        """(m, d - 1) where the sliders of contacts (m, d) stand: ``δ_t + f_t/(k_t A)``, the contacts themselves where
-        nothing yields."""
+        """(m, d - 1) slider positions ``δ_t + f_t/(k_t A)``; δ_t if the contact is rigid."""
         return δ[:, 1:] + self.compliance[:, None] * force[:, 1:]
 
     def bound(self, normal: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """(m,) largest tangential forces g(f_n), N, and g'(f_n), under normal forces ``f_n >= 0``."""
         g, slope = self.coefficient * normal, self.coefficient.copy()
-        for own, function in self.bounds:
-            g[own], slope[own] = function(normal[own])
+        for contacts, function in self.bounds:
+            g[contacts], slope[contacts] = function(normal[contacts])
         return g, slope
 
 
@@ -83,15 +82,15 @@ def friction_of(assembly, law, stage: str) -> ContactFriction:
         return ContactFriction.constant(coefficient)
     bounds = []
     for i, zone in enumerate(zones):
-        own = np.flatnonzero(contacts.zone == i)
+        members = np.flatnonzero(contacts.zone == i)
         if zone.friction_table is not None:
-            bounds.append((own, _by_points(zone.friction_table, contacts.bearing[own])))
+            bounds.append((members, _tabulated_bound(zone.friction_table, contacts.bearing[members])))
         elif zone.friction_power is not None:
-            bounds.append((own, _by_power(zone.friction_power, contacts.bearing[own])))
+            bounds.append((members, _power_law_bound(zone.friction_power, contacts.bearing[members])))
     return ContactFriction(coefficient, tuple(bounds), np.zeros(m))
 
 
-def _by_points(points, area):
+def _tabulated_bound(points, area):
     pressure, mu = np.array(points).T
     slopes = np.concatenate([[0.0], np.diff(mu) / np.diff(pressure), [0.0]])
 
@@ -103,7 +102,7 @@ def _by_points(points, area):
     return bound
 
 
-def _by_power(law, area):
+def _power_law_bound(law, area):
     def bound(normal):
         with np.errstate(divide="ignore"):
             free = law.mu0 * (normal / area / law.p0) ** -law.n

@@ -1,10 +1,11 @@
 """The full frictional contact solve: all parts' finite elements, every stage of the process, no reduction.
 
-What the reduced model (`mic.process`) is judged by. Both work on the same `Assembly`, and they share what its scene
-*means*: the rows, the plan of the stages (`mic.process.plan`), and what a sample's deviations ask of them
-(`mic.process.drive`). They share nothing of how it is *solved*: here each row becomes a sparse row over the freedoms
-of all parts, shapes are found by finite elements, and each increment of each stage is a Newton solve of
-`fem_reference.full.equilibrium`. Influence coefficients appear nowhere.
+This is the reference for the reduced model (`mic.process`). Both use the same `Assembly`, the same rows, the same plan
+of the stages (`mic.process.plan`) and the same prescribed values (`mic.process.drive`). The solution is independent:
+each row is a sparse row over the freedoms of all parts, shapes are computed by finite elements, and each increment of
+each stage is a Newton solve of `fem_reference.full.equilibrium`. It does not use the influence coefficients of `mic`.
+On one process the linear part may be condensed onto the contacts, exactly and with code of its own
+(`fem_reference.full.condensation`); the residual of the whole system is then checked. See docs/full_contact.md.
 """
 
 from __future__ import annotations
@@ -31,13 +32,13 @@ from mic.process.plan import plan_assembly
 
 __all__ = ["LAWS", "ContactFailure", "FullEvaluation", "FullModel", "FullResolution", "Solve"]
 
-#: Names of the laws that the full solve obeys: those that keep a slipping contact closed, and those without friction.
+#: Names of the laws that the full solve supports: slipping contacts stay closed, or there is no friction.
 LAWS = tuple(law.name for law in laws.LAWS.values() if law.shift == 1.0 or not law.frictional)
 
 
 @dataclass(frozen=True)
 class FullEvaluation:
-    """Outcome of one assembly.
+    """Result of one assembly.
 
     Attributes
     ----------
@@ -52,7 +53,7 @@ class FullEvaluation:
     freedoms : dict of str to (N,) array
         u at the end of each stage, in natural order.
     mesh : Discretisation
-        What the freedoms belong to.
+        Numbering of the freedoms.
     """
 
     law: str
@@ -83,18 +84,17 @@ class FullModel:
     Parameters
     ----------
     assembly : mic.model.assembly.Assembly
-        With contact at pairs or at every node: what `mic.model.assembly.assemble` made.
+        From `mic.model.assembly.assemble`, with contact at pairs or at every node.
     deviated : bool
-        Solve on meshes that carry each sample's shape deviation (stiffness, normals, gaps), not on the nominal ones.
+        Solve on meshes with each sample's shape deviation (stiffness, normals, gaps) instead of the nominal meshes.
     comm : MPI.Comm
-        Processes that share the sparse system. The result is whole, and the same, on each.
+        Processes that share the sparse system. Every process has the complete result.
     penalty : float
-        ε/k, with k = E t of the softer sheet of the pair: the order of a sheet's stiffest response to a force spread
-        over an area, so that a relative penetration of about 1/penalty is left.
+        ε/k, with k = E t of the softer sheet of the pair. The relative penetration is about 1/penalty.
     augmented : bool
-        Remove that error by augmentation (Uzawa); paths that are followed need it.
+        Remove the penetration by augmentation (Uzawa); required if a path is followed.
     path_tolerance : float
-        Of paths that are followed: largest error of a contact's position in a step, mm.
+        Largest error of a contact's position in a step of a followed path, mm.
     """
 
     def __init__(
@@ -115,8 +115,8 @@ class FullModel:
         followed = [plan.name for plan in self.plans if plan.resolves and plan.path == "followed"]
         if followed and not augmented and any(zone.frictional for zone in assembly.scene.zones):
             raise ValueError(
-                f"stages ({', '.join(followed)}): a path is followed between exact equilibria, and the penalty method "
-                "leaves an elastic slip; give these stages increments, or augment"
+                f"stages ({', '.join(followed)}): following a path requires exact equilibria, but the penalty method "
+                "has an elastic slip; give these stages increments, or set augmented=True"
             )
 
     @cached_property
@@ -131,17 +131,17 @@ class FullModel:
 
     @cached_property
     def unit_shapes(self) -> np.ndarray:
-        """(N, p) freedoms of the shape that each unit deviation gives its part (zero for those that give none).
+        """(N, p) freedoms of the shape per unit of each deviation; zero if a deviation changes no shape.
 
-        Every part is held on its datum rows (:mod:`mic.model.shape`) while the source's force acts, or those that make
-        the shape that is known.
+        Every part is supported by its datum rows (:mod:`mic.model.shape`) under the force of the source, or under
+        the forces that reproduce a known shape.
         """
         assembly, mesh = self.assembly, self.nominal
         loads = [source.load(assembly.labels, assembly.rows) for source in sources(assembly.scene)]
         known = list(known_shapes(assembly))
         shape = np.zeros((mesh.parts.offsets[-1], len(loads)))
-        grown = [source.expansion() for source in sources(assembly.scene)]
-        if all(load is None for load in loads) and not known and not any(grown):
+        expansions = [source.expansion() for source in sources(assembly.scene)]
+        if all(load is None for load in loads) and not known and not any(expansions):
             return shape
         support = block_diag([datum_rows(assembly, p, G) for p, G in enumerate(mesh.rigid.G)], format="csr")
         held = Equilibrium(mesh.parts, (support @ mesh.readings).tocsr(), csr_matrix((0, len(shape))), 1)
@@ -153,22 +153,22 @@ class FullModel:
         for j, load in enumerate(loads):
             if load is not None:
                 shape[:, j] = shaped(load)
-        for j, strains in enumerate(grown):
+        for j, strains in enumerate(expansions):
             if strains:
-                shape[:, j] = self._grown(strains, support)
+                shape[:, j] = self._expanded(strains, support)
         G = block_diag(mesh.rigid.G, format="csr")
         for columns, controls in known:
             R = controls[0].rows
             unit = np.column_stack([shaped(row) for row in R])
             rigid = (R @ G).toarray()
-            own = 6 * int(np.argmax(np.abs(rigid).max(axis=0)) // 6)
+            first = 6 * int(np.argmax(np.abs(rigid).max(axis=0)) // 6)
             name = assembly.scene.deviations[columns[0]].name
-            f = controlling_forces((R @ mesh.readings) @ unit, rigid[:, own : own + 6], controls, name)
+            f = controlling_forces((R @ mesh.readings) @ unit, rigid[:, first : first + 6], controls, name)
             shape[:, columns] = unit @ f
         return shape
 
-    def _grown(self, strains: Mapping[str, float], support: csr_matrix) -> np.ndarray:
-        """(N,) freedoms of parts that have grown by strains in all directions, set down on their datum rows."""
+    def _expanded(self, strains: Mapping[str, float], support: csr_matrix) -> np.ndarray:
+        """(N,) freedoms of parts under isotropic strains, placed on their datum rows."""
         mesh = self.nominal
         u = np.zeros(mesh.parts.offsets[-1])
         for part, shell, lo in zip(self.assembly.parts, mesh.parts.shells, mesh.parts.offsets):
@@ -180,11 +180,11 @@ class FullModel:
         return u - modes @ np.linalg.solve((read @ modes).toarray(), read @ u)
 
     def shape_fields(self, deviations) -> dict[str, np.ndarray]:
-        """Displacements and rotations (n_points, 6) that the deviations of shape give each part's vertices, mm, rad."""
+        """Displacements and rotations (n_points, 6) of each part's vertices due to shape deviations, mm and rad."""
         return self.nominal.vertex_fields(self.unit_shapes @ np.asarray(deviations, dtype=float))
 
     def evaluate(self, deviations, law: str = "coulomb") -> FullEvaluation:
-        """Take one assembly through all stages.
+        """Solve all stages of one assembly.
 
         Parameters
         ----------
@@ -201,54 +201,54 @@ class FullModel:
         """
         assembly, deviations = self.assembly, np.asarray(deviations, dtype=float)
         if law not in LAWS:
-            raise ValueError(f"law {law!r}: the full solve knows {' and '.join(LAWS)}")
+            raise ValueError(f"law {law!r}: the full solve supports {' and '.join(LAWS)}")
         if deviations.shape != (len(assembly.scene.deviations),) or not np.isfinite(deviations).all():
             raise ValueError(f"deviations: expected {len(assembly.scene.deviations)} finite numbers, got {deviations}")
-        made = with_deviations(assembly, deviations)
-        contacts = made.contacts
-        mesh, asked = self._driven(made, deviations)
+        deviated = with_deviations(assembly, deviations)
+        contacts = deviated.contacts
+        mesh, prescribed = self._mesh_and_drive(deviated, deviations)
         state = FullState.start(mesh.parts.offsets[-1], len(contacts), contacts.dimension)
         resolutions, freedoms, history, read = {}, {}, [], np.zeros(0)
         for plan in self.plans:
-            friction = friction_of(made, laws.find(law), plan.name)
+            friction = friction_of(deviated, laws.find(law), plan.name)
             state, resolution, solves = FullStage(plan, mesh, friction, self.penalty, self.path_tolerance).advance(
-                state, asked
+                state, prescribed
             )
             freedoms[plan.name] = state.solution.u
             history += solves
             if resolution is not None:
                 resolutions[plan.name] = resolution
             if plan.reads:
-                readings = mesh.rows["measurement"] @ state.solution.u + asked.measured[0]
+                readings = mesh.rows["measurement"] @ state.solution.u + prescribed.measured[0]
                 read = Characteristics.of(assembly.scene).values(readings[None])[0]
         return FullEvaluation(law, deviations, resolutions, read, tuple(history), freedoms, mesh)
 
-    def _driven(self, made, deviations):
-        """The meshes to solve on, of an assembly as its deviations make it, and what the deviations ask of them."""
+    def _mesh_and_drive(self, deviated, deviations):
+        """The discretisation of a deviated assembly, and the values that its deviations prescribe."""
         assembly, mesh = self.assembly, self.nominal
-        u, more = self.unit_shapes @ deviations, thickness_changes(assembly.scene, deviations)
+        u, thicker = self.unit_shapes @ deviations, thickness_changes(assembly.scene, deviations)
         shape = {kind: (rows @ u)[None] for kind, rows in mesh.rows.items()}
         parts = assembly.parts
         if self.deviated:
             parts = deviated_parts(assembly, mesh.vertex_fields(u))
             shape |= {kind: gap_change(assembly, kind, parts, shape[kind][0])[None] for kind in ("contact", "weld")}
-        if more:
-            parts = [part.at(part.thickness + more[part.name]) if part.name in more else part for part in parts]
+        if thicker:
+            parts = [part.at(part.thickness + thicker[part.name]) if part.name in thicker else part for part in parts]
             faces = self._faces @ deviations
             rows = {**assembly.rows, "rest": mesh.rest.rows}
             shape = {kind: read + (rows[kind] @ faces)[None] for kind, read in shape.items()}
-        if self.deviated or more:
-            mesh = Discretisation(made, parts, self.comm, self._resting)
-        return mesh, drive(made, deviations[None], shape)
+        if self.deviated or thicker:
+            mesh = Discretisation(deviated, parts, self.comm, self._resting)
+        return mesh, drive(deviated, deviations[None], shape)
 
     @cached_property
     def _faces(self) -> np.ndarray:
-        """(F, p) how far the faces that the functionals read move per unit of each deviation, mm."""
+        """(F, p) displacement of the faces that the functionals read, per unit of each deviation, mm."""
         assembly = self.assembly
         names, offsets = [part.name for part in assembly.parts], assembly.offsets
-        found = np.zeros((offsets[-1], len(assembly.scene.deviations)))
+        faces = np.zeros((offsets[-1], len(assembly.scene.deviations)))
         for j, source in enumerate(sources(assembly.scene)):
             for name, skin in source.thickening().items():
                 p = names.index(name)
-                found[offsets[p] : offsets[p + 1], j] = thickening(assembly, p, skin)
-        return found
+                faces[offsets[p] : offsets[p + 1], j] = thickening(assembly, p, skin)
+        return faces

@@ -1,21 +1,20 @@
-"""One stage by full finite elements: step by step, each load followed by Newton's method, no reduction.
+"""One stage by full finite elements, step by step, without reduction.
 
-With s from 0 to 1 over a step of the stage:
+The load parameter s goes from 0 to 1 over a step of the stage:
 
-- bilateral rows hold ``B u = v(s)``, from what the row read before the step to its target;
-- rows let go, and forces taken away, fade: ``p(s) = (1 − s) Bᵣᵀ r``;
-- a contact's gap is ``g = g⁰ + n·(shape deviation) + δ_n``; where parts settle, v and p stay, and each overlap
-  ``−(g⁰ + δ_n)`` that there would be without contact forces but those that act already closes from touching;
-- a row that is pushed towards its position by a limited force (:class:`mic.process.plan.Limit`) is a load that meets a
-  stop, one more contact without friction; where the part lies beyond the position, the stop brings it back from there;
-- parts that rest by contact alone lie on soft springs, which follow them in every solve until they carry nothing
-  (method of multipliers); at no point of the path do they carry anything;
-- slip is measured from where the contact stood before, increment by increment, or followed
+- bilateral rows obey ``B u = v(s)``, from their readings before the step to their targets;
+- forces of removed rows and removed loads decrease as ``p(s) = (1 − s) Bᵣᵀ r``;
+- the gap of a contact is ``g = g⁰ + n·(shape deviation) + δ_n``. While parts settle, v and p are constant, and each
+  overlap ``−(g⁰ + δ_n)``, computed with the contact forces that already act, is closed from touching;
+- a row pushed towards its position by a limited force (:class:`mic.process.plan.Limit`) is a load with a stop, which
+  is a frictionless contact. If the part starts beyond the position, the stop moves it back;
+- parts that rest by contact alone are on soft springs, moved in every solve until they carry no force (method of
+  multipliers);
+- slip is measured from the contact's previous position, in increments or along a followed path
   (:mod:`fem_reference.full.path`).
 
-Where Newton's method fails, the way to the next equilibrium is cut: fractions of it are solved first. They are a path
-towards the solution, not a part of the process: slip is measured from the start of the whole, so cutting does not
-change the answer.
+If Newton's method fails, the step to the next equilibrium is divided. The intermediate solutions only start the next
+solve: slip is measured from the start of the whole step, so the division does not change the result.
 """
 
 from __future__ import annotations
@@ -25,31 +24,32 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from fem_reference.full.contact_law import ContactLaw
 from fem_reference.full.discretisation import Discretisation, System
-from fem_reference.full.equilibrium import ContactLaw, Iteration, NoConvergence, State
+from fem_reference.full.equilibrium import Iteration, NoConvergence, State
 from fem_reference.full.friction import ContactFriction
 from fem_reference.full.path import TOUCHING, FullTrace, Point, extrapolated, increments, shares, transition
 from mic.contact.states import OPEN, STICK
 from mic.errors import FreeMotion
 from mic.model.rest_rows import separating_motion
-from mic.process.actions import Joints, Row, ResolveOverlap
+from mic.process.actions import Joints, ResolveOverlap, Row
 from mic.process.drive import Drive
 from mic.process.plan import StagePlan, Step, row_compliance
 
 __all__ = ["ContactFailure", "FullResolution", "FullStage", "FullState", "Penalty", "Solve"]
 
-SMALLEST_CUT = 1 / 64  # of the way from one equilibrium to the next
-AUGMENTATIONS = 30
-AUGMENTED = 1e-10  # change of the contact forces in the last augmentation, of the largest
-ROUNDING = 1e-8  # of the largest force: a change below this that no longer shrinks is rounding
-FAR = 1e3  # mm: gap of contacts that take no part any more, since a weld has fused the sheets there
-SLOW = 0.1  # an augmentation that leaves more than this share of the change before raises ε tenfold
-FIRST = 0.01  # of a step whose path is followed: parts come to lie on something
-PRESSED = 1e-3  # of the largest force: a part on springs that carry more than this is not pressed on anything
-STILL = 1e-5  # mm: then it may be so far from where they carry nothing
-STAYS = 0.1  # of what springs carry: what changes by less from one augmentation to the next stays
-OFF = 10.0  # mm: a part that springs have followed so far, and still carry, nothing holds
-STIFFEST = 1e9  # ε/k at most
+SMALLEST_CUT = 1 / 64  # smallest fraction of a step between two equilibria
+AUGMENTATIONS = 30  # largest number
+AUGMENTED = 1e-10  # tolerance on the change of contact forces by an augmentation, relative to the largest force
+ROUNDING = 1e-8  # relative to the largest force: a smaller change that does not decrease is rounding
+FAR = 1e3  # mm: gap given to contacts excluded by a weld
+SLOW = 0.1  # ε is raised tenfold if an augmentation reduces the change of forces to more than this fraction
+FIRST = 0.01  # share of a followed path at which resting parts first get support
+PRESSED = 1e-3  # relative to the largest force: a part whose springs carry more is not in contact
+STILL = 1e-5  # mm: distance from the force-free position allowed for such a part
+STAYS = 0.1  # relative to the spring forces: a smaller change per augmentation counts as constant
+OFF = 10.0  # mm: a part displaced farther whose springs still carry force has no support
+STIFFEST = 1e9  # largest ε/k
 
 
 class ContactFailure(NoConvergence):
@@ -58,7 +58,7 @@ class ContactFailure(NoConvergence):
 
 @dataclass(frozen=True)
 class Penalty:
-    """How the contact law is enforced.
+    """Enforcement of the contact law.
 
     Attributes
     ----------
@@ -84,9 +84,9 @@ class Solve:
     share : float
         Of the step's load; 1 is its end.
     augmentation : int
-        0 for the penalty method, then the number of times that f̂ was replaced by f.
+        0 for the penalty method, otherwise the number of augmentations so far.
     penalty : float
-        ε/k; infinite where Coulomb's law itself was solved for.
+        ε/k; infinite if Coulomb's law was solved exactly.
     iterations : tuple of Iteration
     """
 
@@ -114,10 +114,9 @@ class FullResolution:
     reaction : (b,) array
         Forces of the bilateral rows on the parts, N or N mm, in the plan's order; 0 for redundant rows.
     trace : FullTrace
-        What the contacts went through on the way; the shares are of the steps that resolve contact.
+        History of the contacts; shares refer to the steps that resolve contact.
     pushed, left : (p,) array
-        What the clamps and guns of limited force push with where they are judged, N, and the way that each has left,
-        mm.
+        Force of each clamp or gun of limited force at its check, N, and its remaining distance, mm.
     """
 
     stage: str
@@ -139,17 +138,17 @@ class FullState:
     solution : State
         Freedoms, reactions of the independent bilateral rows, contact forces.
     left : (m, d) array
-        Relative displacement δ at which each contact was left, mm.
+        Relative displacement δ of each contact, mm.
     anchor : (m, d - 1) array
-        Where its slip goes on from, mm: from there, or from where its slider stands where contacts yield.
+        Position from which further slip is measured, mm: δ_t, or the slider's position if the contact yields.
     reaction : dict of (str, int) to float
         Forces of the bilateral rows on the parts, N or N mm.
     push : dict of int to float
         Forces of the clamp rows that push, N.
     stop : dict of (str, int) to float
-        Forces by which stops hold back the rows that are pushed by a limited force, N.
+        Forces of the stops on rows that a limited force pushes, N.
     frozen : dict of int to float
-        Relative displacement that each weld row keeps.
+        Relative displacement that each weld row prescribes.
     """
 
     solution: State
@@ -169,17 +168,17 @@ class FullState:
 
 @dataclass(frozen=True)
 class FullStage:
-    """A stage ready to take an assembly on.
+    """A stage of the full model.
 
     Attributes
     ----------
     plan : StagePlan
     mesh : Discretisation
     friction : ContactFriction
-        Under the law, in this stage.
+        Friction of the law in this stage.
     penalty : Penalty
     tolerance : float
-        Of a path that is followed, mm (:func:`fem_reference.full.path.extrapolated`).
+        Error tolerance of a followed path, mm (:func:`fem_reference.full.path.extrapolated`).
     """
 
     plan: StagePlan
@@ -189,7 +188,7 @@ class FullStage:
     tolerance: float
 
     def advance(self, state: FullState, drive: Drive) -> tuple[FullState, FullResolution | None, list[Solve]]:
-        """Take one assembly, the drive's only one, through the stage.
+        """Solve the stage for the single assembly of `drive`.
 
         Raises
         ------
@@ -201,13 +200,13 @@ class FullStage:
             if step.resolves or step.sets_down:
                 if step.settles and step.resting:
                     state = self._put_down(step, state, drive)
-                way = self._way(number, step, state, drive)
+                load_path = self._load_path(number, step, state, drive)
                 if step.resolves and len(self.friction) + len(step.stops):
-                    state, end, trace = self._resolve(way, state)
-                    ends, traces, solves = [*ends, end], [*traces, trace], solves + way.solves
+                    state, end, trace = self._resolve(load_path, state)
+                    ends, traces, solves = [*ends, end], [*traces, trace], solves + load_path.solves
                 else:
-                    state = self._without_contact(way, state)
-            else:  # nothing has changed: new welds hold what they found and carry no more than their guns did
+                    state = self._without_contact(load_path, state)
+            else:  # no load changes: new welds hold the present displacement and take over the forces of their guns
                 guns = {limit.row: limit.load - limit.sign * state.stop[limit.row] for limit in step.dropped_limits}
                 state = replace(state, reaction={**state.reaction, **guns})
             reaction = {row: state.reaction.get(row, 0.0) for row in step.bilateral}
@@ -219,34 +218,34 @@ class FullStage:
             return state, None, solves
         trace = sum(traces[1:], traces[0])
         trace = replace(trace, share=trace.share / len(traces))
-        judged = np.array([pushed[one] for one in self.plan.checked_limits]).reshape(-1, 2)
-        return state, self._resolution(start, state, ends[-1], trace, drive, judged), solves
+        checked = np.array([pushed[limit] for limit in self.plan.checked_limits]).reshape(-1, 2)
+        return state, self._resolution(start, state, ends[-1], trace, drive, checked), solves
 
     def _position(self, limit, drive) -> float:
-        """Where a limited force pushes its row: a clamp to its target, a gun until its weld's gap is closed."""
+        """Target of the row that a limited force pushes: the clamp's target, or a closed gap at a gun's weld."""
         kind, row = limit.row
         if kind == "clamp":
             return float(drive.target["clamp"][0, row])
         return -float(drive.weld_gap[0, row])
 
-    def _way_left(self, limit, state, drive) -> float:
-        """Of a limited force to its position, mm; negative beyond."""
+    def _distance_left(self, limit, state, drive) -> float:
+        """Signed distance of a limited force from its target, mm; negative beyond it."""
         kind, row = limit.row
         return limit.sign * (self._position(limit, drive) - float((self.mesh.rows[kind][row] @ state.solution.u)[0]))
 
     def _pushed(self, limit, state, drive) -> tuple[float, float]:
-        """Force and way left of a limited force; a gun presses with all of its own."""
-        stop, way = state.stop[limit.row], self._way_left(limit, state, drive)
-        return limit.force - stop * (limit.row[0] == "clamp"), way if way > TOUCHING else 0.0
+        """Force, N, and remaining distance, mm, of a limited force; a gun presses with its full force."""
+        stop, distance = state.stop[limit.row], self._distance_left(limit, state, drive)
+        return limit.force - stop * (limit.row[0] == "clamp"), distance if distance > TOUCHING else 0.0
 
     def _make_welds(self, step, state, drive):
-        found = self.mesh.rows["weld"] @ state.solution.u
-        frozen = dict(state.frozen) | {row: float(found[row]) for row in step.made}
+        reading = self.mesh.rows["weld"] @ state.solution.u
+        frozen = dict(state.frozen) | {row: float(reading[row]) for row in step.made}
         closed = step.closed(Joints(self.mesh.assembly.weld_size))
         return frozen | {row: -float(drive.weld_gap[0, row]) for row in closed}
 
-    def _way(self, number, step: Step, state, drive) -> _Way:
-        """From the values and loads that are to those of the step's end."""
+    def _load_path(self, number, step: Step, state, drive) -> _LoadPath:
+        """Load path from the present values and loads to those at the end of the step."""
         mesh = self.mesh
         try:
             system = mesh.system(step)
@@ -262,35 +261,36 @@ class FullStage:
             raise ContactFailure(f"stage {self.plan.name!r}: {error}") from error
         p0, p1 = self._loads(step, state, drive)
         position = [limit.sign * self._position(limit, drive) for limit in step.stops]
-        gap = np.concatenate([np.where(self._out(step), FAR, drive.gap[0]), position])
+        gap = np.concatenate([np.where(self._excluded(step), FAR, drive.gap[0]), position])
         overlap = np.zeros_like(gap)
         if step.settles:
             before = np.zeros((len(gap), state.left.shape[1]))
             before[: len(state.left)] = state.solution.force
             unloaded = system.equilibrium.linear(p0, v0, before)
-            apart = gap + mesh.contact(unloaded.u, step.stops)[:, 0]
-            apart[: len(state.left)] += mesh.assembly.contacts.layer * state.solution.force[:, 0]
-            overlap = np.maximum(0, -apart)
+            unloaded_gap = gap + mesh.contact(unloaded.u, step.stops)[:, 0]
+            unloaded_gap[: len(state.left)] += mesh.assembly.contacts.layer * state.solution.force[:, 0]
+            overlap = np.maximum(0, -unloaded_gap)
             overlap[overlap <= TOUCHING] = 0
         overlap[len(drive.gap[0]) :] = [
-            0.0 if limit.row in state.stop else max(0.0, -self._way_left(limit, state, drive)) for limit in step.stops
+            0.0 if limit.row in state.stop else max(0.0, -self._distance_left(limit, state, drive))
+            for limit in step.stops
         ]
-        return _Way(self, system, number, step, (p0, v0, gap + overlap), (p1, v1, gap))
+        return _LoadPath(self, system, number, step, (p0, v0, gap + overlap), (p1, v1, gap))
 
     def _put_down(self, step, state, drive) -> FullState:
-        """With the resting parts that nothing presses yet where they overlap nowhere, and their anchors with them.
+        """Move resting parts without contact force, and their anchors, to where they do not overlap other parts.
 
-        What the contacts read of each of their rest rows, equilibrium itself tells.
+        The contact displacements per unit of each rest row come from linear equilibria.
         """
         mesh, system = self.mesh, self.mesh.system(step)
         p, _ = self._loads(step, state, drive)
-        v = (system.rows @ state.solution.u)[system.kept]
+        v = (system.rows @ state.solution.u)[system.independent]
         none = np.zeros((len(state.left) + len(step.stops), state.left.shape[1]))
         start = system.equilibrium.linear(p, v, none)
-        unit = np.eye(len(v))[np.searchsorted(system.kept, system.soft)]
-        moved = [system.equilibrium.linear(p, v + one, none).u - start.u for one in unit]
+        unit = np.eye(len(v))[np.searchsorted(system.independent, system.soft)]
+        moved = [system.equilibrium.linear(p, v + displacement, none).u - start.u for displacement in unit]
         G = np.array([mesh.contact(u) for u in moved]).reshape(len(unit), *state.left.shape)
-        G[:, self._out(step)] = 0.0
+        G[:, self._excluded(step)] = 0.0
         touched = np.abs(G).max(axis=(0, 2), initial=0.0) > TOUCHING
         if state.solution.force[touched].any():
             return state
@@ -299,8 +299,8 @@ class FullStage:
         solution = replace(state.solution, u=state.solution.u + np.tensordot(by, np.array(moved), 1))
         return replace(state, solution=solution, left=state.left + slid, anchor=state.anchor + slid[:, 1:])
 
-    def _out(self, step) -> np.ndarray:
-        """(m,) contacts that take no part any more."""
+    def _excluded(self, step) -> np.ndarray:
+        """(m,) whether each contact is excluded by a weld or by a part that is away."""
         return self.mesh.assembly.contacts.excluded(step.welds, step.away)
 
     def _loads(self, step, state, drive):
@@ -321,67 +321,70 @@ class FullStage:
             p0 += rows[kind][i].T @ [state.reaction[kind, i]]
         return p0, p1
 
-    def _without_contact(self, way, state) -> FullState:
-        """Set down one by one, the contacts touch nothing: they are left where their points come to lie."""
-        p, v, _ = way.end
-        none = np.zeros((len(way.step.stops), state.left.shape[1]))
-        solution = way.system.equilibrium.linear(p, v, np.concatenate([state.solution.force, none]))
+    def _without_contact(self, load_path, state) -> FullState:
+        """Linear equilibrium at the end of the load path; contacts keep their forces and get new anchors."""
+        p, v, _ = load_path.end
+        equilibrium = load_path.system.equilibrium
+        none = np.zeros((len(load_path.step.stops), state.left.shape[1]))
+        solution = equilibrium.linear(p, v, np.concatenate([state.solution.force, none]))
         solution = replace(solution, force=state.solution.force)
-        touching = way.system.equilibrium.linear(p, v, np.zeros((len(state.left) + len(none), none.shape[1])))
+        touching = equilibrium.linear(p, v, np.zeros((len(state.left) + len(none), none.shape[1])))
         left = self.mesh.contact(touching.u)
-        return self._after(way, state, solution, left, left[:, 1:])
+        return self._after(load_path, state, solution, left, left[:, 1:])
 
-    def _resolve(self, way, state) -> tuple[FullState, Point, FullTrace]:
-        """Along the way; without friction nothing but its end counts, and slip under load has no meaning."""
-        reaction = np.zeros(way.system.rows.shape[0])
-        reaction[: len(way.step.bilateral)] = [state.reaction.get(row, 0.0) for row in way.step.bilateral]
-        reaction = reaction[way.system.kept]
-        stops, m = way.step.stops, len(self.friction)
+    def _resolve(self, load_path, state) -> tuple[FullState, Point, FullTrace]:
+        """Contact solution along the load path; without friction only its end is solved and slip is zero."""
+        system, step, solve = load_path.system, load_path.step, load_path.solve
+        reaction = np.zeros(system.rows.shape[0])
+        reaction[: len(step.bilateral)] = [state.reaction.get(row, 0.0) for row in step.bilateral]
+        reaction = reaction[system.independent]
+        stops, m = step.stops, len(self.friction)
         force = np.zeros((len(stops), state.left.shape[1]))
         force[:, 0] = [state.stop.get(limit.row, 0.0) for limit in stops]
-        start = way.start_point(
+        start = load_path.start_point(
             State(state.solution.u, reaction, np.concatenate([state.solution.force, force])), state.anchor
         )
-        if way.still:
+        if load_path.still:
             end, trace = start, replace(FullTrace.start(*start.force.shape), share=shares(start.state))
         elif not self.friction.any():
-            end, trace = increments(way.solve, start, 1)
+            end, trace = increments(solve, start, 1)
             trace = replace(FullTrace.start(*end.force.shape), share=trace.share, steps=1, solves=1)
         elif self.plan.path == "followed":
             bound, _ = self.friction.bound(np.maximum(start.force[:m, 0], 0))
             less = (np.linalg.norm(start.force[:m, 1:], axis=1) > bound + ROUNDING * bound.max(initial=0.0)).any()
-            if less or start.force[:m][self._out(way.step)].any():
-                start = way.solve(start, 0.0, start.position)  # there is less friction than before, or a weld instead
+            if less or start.force[:m][self._excluded(step)].any():
+                start = solve(start, 0.0, start.position)  # less friction than before, or a weld excludes a contact
             first = FullTrace.start(*start.force.shape)
-            if len(way.system.soft):  # what lay loose comes to lie on something, by a finite way under no load
-                before, start = start, way.solve(start, FIRST, start.position)
+            if len(system.soft):  # resting parts move a finite distance at zero load before they touch
+                before, start = start, solve(start, FIRST, start.position)
                 first = transition(before, start)
-            end, trace = extrapolated(way.solve, start, self.tolerance)
+            end, trace = extrapolated(solve, start, self.tolerance)
             trace = first + trace
         else:
-            end, trace = increments(way.solve, start, self.plan.increments)
-        solution = way.system.equilibrium.unpack(end.held)
+            end, trace = increments(solve, start, self.plan.increments)
+        solution = system.equilibrium.unpack(end.unknowns)
         state = replace(state, stop={limit.row: float(f) for limit, f in zip(stops, solution.force[m:, 0])})
         solution = replace(solution, force=solution.force[:m])
         end, trace = end.first(m), trace.first(m)
-        return self._after(way, state, solution, self.mesh.contact(solution.u), end.position), end, trace
+        return self._after(load_path, state, solution, self.mesh.contact(solution.u), end.position), end, trace
 
-    def _after(self, way, state, solution, left, anchor):
-        r = np.zeros(way.system.rows.shape[0])  # of resting parts none, behind those of the bilateral rows
-        r[way.system.kept] = solution.reaction
-        return replace(state, solution=solution, left=left, anchor=anchor, reaction=dict(zip(way.step.bilateral, r)))
+    def _after(self, load_path, state, solution, left, anchor):
+        r = np.zeros(load_path.system.rows.shape[0])
+        r[load_path.system.independent] = solution.reaction
+        reaction = dict(zip(load_path.step.bilateral, r))  # without the rest rows at the end of r
+        return replace(state, solution=solution, left=left, anchor=anchor, reaction=reaction)
 
-    def _resolution(self, start, state, end, trace, drive, judged) -> FullResolution:
-        gap = np.where(self._out(self.plan.steps[-1]), drive.gap[0] + state.left[:, 0], end.gap)
+    def _resolution(self, start, state, end, trace, drive, checked) -> FullResolution:
+        gap = np.where(self._excluded(self.plan.steps[-1]), drive.gap[0] + state.left[:, 0], end.gap)
         displacement = np.column_stack([gap, (state.left - start.left)[:, 1:]])
         reaction = np.array([state.reaction[row] for row in self.plan.bilateral])
         return FullResolution(
-            self.plan.name, state.solution.force, displacement, end.state, reaction, trace, *judged.T.copy()
+            self.plan.name, state.solution.force, displacement, end.state, reaction, trace, *checked.T.copy()
         )
 
 
-class _Way:
-    """From one load to the next, with the Newton solves that it took; loads are (nodal forces, values, gaps)."""
+class _LoadPath:
+    """Load path of a step, and its Newton solves; loads are (nodal forces, values, gaps)."""
 
     def __init__(self, stage: FullStage, system: System, number: int, step: Step, start, end):
         self.stage, self.system, self.number, self.step = stage, system, number, step
@@ -390,12 +393,12 @@ class _Way:
 
     @property
     def still(self) -> bool:
-        """Whether nothing moves: parts settle, and nothing else, and overlap nowhere."""
+        """Whether nothing moves: the step only settles parts, and none overlap."""
         settles = all(isinstance(action, ResolveOverlap) for action in self.step.move)
         return settles and bool((self.start[2] == self.end[2]).all())
 
     def start_point(self, solution: State, anchor: np.ndarray) -> Point:
-        """Where the way begins."""
+        """Equilibrium at the start of the load path."""
         force, δ = solution.force, self.stage.mesh.contact(solution.u, self.step.stops)
         position = np.concatenate([anchor, δ[len(anchor) :, 1:]])
         contact = np.where(force[:, 0] > 0, STICK, OPEN)
@@ -411,7 +414,7 @@ class _Way:
         origin = np.column_stack([np.zeros(len(k)), anchor])
         layer = np.concatenate([mesh.assembly.contacts.layer, np.zeros(len(stops))])
         law = ContactLaw(friction, self.end[2], origin, estimate, penalty.stiffness * k, k, layer)
-        solution = self.system.equilibrium.unpack(point.held)
+        solution = self.system.equilibrium.unpack(point.unknowns)
         place = self._place(solution)
         condensed = self._condensed(solution, share, law, place)
         if condensed is None:
@@ -427,12 +430,12 @@ class _Way:
         return Point(share, position, gap, solution.force, state, solution.stacked)
 
     def _place(self, solution: State) -> np.ndarray:
-        """(k,) where the parts are that lie on springs."""
+        """(k,) positions of the parts on springs."""
         return (self.system.rows @ solution.u)[self.system.soft]
 
     def _condensed(self, solution, share, law, place):
-        """At once on the condensed system, by Coulomb's law itself where augmentation leads to that; None where there
-        is no such system, or no solution was found."""
+        """Solution of the condensed system, by Coulomb's exact law if augmented; None if there is no such system or
+        the solver fails."""
         equilibrium = self.system.equilibrium
         if not equilibrium.condensable:
             return None
@@ -449,7 +452,7 @@ class _Way:
     def _loads(self, share, place):
         """Nodal forces, values and gaps at a share, resting parts on springs about `place`."""
         p, v, gap = (a + share * (b - a) for a, b in zip(self.start, self.end))
-        v[np.searchsorted(self.system.kept, self.system.soft)] = place
+        v[np.searchsorted(self.system.independent, self.system.soft)] = place
         return p, v, gap
 
     def _newton(self, solution, share, law, place, augmentation):
@@ -464,30 +467,35 @@ class _Way:
         self.solves.append(Solve(self.stage.plan.name, self.number, share, augmentation, penalty, tuple(iterations)))
 
     def _penalised(self, solution, done, share, law, place):
-        """On by the penalty method, cut where Newton's method fails; resting parts on springs about `place`."""
+        """Solution at `share` by the penalty method, in shorter steps if Newton's method fails; resting parts are on
+        springs about `place`."""
         whole = length = share - done
         while True:
             target = share if done + 1.5 * length > share else done + length
             try:
-                found, solution = self._newton(solution, target, law, place, 0)
+                used, solution = self._newton(solution, target, law, place, 0)
             except NoConvergence as problem:
                 length /= 2
                 if length < SMALLEST_CUT * whole or whole == 0:
-                    raise self._failure(done, problem, "give the stage increments, or lower the penalty") from problem
+                    raise self._failure(
+                        done, problem, "use increments in this stage, or lower the penalty"
+                    ) from problem
                 continue
             if target == share:
-                return found, solution
+                return used, solution
             done = target
 
     def _augment(self, solution, share, law, place):
-        """f̂ ← f until the forces no longer change, and springs of resting parts moved to where these are, until they
-        carry nothing: or, of parts that nothing presses, until that is no way any more."""
+        """Augment f̂ ← f until the contact forces converge and the springs of resting parts carry no force.
+
+        Springs are moved to the position of their part; for parts without contact until that motion is negligible.
+        """
         change, stiffness, augmented = np.inf, law.stiffness, self.stage.penalty.augmented
         springs, softness = (
-            np.searchsorted(self.system.kept, self.system.soft),
+            np.searchsorted(self.system.independent, self.system.soft),
             self.system.springs[self.system.springs > 0],
         )
-        begun, pushed, stride = place, np.full(len(place), np.inf), 1.0
+        initial, carried_before, stride = place, np.full(len(place), np.inf), 1.0
         for augmentation in range(1, AUGMENTATIONS + 1):
             before = change
             stronger = law.augmented(solution.force) if augmented else law
@@ -499,16 +507,17 @@ class _Way:
             settled = change <= AUGMENTED * largest or before <= ROUNDING * largest and change > 0.5 * before
             if settled and not moves.any():
                 return law, solution
-            if moves.any() and np.abs(place - begun).max() > OFF:
+            if moves.any() and np.abs(place - initial).max() > OFF:
                 raise self._failure(
                     share,
-                    f"a part that rests by contact alone is pushed off by {carried.max():.2g} N, over {OFF:g} mm, and "
-                    "not held",
-                    "give it locators there, or friction",
+                    f"a part that rests by contact alone has moved more than {OFF:g} mm under {carried.max():.2g} N "
+                    "without finding support",
+                    "add locators there, or friction",
                 )
-            now = solution.reaction[springs]  # where it stays, the part slides on, by strides that double
-            stride = 2 * stride if np.abs(now - pushed).max(initial=0.0) < STAYS * carried.max(initial=0.0) else 1.0
-            pushed = now
+            now = solution.reaction[springs]  # a constant force means that the part slides: double the stride
+            constant = np.abs(now - carried_before).max(initial=0.0) < STAYS * carried.max(initial=0.0)
+            stride = 2 * stride if constant else 1.0
+            carried_before = now
             stiffer = change > SLOW * before and law.penalty[0] < STIFFEST * stiffness[0] and not moves.any()
             law = replace(stronger, penalty=(10 if stiffer else 1) * law.penalty)
             if moves.any():
@@ -516,11 +525,11 @@ class _Way:
             try:
                 law, solution = self._newton(solution, share, law, place, augmentation)
             except NoConvergence as problem:
-                raise self._failure(share, problem, "lower the penalty, or do without augmentation") from problem
+                raise self._failure(share, problem, "lower the penalty, or set augmented=False") from problem
         raise self._failure(
             share,
             f"after {AUGMENTATIONS} augmentations the forces still change by {change:.1e} N",
-            "raise the penalty; look for contacts that the welds make redundant",
+            "raise the penalty, or remove contacts that the welds make redundant",
         )
 
     def _failure(self, share, problem, remedy):

@@ -5,9 +5,9 @@ K (SPD, the pinned part) bordered by n retained functionals L,
     ⎡ K  Lᵀ ⎤          has the Schur complement      0 − L K⁻¹ Lᵀ = −H
     ⎣ L  0  ⎦
 
-on its last n rows. A multifrontal solver that is told to stop before those rows (MUMPS: ICNTL(19)) has it in the front
-that remains, while the factors of K serve further solves. The pivots are those of K alone, so Cholesky applies though
-the bordered matrix is indefinite. So is the order of elimination: K alone is dissected, and the border comes last.
+on its last n rows. A multifrontal solver that stops before those rows (MUMPS: ICNTL(19)) returns it as the remaining
+front, and the factors of K serve further solves. All pivots belong to K, so Cholesky applies although the bordered
+matrix is indefinite. The elimination order is a nested dissection of K, followed by the border.
 """
 
 from __future__ import annotations
@@ -49,8 +49,8 @@ _INFOG_STATUS = 1  # negative: failure
 _INFOG_NEGATIVE_PIVOTS = 12
 _INFOG_MEMORY = 19  # MB, over all processes
 
-# How many threads share a product of MUMPS's moves the last digits of H, by 1e-9 of its largest entry for a sheet that
-# is badly conditioned. One thread always: the same bits on any number of them, and fronts this small cost no more time.
+# The number of BLAS threads changes the last digits of H, by 1e-9 of its largest entry for an ill-conditioned sheet.
+# MUMPS always uses one thread, which gives the same bits everywhere and is not slower for such small fronts.
 _one_thread = threadpool_limits.wrap(limits=1, user_api="blas")
 
 
@@ -111,8 +111,8 @@ class Factorisation:
             raise _failure(problem) from problem
         if self._factors.negative_pivots:
             raise FactorisationError(
-                "the stiffness is not positive definite: the part holds a mechanism, is too thin for its size, or has "
-                "elements so narrow beside the others that digits are lost: mesh it anew"
+                "the stiffness is not positive definite: the part has a mechanism, is too thin for its size, or has "
+                "elements that are too narrow; remesh the part"
             )
         self.memory = self._factors.memory
 
@@ -132,7 +132,7 @@ class Factorisation:
 
 
 def upper_triangle(K: csr_matrix) -> csr_matrix:
-    """What stands on and above the diagonal of K (m, m); K itself if that is all it has."""
+    """Upper triangle of K (m, m) with its diagonal; K itself if it is upper triangular."""
     row = np.repeat(np.arange(K.shape[0], dtype=K.indices.dtype), np.diff(K.indptr))
     kept = K.indices >= row
     if kept.all():
@@ -143,8 +143,7 @@ def upper_triangle(K: csr_matrix) -> csr_matrix:
 
 
 def _mirrored(lower: np.ndarray) -> np.ndarray:
-    """The same array (n, n), what stands below its diagonal put above it, too: of a symmetric matrix MUMPS fills the
-    lower triangle alone. In place, as this is among the largest arrays that there are."""
+    """The array (n, n) with its lower triangle copied to the upper one, in place: MUMPS fills only the lower one."""
     for first in range(0, len(lower), BLOCK):
         own, rest = slice(first, first + BLOCK), slice(first + BLOCK, None)
         lower[own, own] = np.tril(lower[own, own]) + np.tril(lower[own, own], -1).T
@@ -224,10 +223,9 @@ class _Factors:
 
 
 def _give_freed_memory_back() -> None:
-    """Let the C library return to the system what was freed but lies between what is used.
+    """Return fragmented free memory to the system, so that MUMPS can allocate one large block.
 
-    Assembling a sheet leaves more of that than its mesh and stiffness take, and MUMPS, which asks for one large piece,
-    cannot have it.
+    After the assembly of a sheet it exceeds the memory of mesh and stiffness.
     """
     trim = getattr(ctypes.CDLL(None), "malloc_trim", None)  # glibc's own
     if trim is not None:
@@ -325,7 +323,7 @@ def _failure(problem: MumpsFailure) -> FactorisationError:
     """The error that MUMPS's status stands for."""
     kind = FactorisationError
     if problem.status in (-10, -40):
-        reason = "the matrix is singular: the part is not in one piece, or its triangles hold a mechanism"
+        reason = "the matrix is singular: the part is not in one piece, or its triangles form a mechanism"
     elif problem.status in (-8, -9, -11, -13, -14, -15, -17, -19, -20):
         kind = OutOfMemory
         reason = "memory ran out: use fewer functionals at once, a coarser mesh or more memory"

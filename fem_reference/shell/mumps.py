@@ -1,8 +1,7 @@
-"""MUMPS itself, for what PETSc does not pass on: an order of elimination of the caller's own (PERM_IN).
+"""Direct interface to MUMPS, for a user-defined elimination order (PERM_IN), which PETSc does not support.
 
-MUMPS and its caller share one structure, whose layout changes from version to version. It is read from the header that
-the installed version brings (`dmumps_c.h`), and MUMPS's own word for its version, found where that layout says, must be
-the header's: else nothing is called further. The library is the one that PETSc has loaded.
+MUMPS and its caller share one structure, whose layout depends on the version. It is read from the installed header
+(`dmumps_c.h`); the version that MUMPS reports in that layout must be the header's. The library is that loaded by PETSc.
 """
 
 from __future__ import annotations
@@ -41,7 +40,7 @@ class MumpsFailure(Exception):
 
 
 class Instance:
-    """One matrix in the care of MUMPS, on this process alone. Fields have their names in MUMPS's users' guide.
+    """A MUMPS instance for one matrix on this process. Field names are those of MUMPS's users' guide.
 
     Arrays handed over by `give` are read and written in place and kept alive until `take_back`.
 
@@ -121,7 +120,7 @@ def _library() -> Any:
     try:
         function = ctypes.PyDLL(PETSc.__file__).dmumps_c  # symbols are looked up in its dependencies as well
     except (OSError, AttributeError) as problem:  # pragma: no cover - no such PETSc build is known
-        raise Unavailable(f"this PETSc shows no MUMPS ({problem})") from problem
+        raise Unavailable(f"this PETSc has no MUMPS ({problem})") from problem
     function.argtypes, function.restype = [ctypes.c_void_p], None
     return function
 
@@ -134,7 +133,7 @@ def layout() -> tuple[cffi.FFI, str]:
     for folder in (petsc, Path(sys.base_prefix, "include"), Path("/usr/include")):
         if (folder / "dmumps_c.h").exists():
             return read_header(folder)
-    raise Unavailable(f"there is no header of MUMPS, dmumps_c.h; {_REMEDY}")
+    raise Unavailable(f"the header of MUMPS, dmumps_c.h, is missing; {_REMEDY}")
 
 
 def read_header(folder: Path) -> tuple[cffi.FFI, str]:
@@ -149,12 +148,12 @@ def read_header(folder: Path) -> tuple[cffi.FFI, str]:
     text = header.read_text(encoding="utf-8", errors="replace")
     integers = folder / "mumps_int_def.h"
     if integers.exists() and re.search(r"^\s*#\s*define\s+MUMPS_INTSIZE64", integers.read_text(), re.MULTILINE):
-        raise Unavailable(f"{integers} tells of 64-bit integers throughout, which are not supported")
+        raise Unavailable(f"{integers} declares 64-bit integers, which are not supported")
     version = re.search(r'#\s*define\s+MUMPS_VERSION\s+"([^"]+)"', text)
     length = re.search(r"#\s*define\s+MUMPS_VERSION_MAX_LEN\s+(\d+)", text)
     structure = re.search(rf"typedef\s+struct\s*\{{[^{{}}]*\}}\s*{_STRUCTURE}\s*;", text)
     if not (version and length and structure):
-        raise Unavailable(f"{header} is not of the form that is known; {_REMEDY}")
+        raise Unavailable(f"{header} has an unknown form; {_REMEDY}")
     ffi = cffi.FFI()
     try:
         ffi.cdef(

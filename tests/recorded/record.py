@@ -21,7 +21,7 @@ from mic.contact import laws
 from mic.process.model import ReducedModel
 from mic.scene.zone import PressurePower
 from mic.statistics.draw import draw
-from verification.scenes import few
+from verification.scenes import with_stated_pairs
 
 ROOT = Path(__file__).resolve().parents[2]
 FOLDER = Path(__file__).resolve().parent
@@ -41,7 +41,7 @@ STAGE = ("force", "displacement", "state", "reaction")  # of each stage that res
 
 def reduced(name: str, cache: Path) -> ReducedModel:
     """A shipped scene under all laws, with slip and few pairs, its zones given what the laws read."""
-    scene = few(mic.load_scene(ROOT / "meshes" / name))
+    scene = with_stated_pairs(mic.load_scene(ROOT / "meshes" / name))
     zones = [zone.model_copy(update=FRICTION) for zone in scene.zones]
     report = scene.report.model_copy(update={"laws": list(LAWS), "slip": True})
     return mic.reduce(scene.model_copy(update={"report": report, "zones": zones}), cache)

@@ -21,7 +21,7 @@ from mic.compliance.coefficients import InfluenceCoefficients
 from mic.errors import MissingProvider
 from mic.model.assembly import assemble
 from mic.system.files import Format, load_arrays, save_arrays
-from verification.scenes import few
+from verification.scenes import with_stated_pairs
 
 ROOT = Path(__file__).resolve().parents[2]
 DATA = ROOT / "tests" / "data"
@@ -120,7 +120,7 @@ def main(cache: Path) -> None:
         (DATA / f"{file}.npz").unlink(missing_ok=True)
     for file, (name, with_few) in SCENES.items():
         scene = mic.load_scene(ROOT / "meshes" / name)
-        assembly = assemble(few(scene) if with_few else scene, cache)
+        assembly = assemble(with_stated_pairs(scene) if with_few else scene, cache)
         coefficients = influence_coefficients(assembly, cache)[0]
         header, arrays = {}, {}
         for part in assembly.parts:

@@ -12,7 +12,7 @@ from fem_reference.full.model import FullModel
 from mic.statistics.draw import draw
 from verification.comparison import certificates, difference, reduced_and_assembly
 from verification.plots import panels
-from verification.scenes import going, shipped
+from verification.scenes import shipped, with_path
 from verification.study import Acceptance, Finding, Study
 
 CASES = (("lap_joint", "coarse", "coarse", 3), ("hat_on_plate", "coarse", 12.0, 2), ("wheelhouse", "coarse", 30.0, 1))
@@ -36,7 +36,7 @@ def compare(model, assembly, law, sample, penalties, path="one-step") -> list[di
     path : str
         One of `PATHS`. What the full solve's forces leave in the reduced contact problem is known for one step a stage.
     """
-    scene = going(assembly.scene, path, PATHS[path])
+    scene = with_path(assembly.scene, path, PATHS[path])
     model, assembly = replace(model, scene=scene), replace(assembly, scene=scene)
     deviations = draw(assembly.scene, assembly.scene.monte_carlo.seed, sample, 1)
     process = model.process(law, tol=TOLERANCE)

@@ -83,7 +83,7 @@ def welded_leaves(context):
     axis.set(xlabel="x, mm", ylabel="slip of the upper leaf along x, mm")
     axis.legend()
     return [
-        Finding("slip", error, "Its sign tells which faces of the sheets the pairs read.", figure),
+        Finding("slip", error, "The sign shows which faces of the sheets the pairs read.", figure),
         Finding("welded", float(table["relative error"].abs().max()), table=table),
     ]
 

@@ -1,4 +1,4 @@
-"""The error budget of the scenes that ship with the program: how far off what it prints may be, and by what."""
+"""Error budget of the example scenes: errors of the printed results by source."""
 
 from __future__ import annotations
 
@@ -30,23 +30,24 @@ def _scene(name, size, quick):
 
 
 def mesh_coverage(scene, cache) -> pd.DataFrame:
-    """The mesh's estimated errors beside those against meshes halved twice, whose own error is a sixteenth."""
+    """Estimated mesh errors and errors against meshes halved twice, whose own error is a sixteenth."""
     model, assembly = reduced_and_assembly(scene, cache)
     case = Case(assembly, model, "coulomb", cache)
-    found, finer = [], assembly
+    refined, finer = [], assembly
     for _ in range(2):
         finer = with_halved_elements(finer)
-        found.append(case.of(reduced_model(finer, cache)))
-    told, true = paired(case.production, found[0], REFINED["mesh"]), paired(case.production, found[1], REFINED["law"])
+        refined.append(case.of(reduced_model(finer, cache)))
+    estimate = paired(case.production, refined[0], REFINED["mesh"])
+    true = paired(case.production, refined[1], REFINED["law"])
     rows = [
         {
             "quantity": f"{figure} {name}",
-            "estimate, mm": told.at[name, figure],
-            "±, mm": told.at[name, f"{figure}_half"],
+            "estimate, mm": estimate.at[name, figure],
+            "±, mm": estimate.at[name, f"{figure}_half"],
             "true, mm": true.at[name, figure],
         }
         for figure in FIGURES
-        for name in told.index
+        for name in estimate.index
     ]
     table = pd.DataFrame(rows)
     return table.assign(held=(table["estimate, mm"] - table["true, mm"]).abs() <= table["±, mm"])
@@ -66,7 +67,7 @@ def run(context):
 
 
 def findings(summaries, coverage) -> list[Finding]:
-    """What budgets and coverage are worth, held against the limits."""
+    """Findings from the error budgets of the scenes and from the coverage of the mesh error."""
     drawn, rows, worst = [], [], {"mean": 0.0, "six-sigma": 0.0, "slip": 0.0, "cpk": 0.0, "force": 0.0}
     sentences = {}
     for summary in summaries:
@@ -95,8 +96,8 @@ def findings(summaries, coverage) -> list[Finding]:
         Finding(
             "force",
             worst["force"],
-            f"A contact force is off by up to {worst['force']:.1%} of the largest, in {FULL_SOLVES} samples of each "
-            "scene: a typical, an extreme and a random one.",
+            f"Largest error of a contact force: {worst['force']:.1%} of the largest force, in {FULL_SOLVES} samples of "
+            "each scene (typical, extreme and random).",
         ),
         Finding(
             "coverage",
@@ -109,12 +110,12 @@ def findings(summaries, coverage) -> list[Finding]:
 
 def _first_columns(rows) -> pd.DataFrame:
     table = pd.concat(rows, ignore_index=True)
-    kept = ["scene", "source", "most of a tolerance, %", "most of a slip's 6σ, %", "CPU s", "how"]
-    return table[kept]
+    columns = ["scene", "source", "largest, % of tolerance", "largest, % of slip 6σ", "CPU s", "method"]
+    return table[columns]
 
 
 def method_errors(table, items) -> dict[str, float]:
-    """The largest possible errors of the sum without the samples, whose number is the user's choice."""
+    """Largest possible errors of the sum without sampling error, which the user controls."""
     rest = [item for item in items if item.source != SAMPLING]
     printed = table[["mean", "mean_half", "six_sigma", "six_sigma_half", "lower", "upper", "samples"]]
     again = by_quantity(printed, rest)

@@ -1,4 +1,4 @@
-"""What the contact law does to the answer: the paper's programme (13), no friction, friction that depends on pressure
+"""Effect of the contact law on the results: the paper's programme (13), no friction, friction that depends on pressure
 and contacts that yield, against Coulomb's law."""
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from mic.scene import Scene
 from mic.statistics.draw import draw
 from verification.comparison import difference, reduced_and_assembly, relative, zone_slip
 from verification.plots import panels
-from verification.scenes import going, shipped
+from verification.scenes import shipped, with_path
 from verification.study import Acceptance, Finding, Study
 
 CASES = (("lap_joint", "coarse", "coarse"), ("hat_on_plate", "coarse", 12.0), ("wheelhouse", "coarse", 30.0))
@@ -53,7 +53,7 @@ def with_friction(built, mu):
 def variant(keys, cache):
     """Reduced model and assembly of the coarse lap joint with keys of its zone."""
     laws = ["coulomb", "pressure-dependent", "micro-slip"]
-    table = going(shipped("lap_joint", "coarse"), "increments", INCREMENTS).model_dump(exclude_none=True)
+    table = with_path(shipped("lap_joint", "coarse"), "increments", INCREMENTS).model_dump(exclude_none=True)
     table["zones"] = [zone | keys for zone in table["zones"]]
     table["report"]["laws"] = laws[:1]
     scene = Scene(**table | {"folder": folder("lap_joint")})
@@ -175,11 +175,11 @@ def _effects(rows: pd.DataFrame):
 def _in_words(law: str, row: pd.Series) -> str:
     """Effect of a law on the published case, in a sentence."""
     return (
-        f"{law}: forces off by up to {row['force']:.0%} of the largest ({row['force when clamped']:.0%} when "
-        f"clamped), total normal force by up to {row['total normal force']:.0%}, {row['changed states']:.0%} of "
-        f"the touching contacts in another state, mean zone slip by {row['mean zone slip']:+.1%}, measurements by "
-        f"up to {row['measurement']:.1%} of the largest, gaps of up to {row['gap at loaded contacts, mm']:.3f} mm "
-        "at loaded contacts"
+        f"{law}: largest differences of forces {row['force']:.0%} of the largest force "
+        f"({row['force when clamped']:.0%} when clamped), of the total normal force {row['total normal force']:.0%}, "
+        f"of measurements {row['measurement']:.1%} of the largest; mean zone slip {row['mean zone slip']:+.1%}; "
+        f"{row['changed states']:.0%} of the touching contacts in another state; gaps at loaded contacts up to "
+        f"{row['gap at loaded contacts, mm']:.3f} mm"
     )
 
 
@@ -216,7 +216,7 @@ def run(context):
     samples, where = (5, QUICK_FULL) if context.quick else (40, FULL)
     built = {
         name: reduced_and_assembly(
-            going(shipped(name, quick if context.quick else size, ("coulomb", *LAWS)), "one-step"), context.cache
+            with_path(shipped(name, quick if context.quick else size, ("coulomb", *LAWS)), "one-step"), context.cache
         )
         for name, size, quick in CASES
     }
@@ -245,8 +245,7 @@ def run(context):
         Finding(
             "truth",
             max(checks),
-            f"{len(checks)} full solves, lap joint at μ from {min(FRICTION)} to {max(FRICTION)} among them: it is "
-            "Coulomb's law that the finite elements obey, and the reduced coulomb with them.",
+            f"{len(checks)} full solves, including the lap joint at μ from {min(FRICTION)} to {max(FRICTION)}.",
         ),
         Finding(
             "coulomb-gap", rows["gap under coulomb, mm"].max(), "Over all assemblies, frictions, samples and stages."
@@ -254,14 +253,14 @@ def run(context):
         Finding(
             "identity",
             associated["identity"].max(),
-            "The optimality conditions of (13) ask for u_n = μ‖u_t‖ where a contact slides under load. They "
-            "are kept: the gaps come from the formula, not from a solver.",
+            "The optimality conditions of (13) require u_n = μ‖u_t‖ at contacts that slide under load. They are met: "
+            "the gaps are a property of (13) and no error of the solver.",
         ),
         Finding(
             "opening",
             published["associated"]["gap at loaded contacts, mm"],
-            f"Wheelhouse, μ = {PUBLISHED[1]}, worst of {samples} samples. Where nothing slides much, (13) and "
-            "Coulomb's law agree; the more a loaded contact slides and the larger μ, the farther they part. "
+            f"Wheelhouse, μ = {PUBLISHED[1]}, worst of {samples} samples. The difference of (13) from Coulomb's law "
+            "increases with the slip of loaded contacts and with μ. "
             + "; ".join(_in_words(law, published[law]) for law in LAWS)
             + ".",
             figure,

@@ -13,7 +13,7 @@ from mic.process.model import ReducedModel
 from mic.statistics.draw import draw
 from verification.comparison import difference, reduced_and_assembly, reduced_model, relative, zone_slip
 from verification.plots import panels
-from verification.scenes import going, shipped
+from verification.scenes import shipped, with_path
 from verification.stiffness import DeviatedStiffness
 from verification.study import Acceptance, Finding, Study
 
@@ -195,7 +195,7 @@ def run(context):
         for name, size, quick in CASES
         if not context.quick or quick is not None
     ]
-    scenes = {name: going(shipped(name, size), "increments", 1) for name, size in cases}
+    scenes = {name: with_path(shipped(name, size), "increments", 1) for name, size in cases}
     built = {name: reduced_and_assembly(scene, context.cache) for name, scene in scenes.items()}
     offsets = [
         (name, size)

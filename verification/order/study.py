@@ -1,4 +1,4 @@
-"""The order in which a process closes decides what friction holds: the wheelhouse in the orders of its file."""
+"""Effect of the closing order on friction: the wheelhouse in the orders of `orders.toml`."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ SHARE, ABSOLUTE, MEASURED = 0.01, 2e-3, 0.005  # of a slip's mean or 6σ; mm; of
 
 
 def evaluate(model, order: Order, deviations, law="coulomb", path: Followed | None = None) -> Evaluation:
-    """The samples through the process in one order; where paths are followed, by another if it is given."""
+    """Evaluation of the samples in one order; `path` replaces followed paths."""
     process = replace(model, scene=order.scene).process(law)
     for stage in process.stages:
         if path is not None and isinstance(stage.path, Followed):
@@ -36,7 +36,7 @@ def evaluate(model, order: Order, deviations, law="coulomb", path: Followed | No
 
 
 def increments(order: Order, count: int) -> Order:
-    """The order with its path in so many increments for each step, but where it is taken in one."""
+    """The order with `count` increments per step, except for stages in one step."""
     stages = [
         stage if stage.path == "one-step" else stage.model_copy(update={"path": None, "increments": count})
         for stage in order.scene.stages
@@ -79,8 +79,7 @@ def departure(found: Evaluation, exact: Evaluation, model) -> tuple[float, float
 
 
 def table_of(model, others, rubbing, smooth):
-    """One row for each order: ratios with their intervals, and how far key characteristics are from the stated order's,
-    in shares of its 6σ."""
+    """One row per order: ratios with intervals, and change of key characteristics from the stated order over its 6σ."""
     rows = []
     base = spread(next(each for order, each in zip(others, rubbing) if order.name == STATED).measurements)
     for order, each in zip(others, rubbing):
@@ -102,7 +101,7 @@ def columns(table, kind="", end=""):
 
 
 def judge(table, settled) -> dict[str, float]:
-    """The numbers that are held against limits, but for what the path left."""
+    """Measured values for the limits, except those of the path error."""
     return {
         "located": float((columns(table).loc[LOCATED] - 1).abs().max()),
         "pressed": float(columns(table, "mean", "to").loc[list(PRESSED)].to_numpy().max()),
@@ -124,7 +123,7 @@ def run(context):
     settled = departure(by_name[MEANWHILE], by_name[LOCATED], model)[1]
 
     def path_left(order):
-        """Followed, and 25 times tighter, against the tightest; a few samples."""
+        """Errors of the followed path and of one 25 times tighter against the tightest."""
         found, tight, exact = (evaluate(model, order, deviations[:few], path=path) for path in (None, TIGHT, TIGHTER))
         return *departure(found, exact, model), max(departure(tight, exact, model))
 
@@ -150,7 +149,7 @@ def run(context):
         Finding(
             "matters",
             numbers["matters"],
-            f"The order that moves key characteristics most, {moved.idxmax()}, moves a mean by {moved.max():.2g} 6σ.",
+            f"Largest change of a mean: {moved.max():.2g} 6σ, in the order {moved.idxmax()}.",
         ),
         Finding("path-slip", float(paths["slip"].max()), f"{few} samples.", table=paths.reset_index()),
         Finding("path-measured", float(paths["key characteristics"].max())),

@@ -1,4 +1,4 @@
-"""The pairs that shipped scenes get, held against contact at every node of the facing zones, sample by sample."""
+"""Contact pairs of the example scenes against contact at every node of the facing zones, sample by sample."""
 
 from __future__ import annotations
 
@@ -17,15 +17,15 @@ from verification.comparison import reduced_model
 from verification.plots import panels
 from verification.study import Acceptance, Finding, Study
 
-LEAST = 2e-3  # mm: what coordinate measuring machines tell apart on sheets
-SHARE = 0.05  # of 6σ: less than what 500 samples leave unsure of it, 6.2 %
+LEAST = 2e-3  # mm: resolution of coordinate measuring machines on sheets
+SHARE = 0.05  # of 6σ: less than the uncertainty by 500 samples, 6.2 %
 BEYOND = 3.0  # radii of a nugget: nearer to it, sums of nodal forces do not settle
 SEED = 777  # not that of the scenes
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """What samples gave with one set of pairs.
+    """Results of samples with one set of pairs.
 
     Attributes
     ----------
@@ -145,7 +145,7 @@ def run(context):
         ""
         if context.quick
         else (
-            f" Not judged, the wheelhouse's stated pairs: mean {table['mean'].iloc[-1]:.3g} times what can be borne, "
+            f" Without limit, the wheelhouse's stated pairs: mean {table['mean'].iloc[-1]:.3g} times the limit, "
             f"{table['mean, µm'].iloc[-1]:.3g} µm."
         )
     )

@@ -15,7 +15,7 @@ from mic.statistics.draw import draw
 from mic.studies.order import variants
 from verification.order.study import ORDERS, columns, evaluate, picture, table_of
 from verification.plots import panels
-from verification.scenes import going, shipped
+from verification.scenes import shipped, with_path
 from verification.study import Acceptance, Finding, Study
 
 PULL = 0.03  # weight of the pull towards the scene's own forces: twelve unknowns, six targets
@@ -114,7 +114,7 @@ def laws_by_cut(context, model, deviations, followed):
         One row for each of `CUTS` and each zone.
     """
     names = [zone.name for zone in model.scene.zones]
-    cut = {count: replace(model, scene=going(model.scene, "increments", count)) for count in CUTS}
+    cut = {count: replace(model, scene=with_path(model.scene, "increments", count)) for count in CUTS}
     tasks = [(count, law) for count in CUTS for law in LAWS[1:]]
     found = context.team.map(lambda task: zone_slip(model, cut[task[0]].evaluate(deviations, task[1])).mean(0), tasks)
     means = dict(zip(tasks, found))

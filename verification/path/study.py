@@ -1,4 +1,4 @@
-"""Friction depends on the path: is it followed closely enough, does the run know how closely, and at what cost?"""
+"""Accuracy, error estimate and cost of the followed load path with friction."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from verification.analytic.leaves import Leaves, deflections
 from verification.comparison import relative
 from verification.path.closed_forms import CASES, error
 from verification.plots import panels
-from verification.scenes import going, shipped
+from verification.scenes import shipped, with_path
 from verification.study import Acceptance, Finding, Study
 
 SCENES = {"lap_joint": 2, "hat_on_plate": 4, "wheelhouse": 10}  # and what a path may cost, in single increments
@@ -60,7 +60,7 @@ class Gone:
 
 
 def evaluate(model, deviations, path=None):
-    """An evaluation under Coulomb's law, all stages followed in one way; by the scene's own, if none is given."""
+    """Evaluation under Coulomb's law with one path in all stages; default: the path of the scene."""
     process = Process(model, "coulomb")
     for stage in process.stages if path is not None else ():
         stage.path = path
@@ -79,7 +79,7 @@ def slips(model, evaluation):
 
 
 def quantities_of(model, evaluation):
-    """What the report prints statistics of, (n,) each, mm; key characteristics have no stage."""
+    """Quantities with printed statistics, (n,) each, mm; key characteristics have no stage."""
     quantities = {" ".join(name): y for name, y in slips(model, evaluation).items()}
     return quantities | {item.name: y for item, y in zip(model.scene.measurements, evaluation.measurements.T)}
 
@@ -101,14 +101,14 @@ def statistics_of(model, quantities):
 
 
 def allowed(reference):
-    """(rows, 2) what mean and 6σ may be off by, mm: a share of the mean and of 6σ, of 6σ for key characteristics."""
+    """(rows, 2) allowed errors of mean and 6σ, mm: relative to each, for key characteristics both relative to 6σ."""
     values = reference[["mean", "6σ"]].abs().to_numpy()
     key = reference["key"].to_numpy()[:, None]
     return np.maximum(LENGTH, np.where(key, KEY * values[:, 1:], SLIP * values))
 
 
 def off(found, reference):
-    """(rows, 2) differences of mean and 6σ, of what is allowed."""
+    """(rows, 2) differences of mean and 6σ over the allowed errors."""
     return np.abs(found[["mean", "6σ"]].to_numpy() - reference[["mean", "6σ"]].to_numpy()) / allowed(reference)
 
 
@@ -130,7 +130,7 @@ def errors(found, reference):
 
 
 def paths_of(counts):
-    """Every way to follow a scene, by label; the last one judges."""
+    """Paths by label; the last one is the reference."""
     paths = {"followed": None, "25 times tighter": TIGHT}
     return paths | {f"{count} increments": Increments(count) for count in (1, *counts)} | {"tightest": TIGHTER}
 
@@ -217,23 +217,23 @@ class Route:
     """One sample of the lap joint by one route: what both tell of it, by quantity and stage."""
 
     measurements: np.ndarray
-    told: dict[str, np.ndarray]
+    arrays: dict[str, np.ndarray]
 
     @classmethod
     def of(cls, measurements, resolutions) -> Route:
         """Forces, displacements, slip and work of every stage; the reduced model has them for each sample."""
-        told = {}
+        arrays = {}
         for stage, one in resolutions.items():
-            told[f"force, {stage}"] = np.reshape(one.force, (-1, 3))
-            told[f"displacement, {stage}"] = np.reshape(one.displacement, (-1, 3))
-            told[f"slip, {stage}"] = np.reshape(one.trace.slip, (-1, 2))
-            told[f"work, {stage}"] = np.ravel(one.trace.work)
-        return cls(measurements, told)
+            arrays[f"force, {stage}"] = np.reshape(one.force, (-1, 3))
+            arrays[f"displacement, {stage}"] = np.reshape(one.displacement, (-1, 3))
+            arrays[f"slip, {stage}"] = np.reshape(one.trace.slip, (-1, 2))
+            arrays[f"work, {stage}"] = np.ravel(one.trace.work)
+        return cls(measurements, arrays)
 
     def off(self, truth: Route) -> dict[str, float]:
         """Relative differences from another."""
-        told = {name: relative(self.told[name], value) for name, value in truth.told.items()}
-        return {"key characteristics": relative(self.measurements, truth.measurements)} | told
+        differences = {name: relative(self.arrays[name], value) for name, value in truth.arrays.items()}
+        return {"key characteristics": relative(self.measurements, truth.measurements)} | differences
 
 
 def one_lap_joint(scene=None):
@@ -268,7 +268,7 @@ def full_tasks(context, tolerances, floors):
         tasks["reduced model", f"followed to {mm:.0e} mm"] = partial(reduced, context, path)
     tasks["reduced model", "followed"] = partial(reduced, context, Followed())
     for path, count in STATED:
-        same = going(shipped("lap_joint", "coarse"), path, count)
+        same = with_path(shipped("lap_joint", "coarse"), path, count)
         label = path if count is None else f"{count} {path}"
         tasks["in full", label] = partial(in_full, context, scene=same)
         tasks["reduced", label] = partial(reduced, context, scene=same)
@@ -350,8 +350,7 @@ def _in_closed_form(cases, exact, plain, found, skipped) -> list[Finding]:
         Finding(
             "reversal",
             float(abs(skipped[-1] - exact[-1]) / abs(exact[-1])),
-            f"The leaves keep a deflection of {exact[-1]:.3g} mm; gone straight to the same load they keep "
-            f"{skipped[-1]:.2g} mm.",
+            f"Residual deflection {exact[-1]:.3g} mm; {skipped[-1]:.2g} mm if the load path has no reversal.",
         ),
     ]
 
@@ -366,7 +365,7 @@ def _of_both_routes(full, floor) -> list[Finding]:
         Finding(
             "full",
             float(last_reduced[compared].max().max()),
-            f"The full solve's own last refinement changes it by {last_full[compared].iloc[-2].max():.1e}.",
+            f"The last refinement of the full solve changes it by {last_full[compared].iloc[-2].max():.1e}.",
             table=full,
         ),
         Finding("same", float(same[[name for name in same.columns if name not in ("route", "path")]].max().max())),
@@ -421,7 +420,7 @@ def picture(table):
             axis.loglog(followed["times one increment"], followed[quantity], "*", ms=14, color=line.get_color())
         axis.axhline(1, color="0.5", lw=1, ls=":")
         axis.set(xlabel="cost in single increments", title=quantity)
-    axes[0].set_ylabel("largest difference of a mean or 6σ, of what is allowed")
+    axes[0].set_ylabel("largest difference of a mean or 6σ / allowed error")
     axes[0].legend(title="○ increments, ★ followed", fontsize=8)
     return figure
 

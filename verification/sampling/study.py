@@ -1,4 +1,4 @@
-"""What 102 pairs, their patches and the surfaces that they read make of an interface that is continuous."""
+"""Error of 102 pairs, their patches and the surfaces that they read against a continuous interface."""
 
 from __future__ import annotations
 

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from mic.model.assembly import assemble
-from mic.process.actions import Action, Close, Hold, Open, Press, Push, PlaceParts, Withdraw
+from mic.process.actions import Action, Close, Hold, Open, PlaceParts, Press, Push, Withdraw
 from mic.process.description import sentences
 from verification.shell_contact.case import Case
 

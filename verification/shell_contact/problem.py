@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from mic.contact import ContactSolver
-from verification.scenes import going
+from verification.scenes import with_path
 from verification.shell_contact.case import Case
 
 __all__ = ["contact_problem"]
@@ -28,7 +28,7 @@ def contact_problem(case: Case, cache: Path) -> dict:
     ValueError
         If the solver misses its tolerance.
     """
-    model = case.model(going(case.scene("coarse"), "one-step"), cache)
+    model = case.model(with_path(case.scene("coarse"), "one-step"), cache)
     found = model.evaluate(np.zeros((1, len(model.scene.deviations))))
     touching = {name: one for name, one in found.resolutions.items() if one.force[0, :, 0].any()}
     stage = next(one for one in reversed(model.process("coulomb").stages) if one.plan.name in touching)

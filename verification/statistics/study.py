@@ -9,7 +9,7 @@ import pandas as pd
 from mic.statistics import capability, estimates
 from mic.statistics.draw import draw
 from verification.plots import panels
-from verification.scenes import going, shipped
+from verification.scenes import shipped, with_path
 from verification.study import Acceptance, Finding, Study
 
 LIMITS = (-1.0, 3.0)  # tolerance limits of the normal population, whose mean is 0 and σ is 1: Cp and Cpk differ
@@ -25,7 +25,7 @@ def estimate(name, x, limits):
 
 
 def truth(mean, sigma, limits):
-    """The population's own values."""
+    """Statistics of the population."""
     return {
         "mean": mean,
         "sigma": sigma,
@@ -66,7 +66,7 @@ def scene_population(context, samples, repetitions, count):
     They are taken in single increments: a path that is followed costs five times as much, and leaves values that are
     nearer to normal, so that it asks less of the intervals.
     """
-    scene = going(shipped("wheelhouse", "coarse"), "increments", 1)
+    scene = with_path(shipped("wheelhouse", "coarse"), "increments", 1)
     model = context.model(scene)
     blocks = context.team.map(lambda first: model.evaluate(draw(scene, 11, first, 250)), range(0, samples, 250))
     series = {}

@@ -1,4 +1,4 @@
-"""What accuracy costs: the named settings and every knob, one at a time, against versions finer in every knob."""
+"""Accuracy and cost of the named settings and of single parameters, against versions finer in every parameter."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from mic.statistics.paired_differences import six_sigma_change
 from verification.budget import values
 from verification.comparison import reduced_and_assembly, relative
 from verification.plots import panels
-from verification.scenes import going, shipped
+from verification.scenes import shipped, with_path
 from verification.study import Acceptance, Finding, Study
 from verification.target import as_set, leading
 
@@ -269,7 +269,7 @@ def own_error(lines: pd.DataFrame, truths) -> pd.DataFrame:
 def still_tolerances(context, samples) -> dict[float, tuple[np.ndarray, float]]:
     """σ of the wheelhouse's key characteristics by the solver's tolerance, and ms of CPU a sample. A followed path
     would differ by what it leaves, as soon as anything makes it choose other steps."""
-    scene = going(shipped("wheelhouse", "coarse"), "increments", STILL)
+    scene = with_path(shipped("wheelhouse", "coarse"), "increments", STILL)
     model = context.model(scene)
     deviations = draw(scene, SEED, 0, samples)
 
@@ -316,7 +316,7 @@ def advice(lines, full) -> pd.DataFrame:
                 {
                     "6σ to": f"{target:.0%}",
                     "run": (
-                        f"not reached: the best version measured is off by {lines['error of 6σ'].min():.1%} "
+                        f"not reached: the smallest measured error is {lines['error of 6σ'].min():.1%} "
                         "before any sampling error"
                     ),
                     "samples": float("nan"),
@@ -420,28 +420,28 @@ def run(context):
         Finding(
             "reference",
             judged["reference"],
-            "What a number of samples leaves open of a 6σ (95 % half-width) is not among these errors.",
+            "These errors do not include the sampling error of 6σ (95 % half-width).",
             table=counted,
         ),
         Finding(
             "truth",
             most / LIMITS["reference"],
-            "By scene and knob, from versions one notch coarser; their sum over the knobs is judged.",
+            "By scene and parameter, from versions one notch coarser; the limit applies to their sum.",
             table=left,
         ),
         Finding("saving", told["times cheaper"].max(), "The lap joint. " + in_words(told), table=told),
         Finding(
             "tolerance",
             spread,
-            f"The wheelhouse, by {STILL} increments a step. A looser tolerance saves nothing worth having, which is "
-            "why the settings leave it alone: "
+            f"The wheelhouse, {STILL} increments per step. A looser tolerance saves little time; the settings do not "
+            "change it: "
             + ", ".join(f"{tol:.0e}: {ms:.2f} ms per sample" for tol, (_, ms) in tolerances.items())
             + ".",
         ),
         Finding(
             "penalty",
             float(full.iloc[-1]["error of measurements"]),
-            "The penalty is a knob of the full solve alone.",
+            "The penalty is a parameter of the full solve only.",
             table=full,
         ),
     ]
