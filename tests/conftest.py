@@ -10,7 +10,7 @@ import pytest
 from support.runs import skip_pictures
 
 import mic
-from verification.scenes import few
+from verification.scenes import with_stated_pairs
 
 gc.set_threshold(20_000, *gc.get_threshold()[1:])  # with all test modules in memory, garbage took a tenth of the time
 
@@ -55,7 +55,7 @@ def cache(tmp_path_factory):
 
 @pytest.fixture(scope="session")
 def lap_scene():
-    return few(mic.load_scene(ROOT / "meshes" / "lap_joint"))
+    return with_stated_pairs(mic.load_scene(ROOT / "meshes" / "lap_joint"))
 
 
 # Where no finite elements are installed, the compliance that tests/support/shipped.py provides takes their place.
@@ -68,7 +68,7 @@ def lap_model(lap_scene, cache):
 
 @pytest.fixture(scope="session")
 def hat_model(cache):
-    return mic.reduce(few(mic.load_scene(ROOT / "meshes" / "hat_on_plate")), cache)
+    return mic.reduce(with_stated_pairs(mic.load_scene(ROOT / "meshes" / "hat_on_plate")), cache)
 
 
 @pytest.fixture

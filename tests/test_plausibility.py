@@ -22,7 +22,7 @@ from mic.options import app
 from mic.plausibility import FILE, MESHES, PARTS, find_warnings, find_warnings_unplaced, loadable_parts, raise_warnings
 from mic.scene import Scene, SceneError
 from mic.scene.load import read_table
-from verification.scenes import FEW, few
+from verification.scenes import FEW, with_stated_pairs
 
 MESHES_FOLDER = Path(__file__).resolve().parents[1] / "meshes"
 ERROR = "error"

@@ -33,7 +33,7 @@ FAILED = 1  # how pytest ends when a test failed; what else it may say is no ver
 ALL_CAUGHT = "Each entry names the tests that must catch the error."
 PAGE = """# Planted errors
 
-`script/mutate` plants one error of physics at a time in a copy of the program, such as a wrong sign or factor or a missing
+`script/mutate` plants one error of physics at a time in a copy of the program, such as a wrong sign or a missing
 quantity, and runs the tests that must fail. The entries are in `tests/mutations.toml`; add one for each new quantity.
 
 {survivors}

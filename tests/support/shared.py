@@ -13,12 +13,12 @@ import mic
 from fem_reference.full.model import FullModel
 from mic.model.assembly import assemble
 from mic.statistics.draw import draw
-from verification.scenes import few
+from verification.scenes import with_stated_pairs
 
 
 def solved(file, folder: Path) -> list[np.ndarray]:
     """Measurements, fields and contact results of one sample; the same in every process."""
-    scene = few(mic.load_scene(file))
+    scene = with_stated_pairs(mic.load_scene(file))
     steps = {"path": "increments", "increments": 2}
     loaded = ("clamp", "weld", "release")
     scene = scene.model_copy(
