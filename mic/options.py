@@ -392,7 +392,7 @@ def rare(
     seed: Seed = None,
     law: StudyLaw = None,
 ):
-    """Estimate how often limits are missed when that is rare, below a thousand in a million.
+    """Estimate the probability of rare misses of a limit, below 1000 ppm.
 
     Subset simulation on the reduced model: no distribution is fitted and nothing is extrapolated. Each factor of ten in
     the probability takes about as many evaluations as --samples.
@@ -421,7 +421,7 @@ def remedy(
     """Find the shim, locator shift or clamp force that brings the assembly within its limits.
 
     Uses exact derivatives to find single adjustments for the worst characteristic, and the smallest combined changes
-    for all characteristics. Each remedy is evaluated in full on independent samples before it is reported.
+    for all characteristics. Each remedy is evaluated in full on fresh samples before it is reported.
     """
     _run_command("remedy", source, adjust or [], shim, force, capability, samples, seed, law, save)
 
@@ -433,7 +433,7 @@ def optimise(
         int, typer.Option(min=20, help="Samples with which designs are compared, rounded up to a multiple of 20.")
     ] = 60,
     fresh: Annotated[
-        int, typer.Option(min=20, help="Independent samples with which the best design is evaluated.")
+        int, typer.Option(min=20, help="Fresh samples, not used in the search, on which the best design is evaluated.")
     ] = 400,
     budget: Annotated[int, typer.Option(min=20, help="Evaluations of an assembly in the search.")] = 20_000,
     seed: Seed = None,
@@ -449,7 +449,7 @@ def optimise(
     """Optimise clamp forces, shims, orders, places and the matching of parts.
 
     The scene's table `[optimise]` states the objective, the allowed changes and the constraints. Designs are compared
-    over the variation of the inputs; the best is evaluated on independent samples, with the confidence interval of its
+    over the variation of the inputs; the best is evaluated on fresh samples, with the confidence interval of its
     gain. A stopped search continues when the command is run again.
     """
     _run_command("optimise", source, samples, fresh, budget, seed, law, save, out)

@@ -92,7 +92,9 @@ def _print_interrupted(console, scene, improvements, log: Path) -> None:
         changes, value = improvements[-1]
         objective = OBJECTIVES[scene.optimise.objective].capitalize()
         design = "with:" if changes else "for the unchanged scene."
-        console.say(f"Stopped. {objective} so far {value:.4g} on the samples of the search (not independent), {design}")
+        console.say(
+            f"Stopped. {objective} so far {value:.4g} on the samples of the search (not on fresh ones), {design}"
+        )
         for change in changes:
             console.say(f"  {change}")
     console.say(f"All evaluations are saved in {log}. Run the command again to continue.")
@@ -106,7 +108,7 @@ def _print_optimum(console, found: Optimum) -> None:
             console.say(f"  {change}")
         gain, low, high = (number(getattr(found.gain, end), 3) for end in ("value", "low", "high"))
         console.say(
-            f"On {found.fresh} independent samples {objective} {number(found.before, 4)} → {number(found.after, 4)}: "
+            f"On {found.fresh} fresh samples {objective} {number(found.before, 4)} → {number(found.after, 4)}: "
             f"gain {gain} ({low} … {high}); {number(found.found, 4)} on the {found.samples} samples of the search."
         )
         if not found.gained:
@@ -116,7 +118,7 @@ def _print_optimum(console, found: Optimum) -> None:
         _print_changes(console, found.table)
     elif found.fresh:
         best = number(found.before, 4)
-        console.say(f"No better design found; {objective} is {best} on {found.fresh} independent samples.")
+        console.say(f"No better design found; {objective} is {best} on {found.fresh} fresh samples.")
     for constraint in found.kept:
         if constraint.short > 0:
             console.say(f"Violated: {constraint.name}; it is {constraint.value:.4g}, short by {constraint.short:.3g}.")

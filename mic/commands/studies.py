@@ -316,7 +316,7 @@ def remedy(source, adjust, shim, force, capability, samples, seed, law, save):
 
 
 def _print_remedies(console, found):
-    """The adjustments of each remedy, and their effect on each characteristic on the independent samples."""
+    """The adjustments of each remedy, and their effect on each characteristic on the fresh samples."""
     rows = []
     for own in found.found:
         effects_ = found.effects[found.effects["remedy"] == own.name]

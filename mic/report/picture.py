@@ -129,8 +129,8 @@ def named_panels(
 def draw_intervals(ax: Axes, place: Any, value: Any, low: Any, high: Any, **style: Any) -> None:
     """Dots at `value` with a horizontal line from `low` to `high`; no line where an end is NaN."""
     ends = np.nan_to_num(np.array([value - low, high - value]))
-    style = {"fmt": "o", "ms": 4, "elinewidth": 1.4} | style
-    ax.errorbar(value, place, xerr=ends, **style)
+    default: dict[str, Any] = {"fmt": "o", "ms": 4, "elinewidth": 1.4}
+    ax.errorbar(value, place, xerr=ends, **default | style)
 
 
 def draw_limits(ax: Axes, limits: Sequence[float], scale: float = 1.0) -> None:
