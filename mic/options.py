@@ -51,8 +51,7 @@ SourceArgument = Annotated[
     Path,
     typer.Argument(
         metavar="SCENE|FOLDER",
-        help="Scene file, or a folder that contains scene.toml; a saved model (.npz); or the results folder of a run, "
-        "in which the results are then stored and added to its report.",
+        help="Scene file, or a folder that contains scene.toml; a saved model (.npz); or the results folder of a run.",
         show_default=False,
     ),
 ]

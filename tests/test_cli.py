@@ -100,7 +100,7 @@ def test_check_shows_what_a_frictionless_run_omits(cache, tmp_path):
     environment = {"MIC_CACHE": str(cache), "COLUMNS": "200"}
     lean = CliRunner().invoke(app, ["check", str(tmp_path), "--law", "frictionless"], env=environment).output
     assert "only normals are modelled, 80 rows instead of 240" in lean
-    assert "200 samples × 1 laws (frictionless) × 1 contact resolutions = 200 contact solves of 80 unknowns" in lean
+    assert "200 samples × 1 contact solves (frictionless) = 200 solves of 80 unknowns" in lean
     assert "no field solves" in lean
 
 

@@ -55,7 +55,7 @@ def test_a_lap_joint_of_one_pair_of_tongs_has_no_order_of_closing(lap_scene):
         STATED,
         "opened in the order of closing",
         "opened all together",
-        "parts settle while the first thing closes",
+        "parts settle while the first item closes",
     ]
 
 

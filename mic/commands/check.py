@@ -235,10 +235,10 @@ def _print_doubts(console, assembly, model):
     if not len(assembly.contacts) or not any(LAWS[law].frictional for law in assembly.scene.report.laws):
         return
     if model is None:
-        console.print("Effect of the process order: not computed. Run mic order.", highlight=False)
+        console.print("Effect of the process order: not computed. Run `mic order SCENE`.", highlight=False)
         return
     for doubt in doubts(model):
-        console.warn("note", f"{doubt}; run mic order for numbers")
+        console.warn("note", f"{doubt}; run `mic order SCENE` for numbers")
 
 
 def _print_parts(console, scene, assembly):
@@ -368,13 +368,11 @@ def _cost(assembly, plans) -> list[str]:
     resolved = [plan for plan in plans if plan.resolves and len(contacts)]
     if resolved:
         solves = [sum(plan.solves(LAWS[law]) for plan in resolved) for law in laws]
-        each = " + ".join(map(str, solves)) if len(set(solves)) > 1 else str(solves[0])
+        each = f"({' + '.join(map(str, solves))})" if len(solves) > 1 else str(solves[0])
         followed = any(LAWS[law].followed for law in laws) and any(plan.path == "followed" for plan in resolved)
         lines.append(
-            f"{samples} samples × {len(laws)} laws ({', '.join(laws)}) × {each} contact resolutions "
-            f"= {samples * sum(solves)} contact solves of {contacts.dimension * len(contacts)} unknowns"
-            + ", and more along followed load paths"
-            * followed
+            f"{samples} samples × {each} contact solves ({', '.join(laws)}) = {samples * sum(solves)} solves of "
+            f"{contacts.dimension * len(contacts)} unknowns" + ", and more along followed load paths" * followed
         )
     else:
         lines.append(f"{samples} samples × {len(laws)} laws, no contact to resolve")

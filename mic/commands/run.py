@@ -132,7 +132,7 @@ def _print_validity(console, name, law):
     """Residual, failed samples, error of the load path, incomplete assemblies and penetration under one law."""
     console.say(
         f"{name}: largest residual {number(law['worst_residual'], 2)}, {law['failed']} samples failed, "
-        f"{law['rescued']} solved by plain increments{_path_error(law)}"
+        f"{law['rescued']} solved with fixed increments{_path_error(law)}"
     )
     if law["not_built"]:
         console.say(f"  not built: {law['not_built']} of {law['samples']} samples", style="yellow")

@@ -132,7 +132,7 @@ def _trust(outcome: Outcome, law: str, budget: list[Source]) -> list[str]:
         most = max(known, key=lambda one: np.nan_to_num(one.six_sigma))
         missing = [one.name for one in budget if not one.measured]
         unknown = f" Not estimated: {', '.join(missing)}." if missing else ""
-        sentences.append(f"Estimated error: ±{mean} on means, ±{six_sigma} on 6σ, mostly {most.name}.{unknown}")
+        sentences.append(f"Estimated error: ±{mean} on means, ±{six_sigma} on 6σ, mostly from {most.name}.{unknown}")
     groups = len(outcome.sample_numbers(law)) // outcome.together
     if outcome.together > 1 and groups < FEW:
         sentences.append(

@@ -28,7 +28,7 @@ class Accumulator:
     stages : set of str
         Stages that resolve contact.
     rescued : list of int
-        Numbers of the valid samples that were solved by plain increments, because path following failed.
+        Numbers of the valid samples that were solved with fixed increments, because path following failed.
     unbuilt : list of int
         Numbers of the valid samples in which a clamp or gun of limited force did not reach its position.
     unseen : tuple of (float, str, int, int)

@@ -88,7 +88,7 @@ class RunSamples:
 
     @property
     def rescued(self) -> dict[str, list[int]]:
-        """Numbers of the valid samples solved by plain increments because path following failed, by law."""
+        """Numbers of the valid samples solved with fixed increments because path following failed, by law."""
         return {law: accumulator.rescued for law, accumulator in self.accumulators.items()}
 
     @property

@@ -84,7 +84,7 @@ def orders(scene: Scene, permutations: int = PERMUTATIONS, seed: int = 1) -> lis
     """
     candidates = [(STATED, scene), *_clamp_orders(scene), *_weld_orders(scene), *_release_orders(scene)]
     settle = scene.stages[0].settle
-    name = "parts settle while the first thing closes" if settle else "parts settle first"
+    name = "parts settle while the first item closes" if settle else "parts settle first"
     candidates.append((name, _with_stages(scene, {0: {"settle": not settle}})))
     stream = np.random.default_rng(seed)
     shuffle = lambda groups: [groups[i] for i in stream.permutation(len(groups))]

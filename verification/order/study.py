@@ -194,8 +194,8 @@ STUDY = Study(
         Acceptance(
             "pressed",
             (
-                "Clamps, then further locators: mean with friction over without, upper end of its interval, largest "
-                "of the zones."
+                "Clamps, then further locators: ratio of the means with and without friction, upper end of its "
+                "interval, largest of the zones."
             ),
             0.9,
             reason="A reduction of less than a tenth would not be worth stating an order.",

@@ -356,7 +356,7 @@ STUDY = Study(
         ),
         Acceptance(
             "trend",
-            "Mean and spread of slip with friction over without: largest ratio, both laws.",
+            "Ratio of slip with and without friction, mean and spread: largest value, both laws.",
             1.0,
             reason="Friction lowers both; no amount is claimed.",
         ),
