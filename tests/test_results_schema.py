@@ -254,7 +254,7 @@ def test_a_dataset_whose_columns_change_has_another_version():
         for table in schema.DATASETS
         if (columns := [(column.name, column.dtype, column.unit, column.optional) for column in table.columns])
     }
-    assert found == DECLARED, "raise the version of the table in mic/results/schema.toml, then write down its new digest"
+    assert found == DECLARED, "raise the version of the table in mic/results/schema.toml, then write its new digest"
 
 
 def test_names_are_declared_once():
