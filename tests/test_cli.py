@@ -164,7 +164,7 @@ def test_check_prints_the_process_step_by_step_with_notes(cache, tmp_path, lap_m
     assert "• may change: force of C1-upper, 30 to 90 N (now 60)\n" in printed
     assert process[3:] == [
         "clamp: contact active, load path followed",
-        "  1. parts that overlap come to rest on each other",
+        "  1. overlaps between parts are resolved",
         "  2. clamp C1-lower closes (60 N)",
         "  3. clamp C1-upper closes (60 N)",
         "weld: nothing moves",

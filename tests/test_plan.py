@@ -232,7 +232,7 @@ def test_the_process_is_described_in_words():
     plans = variant(join={"sequence": True})
     scene = mic.Scene(**SCENE)
     assert sentences(scene, plans["close"]) == [
-        "parts that overlap come to rest on each other",
+        "overlaps between parts are resolved",
         "locator further closes",
         "clamp hold closes to -0.25 mm",
         "clamp press closes (40 N)",
@@ -248,7 +248,7 @@ def test_the_process_is_described_in_words():
     together = variant(set={"settle": False}, close={"order": [["press", "further", "hold"]]})["close"]
     assert sentences(scene, together) == [
         "locator further closes, clamp hold closes to -0.25 mm, clamp press closes (40 N); "
-        "meanwhile parts that overlap come to rest on each other"
+        "meanwhile overlaps between parts are resolved"
     ]
     message = {name: opening(plan, contacts=True) for name, plan in plans.items()}
     assert message == {
@@ -390,7 +390,7 @@ def test_a_clamp_stage_without_clamps_solves_contact(settle, path):
     bare = replace(model, scene=model.scene.model_copy(update={"clamps": []}), rows=model.rows | none)
     plans = plan_stages(bare.scene, ())
     assert [plan.resolves for plan in plans] == [False, True, False, False]
-    assert sentences(bare.scene, plans[1]) == ["parts that overlap come to rest on each other"]
+    assert sentences(bare.scene, plans[1]) == ["overlaps between parts are resolved"]
     rested = bare.evaluate({}).resolutions["clamp"]
     np.testing.assert_allclose(rested.force[0, 0], [0.3 * STIFFNESS / 2, 0.0, 0.0], atol=1e-9)
     np.testing.assert_allclose(rested.displacement[0, 0], 0.0, atol=1e-10)

@@ -302,7 +302,7 @@ def test_the_page_shows_path_errors_and_rescued_samples(folder, page, given_pict
     assert f"path +12 µm (+{percent(share, 1)})" in words
     assert "rescued" in words and outcome.rescued["coulomb"] == [2, 5, 7]
     assert "largest 17 µm in clamp" in picture.caption and "change on a tighter path in 24" in picture.caption
-    assert "(median ratio 3.0" in picture.caption
+    assert "(median of estimate over change: 3.0" in picture.caption
     assert picture.caption in words
 
 

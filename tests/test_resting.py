@@ -533,7 +533,7 @@ def test_the_process_description_names_resting_parts():
     message = [sentences(model.scene, plan) for plan in plan_stages(model.scene, model.weld_size)]
     assert message == [
         ["a is placed on al0, al1, al2, al3, al4 and al5; b is placed without locators; b is held by contact alone"],
-        ["parts that overlap come to rest on each other", "clamp C closes (100 N)"],
+        ["overlaps between parts are resolved", "clamp C closes (100 N)"],
         ["3 key characteristics are measured"],
     ]
 

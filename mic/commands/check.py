@@ -360,7 +360,7 @@ def _cost(assembly, plans) -> list[str]:
     samples, laws = scene.monte_carlo.samples, scene.report.laws
     megabytes = 8 * sum(size**2 for size in sizes) / 1e6
     lines = [
-        f"one factorisation for each part that is not cached: {nodes}",
+        f"one factorisation per part, unless it is cached: {nodes}",
         f"reduced model: {sum(sizes)} functionals, {megabytes:.0f} MB of influence coefficients",
     ]
     if scene.stiffness != "nominal":

@@ -89,7 +89,7 @@ def _clauses(scene, action: Action) -> Iterable[str]:
                 if all(one.part != part.name for one in scene.locators):
                     yield f"{part.name} is placed without locators"
     elif isinstance(action, ResolveOverlap):
-        yield "parts that overlap come to rest on each other"
+        yield "overlaps between parts are resolved"
     elif isinstance(action, Hold):
         if action.locators:
             yield _clause("locator", _names(scene.locators, action.locators), "close", "closes")

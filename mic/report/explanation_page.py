@@ -67,7 +67,7 @@ def sentences(found: Explanation) -> list[str]:
     for a, b in found.together[:NAMED]:
         text.append(f"The measurement cannot separate {a} and {b}; it determines only a combination of them.")
     if found.untold:
-        text.append(f"The measurement hardly informs about {', '.join(found.untold)}.")
+        text.append(f"Hardly determined by the measurement: {', '.join(found.untold)}.")
     if len(found.further):
         best = found.further.iloc[0]
         text.append(

@@ -48,9 +48,9 @@ class LawCost:
         text = f"Over the {'first ' * (n == SHOWN)}{n} samples valid under both laws: "
         if len(self.gaps):
             text += (
-                f"under the associated law {percent(float(np.mean(self.gaps > 1e-3)))} of the loaded contacts stand "
-                f"open by more than 1 µm while they carry force (median {number(np.median(self.gaps) * 1e3)} µm, "
-                f"largest {number(self.gaps.max() * 1e3)} µm), where Coulomb's law keeps them closed; "
+                f"under the associated law {percent(float(np.mean(self.gaps > 1e-3)))} of the loaded contacts have "
+                f"gaps above 1 µm (all loaded contacts: median {number(np.median(self.gaps) * 1e3)} µm, "
+                f"largest {number(self.gaps.max() * 1e3)} µm), which Coulomb's law keeps closed; "
             )
         if np.isfinite(self.force_error).any():
             text += (

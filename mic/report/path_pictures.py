@@ -167,13 +167,11 @@ def _estimated(outcome, law) -> pd.DataFrame:
 def _coverage(errors) -> str:
     """Share of repetitions whose estimate covers the measured error, in words."""
     covered = errors["estimate"] >= errors["measured"]
-    text = (
-        f"; the estimate covers the change on a tighter path in {covered.sum()} of {len(errors)} repetitions and stages"
-    )
+    text = f"; the estimate is at least the change on a tighter path in {covered.sum()} of {len(errors)} cases"
     positive = errors["measured"] > 0
     if positive.any():
         ratio = (errors["estimate"] / errors["measured"])[positive].median()
-        text += f" (median ratio {number(ratio, 2)})"
+        text += f" (median of estimate over change: {number(ratio, 2)})"
     return text
 
 

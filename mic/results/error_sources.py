@@ -74,7 +74,7 @@ def _sources(outcome: Outcome, law: str, rows: pd.DataFrame) -> Iterator[Source]
             yield _unknown("path", "mic report")
     residual = outcome.worst_residual(law)
     largest = residual * rows[["min", "max"]].abs().max(axis=1)
-    yield _source("contact residuals", largest, largest, f"largest residual, {residual:.1g}, times the deviation")
+    yield _source("contact residuals", largest, largest, f"largest residual, {residual:.1g}, times the largest value")
     accuracy = outcome.study(ACCURACY)
     mesh = None if accuracy is None else accuracy.groupby("quantity")[["set_down", "located"]].max().max(axis=1)
     if mesh is not None and set(mesh.index) & set(rows.index):
