@@ -129,7 +129,7 @@ def test_the_layout_of_mumps_is_its_header_s(tmp_path):
 @pytest.mark.parametrize(
     ("header", "integers", "says"),
     [
-        ("", "", "not of the form"),
+        ("", "", "unknown form"),
         (HEADER.format(version="5.9.0", more="MUMPS_NEW x;"), "", "cannot be read"),
         (HEADER.format(version="5.9.0", more=""), "#   define MUMPS_INTSIZE64", "64-bit integers"),
     ],

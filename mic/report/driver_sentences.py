@@ -80,7 +80,7 @@ def _reasons(row: dict[Any, Any], own: list[dict[Any, Any]]) -> list[str]:
     for key, word in (("regression", "a regression"), ("tangent", "derivatives at the mean")):
         known = [each for each in own if each[key] == each[key]]
         if known and (other := max(known, key=lambda each: each[key])["contributor"]) != drives:
-            found.append(f"the main contributor is {drives}, where {word} names {other}")
+            found.append(f"the main contributor is {drives}, but {word} would name {other}")
     return found
 
 
