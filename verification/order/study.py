@@ -203,7 +203,7 @@ STUDY = Study(
         Acceptance(
             "set-down",
             (
-                "Further locators, then clamps: effect of how the parts were placed on key characteristics, over the "
+                "Further locators, then clamps: effect of part placement on key characteristics, over the "
                 "larger of 0.5 % of 6σ and 2 µm."
             ),
             1.0,
