@@ -119,7 +119,7 @@ def test_each_source_of_error_shows_its_estimate(copied):
     assert all(one.measured for one in budget.values())
     said = verdict(outcome).sentences[-1]
     total = float(np.sqrt(sum(one.six_sigma**2 for one in budget.values())))
-    assert f"±{change(total).lstrip('+')} on 6σ, mostly samples." in said
+    assert f"±{change(total).lstrip('+')} on 6σ, mostly from samples." in said
 
 
 def test_the_verdict_counts_failed_samples(copied):

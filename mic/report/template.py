@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import re
 from typing import Any
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
+from markupsafe import Markup, escape
 
 from mic.report.style import change, number, percent
 
@@ -17,8 +19,8 @@ def render(template: str, **values: Any) -> str:
     Parameters
     ----------
     template : str
-        File name in this package. Filters are :func:`mic.report.style.number`, :func:`~mic.report.style.change` and
-        ``percent`` with one decimal.
+        File name in this package. Filters are :func:`mic.report.style.number`, :func:`~mic.report.style.change`,
+        ``percent`` with one decimal, and ``commands``, which sets text between backticks as code.
     **values
         Variables of the template.
     """
@@ -30,4 +32,5 @@ def render(template: str, **values: Any) -> str:
         undefined=StrictUndefined,
     )
     environment.filters |= {"number": number, "change": change, "percent": lambda value: percent(value, 1)}
+    environment.filters["commands"] = lambda text: Markup(re.sub("`([^`]+)`", r"<code>\1</code>", str(escape(text))))
     return environment.get_template(template).render(**values)
