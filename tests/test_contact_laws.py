@@ -2,12 +2,40 @@
 
 import numpy as np
 import pytest
+from hypothesis import given
 from hypothesis import strategies as st
 
 from mic.contact import ContactSolver, Status, certify, solve
-from mic.contact.laws import LAWS
+from mic.contact.laws import COULOMB, LAWS
 
 FINITE = st.floats(-1e3, 1e3).map(lambda x: round(x, 6))
+
+
+@given(st.tuples(FINITE, FINITE, FINITE), st.sampled_from([0.0, 1e-12, 0.27, 1.0, 5.0, 1e3]))
+def test_the_projection_satisfies_moreau(x, mu):
+    """``x = P_K(x) + (x - P_K(x))`` with the second in the polar cone and orthogonal to the first."""
+    x = np.array([x])
+    p = COULOMB.projection(x, np.array([mu]))
+    polar = p - x
+    size = max(np.linalg.norm(x), 1e-300)
+    assert np.hypot(*p[0, 1:]) <= mu * p[0, 0] + 1e-12 * size
+    assert polar[0, 0] >= mu * np.hypot(*polar[0, 1:]) - 1e-12 * size * max(1.0, mu)
+    assert abs(np.sum(p * polar)) <= 1e-12 * size**2
+
+
+def test_one_sliding_contact_solved_by_hand():
+    """S = I, b = (-1, 1, 0): Coulomb closes the gap; (13) opens it by μ‖u_t‖."""
+    mu = 0.27
+    coulomb = solve(np.eye(3), [-1.0, 1.0, 0.0], mu)
+    np.testing.assert_allclose(coulomb.force, [1.0, -mu, 0.0], atol=1e-14)
+    np.testing.assert_allclose(coulomb.displacement, [0.0, 1.0 - mu, 0.0], atol=1e-14)
+    # f = p (1, -μ, 0) minimises ½(1 + μ²) p² - (1 + μ) p.
+    p = (1.0 + mu) / (1.0 + mu**2)
+    associated = solve(np.eye(3), [-1.0, 1.0, 0.0], mu, law="associated")
+    np.testing.assert_allclose(associated.force, [p, -mu * p, 0.0], atol=1e-12)
+    assert associated.displacement[0] == pytest.approx(mu * associated.displacement[1], rel=1e-10)
+    assert associated.complementarity == pytest.approx(p * (p - 1.0), rel=1e-10)
+    assert coulomb.complementarity <= 1e-14
 
 
 @pytest.mark.parametrize(
