@@ -708,6 +708,15 @@ def test_shipped_scenes_have_no_warning(name, cache):
 SHEET = {"thickness": 1.0, "young": 210e3, "poisson": 0.3}
 
 
+def six_locators(part: str, places) -> list[dict]:
+    """Locators of a part at points, each along an axis."""
+    directions = {"x": (1, 0, 0), "y": (0, 1, 0), "z": (0, 0, 1)}
+    return [
+        {"name": f"{part}{i}", "part": part, "point": point, "direction": directions[axis], "radius": 0.0}
+        for i, (point, axis) in enumerate(places)
+    ]
+
+
 def plates(lower=(100.0, 40.0, 5.0), upper=(100.0, 40.0, 5.0), height=1.0, tilt=0.0, **keys) -> Case:
     """Two plates of length, width and element size, `height` mm apart; the upper one leans by `tilt` mm over 40 mm."""
     z = lambda x, y: height + tilt * (y / 40.0 - 0.5)
@@ -723,16 +732,7 @@ def plates(lower=(100.0, 40.0, 5.0), upper=(100.0, 40.0, 5.0), height=1.0, tilt=
             0.0 if part == "lower" else z(x * length, y * width),
         )
         places = [(0.1, 0.1, "z"), (0.1, 0.9, "z"), (0.9, 0.5, "z"), (0.1, 0.1, "y"), (0.9, 0.1, "y"), (0.1, 0.5, "x")]
-        locators += [
-            {
-                "name": f"{part}{i}",
-                "part": part,
-                "point": at(x, y),
-                "direction": {"x": (1, 0, 0), "y": (0, 1, 0), "z": (0, 0, 1)}[axis],
-                "radius": 0.0,
-            }
-            for i, (x, y, axis) in enumerate(places)
-        ]
+        locators += six_locators(part, [(at(x, y), axis) for x, y, axis in places])
     scene = {
         "name": "plates",
         "parts": [{"name": name, "mesh": f"{name}.inp", **SHEET} for name in meshes],
@@ -760,16 +760,7 @@ def bent(facets: int) -> Case:
         profile = np.column_stack([radius * np.sin(angle), radius * np.cos(angle)])
         meshes[part] = extrude(profile, 0.0, 100.0, 7.5)[:2]
         places = [(10, -0.9, "z"), (10, 0.9, "z"), (90, 0, "z"), (10, 0, "y"), (90, 0, "y"), (10, 0.5, "x")]
-        locators += [
-            {
-                "name": f"{part}{i}",
-                "part": part,
-                "point": at(x, turn),
-                "direction": {"x": (1, 0, 0), "y": (0, 1, 0), "z": (0, 0, 1)}[axis],
-                "radius": 0.0,
-            }
-            for i, (x, turn, axis) in enumerate(places)
-        ]
+        locators += six_locators(part, [(at(x, turn), axis) for x, turn, axis in places])
     clamps = [clamp | {"point": (50.0, 0.0, height)} for clamp, height in zip(case.table["clamps"], (40.0, 41.0))]
     stages = [{"kind": "locate"}, {"kind": "clamp"}, {"kind": "release"}]
     table = case.table | {"locators": locators, "clamps": clamps, "stages": stages, "welds": []}

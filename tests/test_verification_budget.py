@@ -12,6 +12,7 @@ from support.springs import at_face, six, spring_model
 import mic
 from fem_reference.full.model import FullModel
 from mic.compliance.blocks import Blocks
+from mic.report.template import backticks_to_code
 from mic.statistics.draw import draw
 from verification import budget, budget_page, own_scene
 from verification.budget import (
@@ -30,7 +31,6 @@ from verification.budget_page import budget_rows, budget_sentences, by_quantity,
 from verification.comparison import difference, reduced_and_assembly
 from verification.error_budget import study
 from verification.own_scene import verify_scene
-from verification.report import keys
 from verification.scenes import shipped, with_path
 from verification.stiffness import DeviatedStiffness
 from verification.study import Team
@@ -288,7 +288,7 @@ def test_a_scene_gets_its_error_budget_and_a_second_call_reuses_it(cache, tmp_pa
     assert known["reduction"].table.loc["measurement:M1", "mean_half"] < 1e-6
     assert abs(known["nominal stiffness"].table.loc["measurement:M1", "mean"]) > 1e-4
     page = (tmp_path / "report.html").read_text()
-    assert all(str(keys(sentence)) in page for sentence in found["budget"]["sentences"].values())
+    assert all(str(backticks_to_code(sentence)) in page for sentence in found["budget"]["sentences"].values())
     written = json.loads((tmp_path / "summary.json").read_text())
     assert written["budget"]["sources"][0]["source"] == "algebra"
 

@@ -14,8 +14,8 @@ from pathlib import Path
 
 import jinja2
 import pandas as pd
-from markupsafe import Markup, escape
 
+from mic.report.template import backticks_to_code
 from verification.limitations import limitations
 from verification.pdf import browser, write_pdf
 from verification.plots import panels, svg
@@ -82,13 +82,8 @@ def environment() -> jinja2.Environment:
     templates = jinja2.Environment(
         loader=jinja2.FileSystemLoader(Path(__file__).parent), autoescape=True, trim_blocks=True, lstrip_blocks=True
     )
-    templates.filters |= {"number": number, "keys": keys}
+    templates.filters |= {"number": number, "keys": backticks_to_code}
     return templates
-
-
-def keys(text: str) -> Markup:
-    """HTML of a sentence, with text between backticks set as code."""
-    return Markup(re.sub("`([^`]*)`", r"<code>\1</code>", str(escape(text))))
 
 
 def _fill_in(results: list[dict]) -> None:

@@ -8,7 +8,6 @@ from functools import wraps
 
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
-from mic.contact.laws import LAWS
 from mic.errors import RunError, Stopped
 from mic.execution.ranks import communicator
 from mic.model.assembly import assemble
@@ -20,6 +19,7 @@ from mic.results.run_identity import identity
 from mic.runs import Progress as RunProgress
 from mic.runs import hold
 from mic.scene import load_scene
+from mic.studies.samples import first_frictional
 from mic.system.disk_cache import cache_folder
 
 __all__ = [
@@ -110,7 +110,7 @@ def reduce_source(console, source):
 def choose_law(model, law):
     """The law of the command line, else the first law of the scene with friction, else its first."""
     laws = model.scene.report.laws
-    return law.value if law else next((name for name in laws if LAWS[name].frictional), laws[0])
+    return law.value if law else first_frictional(laws)
 
 
 def choose_seed(scene, seed):

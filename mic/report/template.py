@@ -10,7 +10,12 @@ from markupsafe import Markup, escape
 
 from mic.report.style import change, number, percent
 
-__all__ = ["render"]
+__all__ = ["backticks_to_code", "render"]
+
+
+def backticks_to_code(text: str) -> Markup:
+    """HTML of a sentence, with text between backticks set as code."""
+    return Markup(re.sub("`([^`]*)`", r"<code>\1</code>", str(escape(text))))
 
 
 def render(template: str, **values: Any) -> str:
@@ -20,7 +25,7 @@ def render(template: str, **values: Any) -> str:
     ----------
     template : str
         File name in this package. Filters are :func:`mic.report.style.number`, :func:`~mic.report.style.change`,
-        ``percent`` with one decimal, and ``commands``, which sets text between backticks as code.
+        ``percent`` with one decimal, and ``code``, :func:`backticks_to_code`.
     **values
         Variables of the template.
     """
@@ -32,5 +37,5 @@ def render(template: str, **values: Any) -> str:
         undefined=StrictUndefined,
     )
     environment.filters |= {"number": number, "change": change, "percent": lambda value: percent(value, 1)}
-    environment.filters["commands"] = lambda text: Markup(re.sub("`([^`]+)`", r"<code>\1</code>", str(escape(text))))
+    environment.filters["code"] = backticks_to_code
     return environment.get_template(template).render(**values)
