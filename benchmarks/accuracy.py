@@ -39,7 +39,7 @@ def compliance(assembly):
 
 
 def beside(assembly, limit):
-    """True errors of H and of the measured point (2, 2), on six locators and on all, and the estimates of them."""
+    """True errors of H and of the measured point (2, 2), on six locators and on all, and their estimates."""
     found = compliance(assembly)
     true = [[relative(H[rows], L[rows]) for H, L in zip(found, limit)] for rows in (slice(0, 2), slice(2, 3))]
     (accuracy,) = estimate_accuracy(assembly, cache_folder())
@@ -47,7 +47,7 @@ def beside(assembly, limit):
 
 
 def sheet(place, **how):
-    """The sheet's scene on its mesh, in a folder of its own within a place."""
+    """Write the sheet's scene and mesh into a new folder within `place`."""
     return curved_assembly(Path(tempfile.mkdtemp(dir=place)), cache_folder(), **how)
 
 

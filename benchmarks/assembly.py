@@ -1,13 +1,12 @@
-"""One assembly: what `model.evaluate` takes, with one step per stage, and what of it is not the contacts.
+"""Time of one assembly: `model.evaluate` with one step per stage, and its share outside the contact solver.
 
     python benchmarks/assembly.py                                   # the three small scenes
     python benchmarks/assembly.py meshes/wheelhouse --samples 200
 
-Milliseconds of processor time, one process, one thread: of each sample by itself the fastest of three, their median
-over the samples; and of a sample in a batch of all. *contacts* is the part of a single one that the contact solver has,
-its certificate counted in; *the rest* is what stages take over and hand on. *before* are figures of commit bf8188e, in
-which every row of every step was gathered by itself, and forces on all functionals were found whether asked for or not,
-on a machine that others kept busy; only a run of that commit beside this one compares them fairly.
+Milliseconds of processor time, one process, one thread. Single samples: the fastest of three evaluations of each, then
+the median over samples. *contacts* is the contact solver's share of a single sample, including the certificate; *the
+rest* is the transfer from stage to stage. *before* are times of commit bf8188e, which gathered every row of every step
+separately and always computed forces on all functionals, on a busy machine; compare fairly by running that commit too.
 """
 
 from __future__ import annotations
@@ -64,9 +63,9 @@ def main() -> None:
 
 
 def measure(model, law: str, samples: np.ndarray) -> tuple[float, float, float]:
-    """One sample, what its contacts take, and one of a batch, ms."""
+    """Times of a single sample, of its contacts, and of a sample in a batch, ms."""
     process = model.process(law)
-    model.evaluate(samples, law)  # candidates join, and what is prepared for them is kept
+    model.evaluate(samples, law)  # extends the working sets and fills the caches
     watch = Watch([stage for stage in process.stages if stage.resolves])
     one, contacts = [], []
     for sample in samples:
@@ -82,7 +81,7 @@ def measure(model, law: str, samples: np.ndarray) -> tuple[float, float, float]:
 
 
 class Watch:
-    """Stands before the contact solvers of some stages, and adds up what they take.
+    """Wrap the contact solvers of some stages and sum up their processor time.
 
     Attributes
     ----------

@@ -1,11 +1,11 @@
-"""The problems of Siconos' own tests, in its text format: each in any order of its contacts, with residual and time.
+"""Contact problems of the Siconos test collection, with their contacts in several orders: residual and time.
 
     python benchmarks/collection.py siconos-4.4.0/numerics/src/FrictionContact/test/data --orders 2
 
-The folder is in the source package of Debian's siconos (``apt-get source siconos``).  Boxes in stacks, capsules,
-spheres and rocks in heaps, towers of planks, a rover on its wheels: rigid bodies, most with more contacts than
-freedoms.  Files of other kinds of problem (two dimensions, rolling friction, bodies not eliminated) are passed over, by
-name.  Time is that of the processor, one thread, the preparation of S included.
+The folder belongs to the source package of Debian's siconos (``apt-get source siconos``). The problems are stacks of
+boxes, heaps of capsules, spheres and rocks, towers of planks and a rover on its wheels: rigid bodies, most with more
+contacts than freedoms. Problems of other kinds (two dimensions, rolling friction, bodies not eliminated) are skipped
+and named. Time is processor time on one thread, including the preparation of S.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ BEFORE = {
 
 
 class Numbers:
-    """The words of a text file as numbers, one after the other."""
+    """Read the words of a text file in order as numbers."""
 
     def __init__(self, text: str):
         self._words, self._next = text.split(), 0
@@ -69,7 +69,7 @@ def read(path: Path) -> ContactProblem:
     Raises
     ------
     ValueError
-        If it is of another kind.
+        If it is a problem of another kind.
     """
     numbers = Numbers(path.read_text(encoding="utf-8"))
     dimension, contacts, storage = numbers.integer(), numbers.integer(), numbers.integer()

@@ -1,15 +1,14 @@
-"""Contact solvers side by side: time per sample, ratio to the native solver, residual of the law that each one solves.
+"""Contact solvers compared: time per sample, ratio to the native solver, residual of the law that each one solves.
 
     python benchmarks/contact.py                     # all cases, about ten minutes
     python benchmarks/contact.py --quick             # few samples, no growth beyond 300 contacts
-    python benchmarks/contact.py --scene meshes/wheelhouse   # what a scene's Monte Carlo gives the solver, by stage
+    python benchmarks/contact.py --scene meshes/wheelhouse   # the contact problems of a scene's Monte Carlo, by stage
 
-Everything runs in this one process, single-threaded first, timed by the processor's clock, then the native solver on
-all cores, by the wall's.  At the end stand the bars, with what commit bf8188e reached.  Residuals are the
-scale-free certificate of :mod:`mic.contact.certificate`, for Coulomb's law or, where the solver can do no other, the
-associated law; preparation that is done once per S is not timed for anybody.  Peers that are not installed are skipped
-by name; below the table stands which releases were measured.  Another build of Siconos is taken where PYTHONPATH names
-its folder.
+All solvers run in this process: first on one thread, by processor time; then the native solver on all cores, by wall
+time. The goals come last, with the values of commit bf8188e. Residuals are the scale-free certificate of
+:mod:`mic.contact.certificate` for Coulomb's law, or for the associated law if the solver supports only that.
+Preparation that depends on S alone is not timed for any solver. Solvers that are not installed are skipped and named;
+the versions of the others are printed below the table. To use another build of Siconos, put its folder on PYTHONPATH.
 """
 
 from __future__ import annotations
@@ -210,7 +209,7 @@ def stuck_cases():
 
 
 def _grown(m, rng):
-    """A compliance whose contacts are as stiff, and as coupled, however many they are."""
+    """A compliance whose contacts have the same stiffness and coupling for any number of contacts."""
     points = rng.random((m, 2))
     distance = np.linalg.norm(points[:, None] - points, axis=-1)
     modes = rng.standard_normal((3 * m, 20)) / np.sqrt(60 * m)
@@ -218,10 +217,10 @@ def _grown(m, rng):
 
 
 def scene_cases(path):
-    """The problems that the Monte Carlo of a scene poses under Coulomb's law, one case for each stage with contact, in
-    one step.
+    """Contact problems of the Monte Carlo of a scene under Coulomb's law in one step, one case for each stage with
+    contact.
 
-    The process runs with solvers that record what they are given; the answer of one stage enters the loads of the next.
+    The process runs with solvers that record their problems; the solution of one stage enters the loads of the next.
     """
     scene = mic.load_scene(path)
     whole = [stage.model_copy(update={"path": "one-step", "increments": None}) for stage in scene.stages]
@@ -260,8 +259,8 @@ def measure(name, problem, competitor, reference, console):
 
 
 def friction(problem):
-    """The problem's contacts with friction of every kind: μ falling as pressure rises about the mean one, and contacts
-    half as compliant as the bodies."""
+    """The problem with every kind of friction: μ that falls with pressure around the mean one, and contacts half as
+    compliant as the bodies."""
     m, own = len(problem.mu), problem.S.diagonal().reshape(-1, 3)
     pressure = np.abs(problem.b[:, ::3]).mean() / own[:, 0].mean()
     pieces = pressure_dependent.power(
@@ -314,7 +313,7 @@ def growth(quick, console):
 
 
 def bars(rows, slope):
-    """Each bar: what is measured, now and before, and what it should be."""
+    """Goals: measured quantity, present and earlier value, and target."""
     ours = {row["case"]: row["ms_median"] for row in rows if row["solver"] == "native, batch, 1 thread"}
     ratio = {row["case"]: row["ratio"] for row in rows if row["solver"] == PAPER}
     table = Table("bar", "now", "bf8188e", "goal", title="Bars")
@@ -328,8 +327,7 @@ def bars(rows, slope):
 
 
 def releases() -> str:
-    """Of the peers, by their own word; and Debian's where a package of it is measured, whose Siconos 4.4.0 calls itself
-    4.5.0."""
+    """Versions that the other solvers report, and Debian's for its packages (Debian's Siconos 4.4.0 reports 4.5.0)."""
     told = []
     for name in ("siconos", "cvxpy", "ecos", "clarabel", "scs"):
         try:
@@ -355,7 +353,9 @@ def show(rows, console):
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--scene", type=Path, help="folder of a scene whose own problems replace the built-in cases")
+    parser.add_argument(
+        "--scene", type=Path, help="folder of a scene whose contact problems replace the built-in cases"
+    )
     parser.add_argument("--quick", action="store_true")
     parser.add_argument("--csv", type=Path, default=Path("results/contact_benchmark.csv"))
     options = parser.parse_args()
@@ -364,7 +364,7 @@ def main():
     rows = []
     with threadpool_limits(1):
         for name, problem in problems:
-            # Ratios are to the native solver on the batch, as the Monte Carlo calls it; nobody else takes batches.
+            # Ratios are to the native solver on the batch, as the Monte Carlo calls it; no other solver takes batches.
             rows.append(measure_batch(name, problem, 1, None))
             reference = rows[-1]["ms_median"]
             rows += [measure_batch(name, problem, 1, reference, law.name) for law in LAWS.values() if law.reads]

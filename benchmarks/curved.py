@@ -2,9 +2,9 @@
 
 python benchmarks/curved.py        # some two minutes
 
-Beyond the table: triangles whose cells are divided blindly and as a deck's are, over eight other meshes; the flat
-triangle's lock by the rise of a side over the thickness, of docs/shells.md; and processor time to assemble the
-stiffness, the least of five.
+Further results: quadrilateral cells divided without regard to curvature and as decks are divided, on eight other
+meshes; locking of the flat triangle as a function of the rise of a side over the thickness (docs/shells.md); and
+processor time of assembling the stiffness, the least of five.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ def main():
 
 
 def scatter():
-    """Least and largest over meshes that the study has not."""
+    """Least and largest error over meshes that are not in the study."""
     print("\n| over eight meshes | exact normals | estimated normals |\n| --- | --- | --- |")
     cases = {"hemisphere": lambda kind, seed: sheets.hemisphere("dkt-opt-curved", kind, seed) - 1}
     for h in (10.0, 5.0):

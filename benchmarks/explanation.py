@@ -1,11 +1,11 @@
-"""How often the truth lies in the region of ``mic explain``: assemblies made with known sources, and explained.
+"""Coverage of the regions of ``mic explain``, measured on assemblies with known sources.
 
     python benchmarks/explanation.py SCENE [--cases 100] [--gauge 0.002] [--size coarse] [--friction 0.05]
 
-Of each assembly the sources are drawn as the scene says, its key characteristics evaluated in full, and the gauge's
-errors added. Told are the share of assemblies whose sources lie in the joint 95 % region and, source by source, within
-the 95 % interval; how many evaluations and seconds of processor time an assembly takes; and how often contacts of the
-assembly are in another state than those of the mean one. Binomial: of 100 cases 0.95 ± 0.022 (one standard error).
+The sources of each assembly are drawn from the scene's distributions, its key characteristics are evaluated in full,
+and gauge errors are added. The result is the share of assemblies whose sources lie in the joint 95 % region and, source
+by source, in the 95 % interval; evaluations and processor seconds per assembly; and how often contacts of the assembly
+have another state than in the mean assembly. With 100 cases, a coverage of 0.95 has a standard error of 0.022.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from mic.studies.explanation import posterior, with_friction
 
 
 def main() -> None:
-    """Print a line for each assembly, and what all of them say."""
+    """Print a line for each assembly and a summary."""
     asked = _asked()
     model = _model(asked)
     names = [item.name for item in model.scene.measurements]

@@ -1,13 +1,12 @@
-"""How long a move on the page of `mic explore` takes, from the slider's event to the new number in the browser.
+"""Response time of the page of `mic explore`, from the slider's event to the new number in the browser.
 
     python benchmarks/explore.py                        # lap joint, hat on plate and wheelhouse: some minutes
     python benchmarks/explore.py wheelhouse --moves 10
 
-Each scene is served as `mic explore` serves it, with the parts' shapes, to a headless Chromium (Debian's chromium and
-chromium-driver, and the extras `explore` and `test`). A slider is moved by its keys, one control of a kind after the
-other; the browser itself takes the times: at the key, when a number has changed, and when that is painted. Where an
-answer takes long, a preliminary one comes first. Printed are the median and what 95 % of the moves stay below, ms. An
-idle machine is needed: the page, its server and the drawing by software share the cores that there are.
+Each scene is served by `mic explore`, with the shapes of the parts, to a headless Chromium (Debian's chromium and
+chromium-driver, and the extras `explore` and `test`). Keys move one slider of each kind of control; the browser records
+the time of the key, of each new number and of its painting. Slow answers are preceded by a preliminary one. Printed are
+the median and the 95 % quantile in ms. Use an idle machine: page, server and software rendering share its cores.
 """
 
 from __future__ import annotations
@@ -33,8 +32,8 @@ from mic.model.assembly import assemble
 
 SCENES = ("lap_joint", "hat_on_plate", "wheelhouse")
 KINDS = ("sources", "locators", "friction")
-SHOWN = 8  # controls of a kind whose sliders are seen
-ENOUGH = 60.0  # s, in which any answer comes
+SHOWN = 8  # sliders moved for each kind of control
+ENOUGH = 60.0  # s, time limit of an answer
 PAUSE = 0.3  # s between two moves
 ARGUMENTS = (
     "--headless --no-sandbox --disable-gpu --disable-quic --no-first-run --disable-background-networking "
@@ -74,7 +73,7 @@ def main() -> None:
 
 
 def saved(name: str, folder: Path) -> mic.studies.exploration.Exploration:
-    """A shipped scene's model and shapes as files; what its page moves."""
+    """Save the model and shapes of a shipped scene; return the controls of its page."""
     scene = mic.load_scene(examples.folder(name))
     model = mic.reduce(scene)
     path = folder / f"{name}.npz"
@@ -84,7 +83,7 @@ def saved(name: str, folder: Path) -> mic.studies.exploration.Exploration:
 
 
 def served(path: Path) -> tuple[subprocess.Popen, str]:
-    """The program that serves the page, and its address."""
+    """Start the server of the page; return its process and address."""
     start = [
         sys.executable,
         "-c",
@@ -105,7 +104,7 @@ def served(path: Path) -> tuple[subprocess.Popen, str]:
 
 
 def watched(exploration, address: str, count: int) -> dict[str, list[tuple[float, float, float, float]]]:
-    """By kind of control, of each move the times to the first number, to its paint, to the last and to its, ms."""
+    """Times of each move by kind of control: first number, its painting, last number and its painting, ms."""
     from selenium import webdriver
     from selenium.webdriver.common.keys import Keys
 
@@ -151,7 +150,7 @@ def until(true) -> None:
 
 
 def rows(table: Table, name: str, kind: str, moves) -> None:
-    """First numbers and last ones; one row where they are the same."""
+    """Rows of first and last numbers, or one row if they are the same."""
     times = np.array(moves)
     told = [("first", times[:, :2]), ("final", times[:, 2:])]
     for word, own in told if (times[:, 0] < times[:, 2]).any() else told[1:]:

@@ -1,11 +1,11 @@
-"""Memory and time of statistics, fields and report of a long run over the number of samples.
+"""Memory and time of statistics, fields and report as functions of the number of samples.
 
     python benchmarks/growth.py                      # 10⁴ and 10⁵ samples of the lap joint, a few minutes
     python benchmarks/growth.py 10000 1000000        # a million takes half an hour and 4 GB of disk
 
-One evaluation of the lap joint is repeated as often as it takes, and written by the program's own writer; the samples
-repeat themselves, the work of reading them does not know. Each folder is then concluded and reported on in a process of
-its own: peak resident memory, and wall time by phase. Last comes what a run spends on a sample, evaluation and files.
+One evaluation of the lap joint is repeated to the number of samples and written by the program's own writer; reading
+does not depend on the repetition. A process for each folder then computes the statistics and the report: peak resident
+memory and wall time by phase. The last line is the time per sample of a run, evaluation and files.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ from mic.runs import conclude, sample_into, write_evaluation
 from mic.statistics.draw import draw
 
 LAW = "coulomb"
-DISTINCT = 5000  # samples that are evaluated, and repeated
+DISTINCT = 5000  # samples that are evaluated and then repeated
 MEASURED = 20_000  # samples of the run that is timed
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -46,7 +46,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("samples", nargs="*", type=int, default=[10_000, 100_000])
     parser.add_argument("--scene", type=Path, default=ROOT / "meshes" / "lap_joint")
-    parser.add_argument("--folder", type=Path, help="where the folders of results are made and left")
+    parser.add_argument("--folder", type=Path, help="folder for the results folders, which are not removed")
     parser.add_argument("--read", type=Path, help=argparse.SUPPRESS)  # this program in a process of its own
     arguments = parser.parse_args()
     if arguments.read:
@@ -96,7 +96,7 @@ def write(folder: Path, assembly, model: ReducedModel, evaluation: Evaluation, s
 
 
 def rows(evaluation: Evaluation, number: np.ndarray) -> Evaluation:
-    """The samples of an evaluation with the given numbers."""
+    """Copies of the samples of an evaluation with the given numbers."""
 
     def chosen(item):
         arrays = [field.name for field in fields(item) if isinstance(getattr(item, field.name), np.ndarray)]

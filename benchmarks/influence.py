@@ -43,7 +43,7 @@ BEFORE = {130: (1.48, None), 360: (1.34, 2564), 900: (1.65, None)}
 
 
 def flanged_panel(dofs: int) -> Surface:
-    """Panel of 400 mm × 300 mm with a flange of 40 mm, of about so many freedoms with six per vertex."""
+    """Panel of 400 mm × 300 mm with a flange of 40 mm, with about `dofs` freedoms, six per vertex."""
     n = int(round((dofs / 6) ** 0.5))
     X, Y = (a.ravel() for a in np.meshgrid(np.linspace(0, 1, n), np.linspace(0, 1, n), indexing="ij"))
     along = 340 * X
@@ -76,7 +76,7 @@ def peak() -> float:
 
 
 def bare(K):
-    """Factors by MUMPS through PETSc, all options at their defaults; the memory that MUMPS took."""
+    """Factors by MUMPS through PETSc, all options at their defaults; the memory of MUMPS."""
     matrix, pc = petsc_cholesky(K)
     pc.setUp()
     memory = float(pc.getFactorMatrix().getMumpsInfog(19))
@@ -181,7 +181,7 @@ def main():
     K = stiffness[free][:, free].tocsr()
     L = part.functional_matrix(functionals)[:, free].tocsr()
     size, freedoms = len(functionals), part.ndof
-    upper = upper_triangle(K)  # what a part hands over to have its coefficients
+    upper = upper_triangle(K)  # the input of a part's influence coefficients
     del stiffness, part
     print(f"{freedoms} freedoms, {size} functionals; tables {tables:.1f} s, assembly {assembly:.1f} s")
     seconds, memory = timed(bare, K)[::2]

@@ -1,12 +1,12 @@
-"""The large case from end to end: what each phase of a run of the body side takes, and what S takes of it.
+"""A large assembly from end to end: time of each phase of a run of the body side, and the share of forming S.
 
     python benchmarks/large.py                        # twelve parts, two thousand candidates; a few minutes
     python benchmarks/large.py --spacing 15 --samples 10         # three thousand
-    python benchmarks/large.py --increments 1         # not along the path but in one increment a step
+    python benchmarks/large.py --increments 1         # one increment per step instead of the followed path
 
-One process, one thread. Time is processor time; memory the peak of the process so far. Influence coefficients are
-computed anew unless `--cache` names a folder that holds them. *columns* are those of S and of the readings that were
-formed, over all steps that were eliminated, beside those that there are; *dense* what all of them would take.
+One process, one thread. Time is processor time; memory is the peak of the process so far. Influence coefficients are
+computed anew unless `--cache` names a folder with cached ones. *columns* is the number of columns of S and of the
+measurement rows that were formed, over all eliminations, of the total; *dense* is their memory if all were formed.
 """
 
 from __future__ import annotations
@@ -89,18 +89,18 @@ class Phases:
         self.start()
 
     def start(self) -> None:
-        """The next phase begins here."""
+        """Start the next phase."""
         self.begin = time.process_time()
 
     def end(self, name: str, samples: int = 0) -> None:
-        """A phase is over, and the next begins."""
+        """End a phase and start the next."""
         seconds = time.process_time() - self.begin
         each = f"{1e3 * seconds / samples:.0f}" if samples else ""
         print(f"{name:<28} {seconds:8.2f} {each:>12} {peak():15.0f}", flush=True)
         self.start()
 
     def pause(self, work) -> None:
-        """Something that is not measured."""
+        """Exclude a block of code from the measurement."""
         work()
         self.start()
 

@@ -1,12 +1,13 @@
-"""Mesh error of 6σ on the wheelhouse: the same samples and pairs on meshes of several sizes.
+"""Mesh error of 6σ on the wheelhouse: the same samples and contact pairs on meshes of several sizes.
 
     python benchmarks/mesh.py                        # coarse, medium and fine against 2.83 mm; half an hour, 3 GB
     python benchmarks/mesh.py --path increments --samples 100
 
-The last size is the limit, the first tells where the pairs stand. Two disturbances of the last mesh but two, medium,
-stand beside the meshes: gaps moved by up to 0.35 µm, half of what facets leave there, and H by 0.1 %, D H D with a
-random diagonal D. Samples that fail anywhere are left out everywhere, and counted. In the table: the largest difference
-of a 6σ, over its own and over the largest of its kind, at the limit or, of disturbances, undisturbed.
+The last size is the reference; the first mesh provides the positions of the pairs. Two perturbations of the medium mesh
+give the scale of the errors: gaps changed by up to 0.35 µm, half the error of the facets, and H changed by 0.1 % to D H
+D with a random diagonal D. Samples that fail on any mesh are left out of all, and counted. The table shows the largest
+difference of a 6σ from the reference (or, for perturbations, from the unperturbed mesh), relative to that 6σ and to the
+largest of its kind.
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ from verification.scenes import going, shipped
 
 
 def measured(model, samples):
-    """Key characteristics, tangential displacement and slip under load of each zone after clamping, and who failed."""
+    """Key characteristics, tangential displacement and slip under load of each zone after clamping; failed samples."""
     scene = model.scene
     found = model.evaluate(draw(scene, scene.monte_carlo.seed, 0, samples), "coulomb")
     by_zone = slips(model, found)
@@ -77,7 +78,7 @@ def main():
 
 
 def off(sigma, limit):
-    """Of its own and of the largest."""
+    """Differences relative to the value itself and to the largest."""
     return f"{100 * np.abs(sigma / limit - 1).max():.1f} / {100 * np.abs(sigma - limit).max() / limit.max():.1f} %"
 
 

@@ -1,18 +1,19 @@
 """Error of estimated normals: the wheelhouse with flat triangles, with exact normals, and with estimated normals.
 
     python benchmarks/normals.py                     # coarse and medium against fine, about a minute
-    python benchmarks/normals.py --against 3.5       # a finer limit, mm; some minutes
-    python benchmarks/normals.py --astray 0.2 0.5 1 2    # beside it, what normals cost that err by so many degrees
+    python benchmarks/normals.py --against 3.5       # a finer reference, mm; some minutes
+    python benchmarks/normals.py --astray 0.2 0.5 1 2    # also the effect of normals with these errors, degrees
     PYTHONPATH=.:tests python benchmarks/normals.py --bends    # bends of one row of triangles instead, a minute
 
-Error of the compliance along the normals, per cent: Frobenius norm over that of the limit, held by six locators and by
-all. 24 places along the flange and 4 in each other region are read on discs of 6 mm. The limit has the geometry's
-normals. With the table come the angles between estimates and the geometry's normals. Normals that err do so at random,
-vertex by vertex, by a root mean square; the change is that from the geometry's normals on the same mesh.
+Error of the compliance along the normals, per cent: Frobenius norm relative to the reference, supported by six locators
+and by all. 24 points along the flange and 4 in each other region are averaged over discs of 6 mm. The reference has the
+normals of the geometry. The table also shows the angles between estimated normals and those of the geometry. Random
+errors of normals are drawn for each vertex with the given root mean square; their effect is the change from exact
+normals on the same mesh.
 
-Bends: a strip of 120 mm with two bends of radius r, 1 mm thick, either way and the same way, jittered cells of 8 or 14
-mm and a single row in each bend; error of the compliance under 24 discs, of forces that balance, against a quarter of
-the size.
+Bends: a strip of 120 mm with two bends of radius r, 1 mm thick, in opposite or the same direction, on irregular cells
+of 8 or 14 mm with a single row in each bend. The error is that of the compliance under self-equilibrated forces on 24
+discs, relative to a mesh of a quarter of the size.
 """
 
 from __future__ import annotations
@@ -37,7 +38,7 @@ REGIONS = {"inner": ("tread", "face"), "outer": ("panel", "brim", "wall")}
 
 
 def places(geometry, part):
-    """Points, normals there and directions that are read, the locators last; and the locators' names."""
+    """Points, normals and directions of the functionals, the locators last; and the names of the locators."""
     flange = [("flange", angle, 0.5, None) for angle in np.linspace(-85, 92, 24)]
     panels = [(region, angle, 0.5, None) for region in REGIONS[part] for angle in (-75, -30, 15, 60)]
     table = flange + panels + list(geometry.LOCATORS[part].values())
@@ -48,12 +49,13 @@ def places(geometry, part):
 
 
 def compliance(geometry, part, surface, element):
-    """Of the places, held by six locators and by all."""
+    """Compliance at the points, supported by six locators and by all."""
     points, normals, directions, names = places(geometry, part)
     count = len(points)
     patches = tuple(surface.patch(point, RADIUS, normal) for point, normal in zip(points, normals))
     rows = Functionals(patches, np.arange(count), directions, np.zeros(count, bool), np.zeros(count), ("",) * count)
-    blocks = Blocks.single(*ShellPart(surface, geometry.THICKNESS, 210e3, 0.3, element).influence(rows), [0, count])
+    H, G = ShellPart(surface, geometry.THICKNESS, 210e3, 0.3, element).influence(rows)
+    blocks = Blocks((H,), (G,))
     every, free = identity(count, format="csr"), count - len(names)
     none = csr_matrix((0, count))
     return [
@@ -63,14 +65,14 @@ def compliance(geometry, part, surface, element):
 
 
 def astray(points, triangles, normals, degrees):
-    """(k, 3, 3) the normals, turned at random, alike for all triangles at a vertex."""
+    """(k, 3, 3) normals with a random rotation at each vertex, equal in all its triangles."""
     step = np.radians(degrees) / np.sqrt(2) * np.random.default_rng(0).normal(size=points.shape)[triangles]
     turned = normals + step - (step * normals).sum(axis=2, keepdims=True) * normals
     return turned / np.linalg.norm(turned, axis=2, keepdims=True)
 
 
 def bends():
-    """Flat triangles beside exact normals, none of them refused, by what a bend of one row turns."""
+    """Errors of flat triangles and of estimated normals (none refused) by the angle of a bend of one row."""
     from support import pressings  # of the tests, whose folder is not always on the path
 
     turns, cases = (45, 60, 66, 70, 80, 90), ((6.0, 8.0, 1), (6.0, 8.0, -1), (12.0, 14.0, 1), (12.0, 14.0, -1))
@@ -102,7 +104,7 @@ def bends():
 
 
 def balanced(surface, element, points, directions):
-    """Compliance under discs of 5 mm, of forces that balance, in a basis that the discs' places alone decide."""
+    """Compliance under self-equilibrated forces on discs of 5 mm, in a basis that depends on the discs alone."""
     count = len(points)
     patches = tuple(surface.patch(point, 5.0, normal) for point, normal in zip(points, directions))
     rows = Functionals(patches, np.arange(count), directions, np.zeros(count, bool), np.zeros(count), ("",) * count)

@@ -1,10 +1,10 @@
-"""Gain of an optimisation, and of random designs with the same number of evaluations.
+"""Gain of an optimisation compared with random designs at the same number of evaluations.
 
 python benchmarks/optimise.py                             # the wheelhouse as it is shipped
 python benchmarks/optimise.py SCENE --samples 40 --fresh 2000 --budget 3000 --folder FOLDER
 
-Both search on the same samples with the same budget, and the best of each is evaluated on fresh samples. The
-folder keeps what is evaluated, so that a call that was killed goes on where it was.
+Both search on the same samples with the same budget, and the best design of each is evaluated on fresh samples. The
+folder stores all evaluations, so that an interrupted call resumes.
 """
 
 import argparse
@@ -22,7 +22,7 @@ from mic.studies.optimisation.search import random_design
 
 
 def by_chance(trials: DesignEvaluator, stream: np.random.Generator):
-    """The best of random designs, as many as the budget allows, and how many they were."""
+    """The best of as many random designs as the budget allows, and their number."""
     best, count = trials.space.stated, 0
     try:
         trials.merit(best)

@@ -1,17 +1,17 @@
-"""Cost of elimination and of a batch of contact problems over the number of pairs and parts.
+"""Cost of elimination and of a batch of contact problems as functions of the numbers of pairs and parts.
 
     python benchmarks/pairs.py                       # up to a thousand pairs, a few minutes
     python benchmarks/pairs.py --cases 5,3000        # parts, pairs
 
-Everything is synthetic and seeded: a stack of P sheets, m pairs shared among the interfaces, eight locators a sheet and
-a weld an interface; smooth kernels stand for H, and every sample presses the sheets together and bends them. One
+All input is synthetic and seeded: a stack of P sheets, m pairs distributed over the interfaces, eight locators a sheet
+and a weld an interface. Smooth kernels replace H, and every sample presses the sheets together and bends them. One
 process, one BLAS thread, processor time.
 
-*set-up* is the elimination of the bilateral rows, *dense S* the same from dense matrices, *apart* the largest
-difference of all columns on demand from it, of its largest entry. *from nothing* solves a sample on all pairs,
-*watched* on those that close, begun with those that did in eight other samples; *forces* is their largest difference,
-of the largest force. *before* are commit cbe9767's figures for one clamped stage, from nothing, in ms, of 3000 pairs
-b7e00c6's, watched; and how often they hold *watched*.
+*set-up* is the elimination of the bilateral rows, *dense S* the same from dense matrices, and *apart* the largest
+difference between the columns on demand and dense S, relative to its largest entry. *from nothing* solves a sample on
+all pairs; *watched* solves it on a working set that starts with the pairs that closed in eight other samples; *forces*
+is their largest difference, relative to the largest force. *before* are times of commit cbe9767 for one clamped stage,
+from nothing, in ms (for 3000 pairs: of b7e00c6, watched), and their ratio to *watched*.
 """
 
 from __future__ import annotations
@@ -36,8 +36,8 @@ from mic.system.matrix_product import one_thread
 CASES = ["2,102", "2,300", "2,1002", "20,1000"]
 BEFORE = {(2, 102): 0.42, (2, 300): 16.6, (2, 1002): 1707.0, (5, 3000): 582.0}  # ms a sample, by parts and pairs
 AHEAD, SAMPLES = 8, 40
-FEW = 10  # samples that are solved on all pairs where these are many
-DENSE = 1500  # pairs up to which S is formed and solved whole
+FEW = 10  # samples solved on all pairs if there are many pairs
+DENSE = 1500  # pairs up to which dense S is formed and solved
 MU, LONG, WIDE = 0.27, 900.0, 25.0  # mm, of a sheet
 LOCATORS = np.array([[20, 0], [880, 0], [450, 25], [300, 12], [20, 0], [880, 25], [20, 25], [600, 0]], float)
 AXES = np.array([0, 0, 0, 0, 1, 1, 2, 2])  # n, t1 or t2, which each locator holds
@@ -47,7 +47,7 @@ COLUMNS = ("parts", "pairs", "set-up, s", "dense S, s", "apart", "from nothing, 
 
 @dataclass(frozen=True)
 class Stack:
-    """A stack of sheets: its compliance, its rows, where its pairs stand, and the loads of its samples."""
+    """A stack of sheets: compliance, rows, positions of the pairs, and loads of the samples."""
 
     compliance: Blocks
     held: csr_matrix
@@ -57,12 +57,12 @@ class Stack:
 
     @classmethod
     def of(cls, parts: int, pairs: int, seed: int = 0) -> Stack:
-        """So many parts and pairs."""
+        """Parse "parts,pairs"."""
         rng = np.random.default_rng(seed)
         share = np.diff(np.linspace(0, pairs, parts).astype(int))
         interfaces = [rng.uniform(size=(count, 2)) * (LONG, WIDE) for count in share]
         H, G, first = [], [], [0]
-        start: dict[tuple[int, int], int] = {}  # (part, interface): the first of its functionals there
+        start: dict[tuple[int, int], int] = {}  # first functional of each (part, interface)
         for p in range(parts):
             places, axes = [LOCATORS], [AXES]
             count = first[-1] + len(LOCATORS)
@@ -93,7 +93,7 @@ class Stack:
 
 
 def kernel(place: np.ndarray, axis: np.ndarray) -> np.ndarray:
-    """(F, F) a sheet that bends over 150 mm and gives way beneath a contact; its axes do not mix."""
+    """(F, F) compliance kernel of a sheet: bending with a range of 150 mm and local compliance, uncoupled axes."""
     apart = cdist(place, place)
     bends = 2e-3 * np.exp(-((apart / 150) ** 2)) + 1e-5 * np.exp(-apart / 10)
     slides = 2e-4 * np.exp(-apart / 40)
@@ -102,20 +102,20 @@ def kernel(place: np.ndarray, axis: np.ndarray) -> np.ndarray:
 
 
 def motions(place: np.ndarray, axis: np.ndarray) -> np.ndarray:
-    """(F, 6) what functionals along an axis each read of a flat sheet's rigid motions."""
+    """(F, 6) values of functionals along one axis each for the rigid motions of a flat sheet."""
     direction = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])[axis]
     point = np.column_stack([place, np.zeros(len(place))]) - [LONG / 2, WIDE / 2, 0]
     return np.hstack([direction, np.cross(point, direction)])
 
 
 def rows(size: int, functional: np.ndarray) -> csr_matrix:
-    """Rows that read one functional each."""
+    """Rows of single functionals."""
     count = len(functional)
     return csr_matrix((np.ones(count), (np.arange(count), functional)), (count, size))
 
 
 def joined(size: int, first, second) -> csr_matrix:
-    """Rows that read the second functional less the first."""
+    """Rows of the second functional minus the first."""
     return rows(size, np.concatenate(second)) - rows(size, np.concatenate(first))
 
 

@@ -1,13 +1,13 @@
 """Error of dividing quadrilaterals by the choice of diagonal: the table of docs/shells.md.
 
-    PYTHONPATH=. python benchmarks/quadrilaterals.py                  # sheets whose surface is known, a minute
-    PYTHONPATH=. python benchmarks/quadrilaterals.py DECK.inp 2.0     # a mesh of one's own, thickness in mm
+    PYTHONPATH=. python benchmarks/quadrilaterals.py                  # sheets with a known surface, a minute
+    PYTHONPATH=. python benchmarks/quadrilaterals.py DECK.inp 2.0     # a mesh file, thickness in mm
 
-Error of the compliance across the sheet under 24 discs, of forces that balance, per cent: Frobenius norm over that of
-the limit. Sheets have their exact normals, and their limit is the same element on cells of a quarter of the size, in
-which discs stand at the same points. A mesh of one's own has estimated normals; its limit is extrapolated from the mesh
-divided once and twice on the surface that these tell of. Discs have a
-radius of 6 mm and stand off borders and bends.
+Error of the compliance normal to the sheet under self-equilibrated forces on 24 discs, per cent: Frobenius norm
+relative to the limit. Sheets with a known surface have exact normals, and their limit is the same element on cells of a
+quarter of the size with the discs at the same points. A mesh file has estimated normals; its limit is extrapolated from
+the mesh divided once and twice on the surface that these normals define. Discs have a radius of 6 mm and keep away from
+borders and bends.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from mic.geometry.repair import repair
 from mic.geometry.surface import Surface
 
 RADIUS, DISCS, YOUNG, POISSON = 6.0, 24, 210e3, 0.3  # mm, MPa
-BENT = np.cos(np.radians(25))  # discs stand where the sheet turns by less
+BENT = np.cos(np.radians(25))  # discs avoid places where the sheet turns by more
 NONE = np.zeros((0, 3), dtype=int)
 
 
@@ -54,7 +54,7 @@ SPLITS = {"diagonals all one way": one_way, "the shorter ones": shorter, "as it 
 
 
 def compliance(surface, thickness, places, directions):
-    """Of the discs, on balanced forces."""
+    """Compliance at the discs under self-equilibrated forces."""
     count = len(places)
     patches = tuple(surface.patch(place, RADIUS, n) for place, n in zip(places, directions))
     rows = Functionals(patches, np.arange(count), directions, np.zeros(count, bool), np.zeros(count), ("",) * count)
@@ -63,7 +63,7 @@ def compliance(surface, thickness, places, directions):
 
 
 def off(found, limit):
-    """Relative error, per cent, on the forces that balance on the limit's mesh."""
+    """Relative error, per cent, under forces in equilibrium on the mesh of the limit."""
     balanced = np.linalg.svd(limit[1])[0][:, 6:]
     a, b = (balanced.T @ H @ balanced for H in (found[0], limit[0]))
     return 100 * np.linalg.norm(a - b) / np.linalg.norm(b)
@@ -94,7 +94,7 @@ def crown(x, y):
 
 
 def cylinder(angle):
-    """Of radius 120 mm, its generators at so many degrees to x."""
+    """Cylinder of radius 120 mm with its generators at an angle to x, degrees."""
     c, s = np.cos(np.radians(angle)), np.sin(np.radians(angle))
     return lambda x, y: np.sqrt(120.0**2 - (c * (y - 40) - s * (x - 60)) ** 2)
 

@@ -3,12 +3,12 @@
     python benchmarks/ranks.py                              # 20 000 samples of the lap joint on two processes
     python benchmarks/ranks.py --samples 4000 --ranks 4 --scene meshes/hat_on_plate
 
-Whole runs under ``mpirun``, statistics and fields included, one thread a process; seconds of processor time, which
-other work on the machine changes little. A short run, of 50 samples a process, tells what is done once. What processes
-spend beyond it grows with the samples: t_s for each that is evaluated and written, t_r for each that the statistics
-read. One process would take ``t_0 + n (t_s + t_r)``; that, as a share of p times what the busiest of p took, is the
-efficiency. An idle process, which has loaded the same program and done nothing, tells the memory of Python and its
-libraries. The last table goes on to more samples and processes by ``t_0 + n t_s / p + n t_r``.
+Whole runs under ``mpirun``, including statistics and fields, with one thread a process. Times are processor seconds,
+which depend little on other work of the machine. A short run of 50 samples a process gives the time t_0 of work that is
+done once. The time beyond it grows with the samples: t_s for evaluating and writing a sample, t_r for reading it in the
+statistics. One process would take ``t_0 + n (t_s + t_r)``; the efficiency is this time over p times that of the busiest
+of p processes. An idle process with the same imports gives the memory of Python and its libraries. The last table
+extrapolates to more samples and processes by ``t_0 + n t_s / p + n t_r``.
 """
 
 from __future__ import annotations
@@ -39,8 +39,8 @@ def main() -> None:
     parser.add_argument("--scene", type=Path, default=ROOT / "meshes" / "lap_joint")
     parser.add_argument("--samples", type=int, default=20_000)
     parser.add_argument("--ranks", type=int, default=2)
-    parser.add_argument("--folder", type=Path, help="where the results are made and left")
-    parser.add_argument("--work", choices=WORK, help=argparse.SUPPRESS)  # this program as one of the processes
+    parser.add_argument("--folder", type=Path, help="folder for the results, which are not removed")
+    parser.add_argument("--work", choices=WORK, help=argparse.SUPPRESS)  # task of a child process
     arguments = parser.parse_args()
     if arguments.work:
         WORK[arguments.work](arguments)
@@ -51,7 +51,7 @@ def main() -> None:
         (idle,) = processes(arguments, 1, "idle", BLOCK, place / "idle")
         short, long = BLOCK * arguments.ranks, arguments.samples
         few = processes(arguments, arguments.ranks, "run", short, place / "few")
-        few = processes(arguments, arguments.ranks, "run", short, place / "short")  # caches are full
+        few = processes(arguments, arguments.ranks, "run", short, place / "short")  # also fills the caches
         many = processes(arguments, arguments.ranks, "run", long, place / "many")
         read = [processes(arguments, 1, "read", BLOCK, place / name)[0]["cpu"] for name in ("short", "many")]
         files = {path: path.stat().st_size for path in (place / "many").rglob("*") if path.is_file()}
@@ -87,7 +87,7 @@ def further(t_0: float, t_s: float, t_r: float) -> Table:
 
 
 def processes(arguments, count: int, work: str, samples: int, folder: Path) -> list[dict[str, float]]:
-    """This program on so many processes: what each says of itself, the first first."""
+    """Run this program on p processes; returns the report of each, in rank order."""
     own = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "OMPI_MCA_mpi_yield_when_idle": "1"}
     launch = ["mpirun", "--oversubscribe", "-n", str(count)] if count > 1 else []
     asked = ["--scene", arguments.scene, "--samples", samples, "--folder", folder, "--work", work]
@@ -97,7 +97,7 @@ def processes(arguments, count: int, work: str, samples: int, folder: Path) -> l
 
 
 def run(arguments) -> None:
-    """A whole run, by one of its processes."""
+    """One process of a whole run."""
     from mic.runs import run as run_scene
 
     world = communicator()
@@ -111,7 +111,7 @@ def run(arguments) -> None:
 
 
 def idle(arguments) -> None:
-    """Nothing, with all that a run loads."""
+    """Import all modules of a run and do nothing."""
     import mpi4py.MPI  # noqa: F401
 
     import mic.runs  # noqa: F401
@@ -127,7 +127,7 @@ def idle(arguments) -> None:
 
 
 def read(arguments) -> None:
-    """Statistics and fields of a folder once more, by one process."""
+    """Recompute statistics and fields of a folder in one process."""
     from mic.runs import conclude
 
     conclude(arguments.folder)
@@ -135,7 +135,7 @@ def read(arguments) -> None:
 
 
 def tell(folder: Path, rank: int) -> None:
-    """Processor seconds and peak memory, MB, of this process."""
+    """Report processor seconds and peak memory, MB, of this process."""
     (line,) = [line for line in Path("/proc/self/status").read_text().splitlines() if line.startswith("VmHWM:")]
     found = {"cpu": time.process_time(), "peak": int(line.split()[1]) / 1e3}
     (folder.parent / f"{folder.name}-{rank}.json").write_text(json.dumps(found))

@@ -1,4 +1,4 @@
-"""Rare misses three ways: plain samples, subset simulation, and to first order; do they agree, and what each costs.
+"""Probability of rare misses by plain sampling, subset simulation and the first-order method: agreement and cost.
 
 python benchmarks/rare.py                                 # the lap joint, M1 within ±1.4 mm, 100 000 plain samples
 python benchmarks/rare.py --samples 2000 --limit 1.0

@@ -1,18 +1,16 @@
-"""A run as a user waits for it: what `mic run` takes, phase by phase, warm or cold.
+"""Time of `mic run`, phase by phase, with warm or cold caches.
 
     python benchmarks/run.py                                 # the wheelhouse, as it is shipped
-    python benchmarks/run.py --one-step                      # with one step per stage in place of the followed path
+    python benchmarks/run.py --one-step                      # one step per stage instead of the followed path
     python benchmarks/run.py --cold                          # nothing cached, nothing compiled
     python benchmarks/run.py meshes/lap_joint --samples 100
 
-Seconds of processor time of one process, its threads together, the less of two runs; wall time of the whole. Copies of
-the process, which evaluate half of the blocks and draw half of the pictures on the second core, are not counted, but in
-the wall time. Warm:
-meshes, contact pairs, influence coefficients and compiled code are kept from a first run, the results folder is new.
-The last table is of processes of their own: the import alone, the help, and the first evaluation of a model that is
-loaded, all in the environment of the run.
-*before* are figures of commit 34ad457, taken in turns with this one on a machine that others kept busy: there the
-same run of the same commit takes up to twice as long from one minute to the next.
+Processor seconds of the main process with all its threads, the smaller of two runs, and the wall time of the whole run.
+Worker processes, which evaluate half of the blocks and draw half of the pictures on the second core, count only in the
+wall time. Warm: meshes, contact pairs, influence coefficients and compiled code come from a first run; the results
+folder is new. The last table measures separate processes in the environment of the run: the import, the help, and the
+first evaluation of a loaded model. *before* are times of commit 34ad457, measured in turns with this version on a busy
+machine, where repeated runs of one commit differed by up to a factor of two.
 """
 
 from __future__ import annotations
@@ -55,7 +53,7 @@ def main() -> None:
     parser.add_argument("--samples", type=int, help="default: those of the scene")
     parser.add_argument("--one-step", action="store_true", help="one step per stage, the path not followed")
     parser.add_argument("--cold", action="store_true", help="with nothing cached and nothing compiled")
-    parser.add_argument("--into", type=Path, help=argparse.SUPPRESS)  # the run itself, in a process of its own
+    parser.add_argument("--into", type=Path, help=argparse.SUPPRESS)  # the run itself, in a separate process
     arguments = parser.parse_args()
     if arguments.into:
         print(json.dumps(spent(arguments)))
@@ -76,7 +74,7 @@ def main() -> None:
     shown = Table("phase", "s", "before", title=f"{arguments.scene.name}, {'cold' if arguments.cold else 'warm'}")
     best = {phase: min(run[phase] for run in warm) for phase in warm[0]}
     wall = best.pop(WALL)
-    # phases that begin with what others loaded before them take its time: code is read where it is first asked for
+    # the first phase that uses a module includes the time of importing it
     for phase, seconds in [*best.items(), (IN_ALL, sum(best.values())), (WALL, wall)]:
         shown.add_row(phase, f"{seconds:.2f}", f"{before[phase]:.2f}" if phase in before else "")
     console = Console(width=100)
@@ -85,7 +83,7 @@ def main() -> None:
 
 
 def starts(environment: dict[str, str], scene: Path) -> Table:
-    """Processor seconds of what a user waits for before anything is computed, the less of two."""
+    """Processor seconds of start-up before anything is computed, the smaller of two runs."""
     reads = "import mic, sys; mic.reduce(mic.load_scene(sys.argv[1]))"
     loaded, evaluated = ([sys.executable, "-c", code, str(scene)] for code in (reads, f"{reads}.evaluate({{}})"))
     shown = Table("start", "s")
@@ -119,7 +117,7 @@ def spent(arguments: argparse.Namespace) -> dict[str, float]:
 
     found = {IMPORTS: time.process_time()}
     scene = with_options(load_scene(arguments.scene), None, arguments.samples)
-    runs.time = SimpleNamespace(perf_counter=time.process_time)  # which the clock of a run's phases reads
+    runs.time = SimpleNamespace(perf_counter=time.process_time)  # the clock of a run's phases
     quiet = ReportProgress(CommandConsole(quiet=True))
     outcome = runs.run(going(scene, "one-step") if arguments.one_step else scene, arguments.into, cache_folder(), quiet)
     found |= outcome.record["wall_time"]

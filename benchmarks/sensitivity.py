@@ -3,12 +3,12 @@
     python benchmarks/sensitivity.py                               # the three example scenes, few pairs
     python benchmarks/sensitivity.py --scenes lap_joint --samples 40
 
-One process, one thread, processor time, one law, the scene's own deviations drawn with its seed. *6 inputs* are
-the scene's first (a copy of the last where it has fewer), *40 inputs* its deviations, locators, clamps and zones, and
-copies of the first up to forty; both as multiples of the time that evaluations of the same samples take. *differences*
-is the largest error against central differences, steps of the paths frozen, of the largest derivative of the key
-characteristic; of 1e-5, 1e-4 and 5e-4 σ, between rounding and curvature, a sample's best counts. Samples whose forward
-and backward differences disagree by 1e-3 lie on a change of state and are *kinked*.
+One process, one thread, processor time, one law, the deviations of the scene drawn with its seed. *6 inputs* are the
+first of the scene (with copies of the last if it has fewer); *40 inputs* are its deviations, locators, clamps and
+zones, and copies of the first up to forty. Both are multiples of the time of evaluating the same samples. *differences*
+is the largest error against central differences with frozen path steps, relative to the largest derivative of the key
+characteristic. The steps are 1e-5, 1e-4 and 5e-4 σ, between rounding and curvature; the best of each sample counts.
+Samples whose forward and backward differences differ by 1e-3 lie at a change of contact state and are *kinked*.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from verification.scenes import few, folder
 SCENES = ("lap_joint", "hat_on_plate", "wheelhouse")
 WAYS = {"one step": {"path": "one-step"}, "8 increments": {"path": "increments", "increments": 8}, "followed": {}}
 STEPS, KINK = (1e-5, 1e-4, 5e-4), 1e-3
-REPEATS = 3  # of each, in turns, the shortest counts
+REPEATS = 3  # repetitions in turns; the shortest counts
 
 
 @one_thread
@@ -41,7 +41,7 @@ def main() -> None:
     parser.add_argument("--scenes", default=",".join(SCENES))
     parser.add_argument("--law", default="coulomb")
     parser.add_argument("--samples", type=int, default=10)
-    parser.add_argument("--checked", type=int, default=3, help="samples that are held against differences")
+    parser.add_argument("--checked", type=int, default=3, help="samples compared with central differences")
     options = parser.parse_args()
     table = Table("scene", "path", "ms a sample", "6 inputs", "40 inputs", "differences", "kinked", "exact")
     for name in options.scenes.split(","):
@@ -52,7 +52,7 @@ def main() -> None:
 
 
 def _on(model, keys):
-    """The model with every stage followed in one way."""
+    """The model with the same path settings in every stage."""
     stages = [
         stage.model_copy(update=keys) if stage.kind in ("clamp", "weld", "release") else stage
         for stage in model.scene.stages
@@ -85,7 +85,7 @@ def _seconds(work) -> float:
 
 
 def _errors(model, law: str, x: np.ndarray) -> tuple[float, int, int]:
-    """Largest error of samples that are not kinked, how many are, and how many paths were solved for exactly."""
+    """Largest error of samples that are not kinked, number of kinked ones, and number of exactly solved paths."""
     process = model.process(law, 1e-12)
     found, σ = sensitivities(process, x), np.array([one.sigma for one in model.scene.deviations])
     n, p = x.shape

@@ -1,16 +1,15 @@
-"""How dense candidates must stand: the same samples with the candidates ever nearer to each other.
+"""Effect of the spacing of contact candidates: the same samples with ever denser candidates.
 
     python benchmarks/spacing.py                                        # the shipped scenes that have candidates
     python benchmarks/spacing.py --scene my_deck --samples 200 --shares 1 0.7 0.5
     python benchmarks/spacing.py --scene meshes/hat_on_plate --shares 1 --every-node
 
-One process, one thread, Coulomb's law, the path as the scene has it. A row is a share of the default spacing, or every
-node of both sheets; the last of a scene is what the others are held to. *nominal* is the largest key characteristic
-without any deviation. The columns after it are the worst difference from the last row: of nominal key characteristics,
-of their means and 6σ; of the mean normal force of a stage beyond three radii of all welds, and of friction's mean work
-in a zone, which is slip that the force weighs, both as shares of the largest. *unseen* is the deepest that sheets pass
-through each other between the candidates; every node has nothing between. Processor seconds are of the samples, without
-the compliance.
+One process, one thread, Coulomb's law, the path settings of the scene. Each row has candidates at a share of the
+default spacing, or at every node of both sheets; the last row of a scene is the reference. *nominal* is the largest key
+characteristic without deviations. The next columns are the largest difference from the reference of nominal key
+characteristics, of their means and 6σ; of the mean normal force of a stage, farther than three radii from all welds;
+and of the mean work of friction in a zone. The last two are relative to the largest. *unseen* is the deepest
+penetration between the candidates. Processor seconds are those of the samples without the compliance.
 """
 
 from __future__ import annotations
@@ -34,7 +33,7 @@ from mic.statistics.draw import draw
 
 ROOT = Path(__file__).resolve().parents[1]
 SHIPPED = [ROOT / "meshes" / name for name in ("lap_joint", "hat_on_plate", "wheelhouse/watched.toml")]
-BEYOND = 3.0  # radii of a nugget: nearer to it, the sum of normal forces does not settle
+BEYOND = 3.0  # radii of a nugget: within it, sums of normal forces do not converge
 COLUMNS = ("scene", "spacing", "pairs", "CPU, s", "nominal, µm", "Δ nominal, µm", "Δ mean, µm", "Δ 6σ, µm", "Δ 6σ, %")
 COLUMNS += ("Δ Σfₙ, %", "Δ work, %", "unseen, µm")
 
@@ -82,7 +81,7 @@ def main() -> None:
 
 
 def measure(scene, arguments) -> list[Row]:
-    """The rows of one scene; a spacing that its elements do not bear is left out, and said."""
+    """Rows of one scene. A spacing that its elements cannot resolve is skipped and printed."""
     cache = mic.cache_folder()
     scene = scene.model_copy(update={"report": scene.report.model_copy(update={"fields": False, "laws": ["coulomb"]})})
     rows = []
@@ -103,7 +102,7 @@ def evaluate(name: str, assembly, arguments) -> Row:
     """One row."""
     model = ReducedModel.build(assembly, influence_coefficients(assembly, mic.cache_folder())[0])
     samples = draw(model.scene, arguments.seed, 0, arguments.samples)
-    nominal = model.evaluate(np.zeros_like(samples[:1]))  # compiles, and guesses what will touch
+    nominal = model.evaluate(np.zeros_like(samples[:1]))  # compiles and predicts the working set
     start = time.process_time()
     found = model.evaluate(samples)
     seconds = time.process_time() - start

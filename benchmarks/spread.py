@@ -1,11 +1,12 @@
-"""Errors of 6σ at equal cost: plain, regression, and regression on values and exact derivatives.
+"""Errors of 6σ at equal cost: plain sampling, regression, and regression on values and exact derivatives.
 
     python benchmarks/spread.py                       # the lap joint, its three deviations and all its locators
     python benchmarks/spread.py --repetitions 100
 
-The scene's deviations, and then every locator beside them, each by 0.05 mm. Repeated with other samples; the error is
-the root mean square over repetitions, the largest over the key characteristics, against a regression on all samples of
-all repetitions and twenty times as many as one has. Costs are processor time in evaluations.
+Inputs are the deviations of the scene, and then also every locator with a deviation of 0.05 mm. The error is the root
+mean square over repetitions with other samples, the largest over the key characteristics; the reference is a regression
+on the samples of all repetitions and twenty times as many further ones as one repetition has. Costs are processor time
+in units of an evaluation.
 """
 
 from __future__ import annotations
@@ -39,7 +40,7 @@ def main() -> None:
 
 
 def _with_locators(model):
-    """The model with every locator a deviation too."""
+    """The model with every locator as a deviation too."""
     found, names = with_adjustments(model, adjustments(model, names=[one.name for one in model.scene.locators]))
     items = [one.model_copy(update={"sigma": POSITION}) if one.name in names else one for one in found.scene.deviations]
     return found.varied(found.scene.model_copy(update={"deviations": items}))

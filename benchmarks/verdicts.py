@@ -1,17 +1,18 @@
-"""Random contact problems of every kind: whether each ends in a verdict, and whether a check of its own agrees.
+"""Random contact problems of every kind: whether each gets a status, and whether an independent check agrees.
 
     python benchmarks/verdicts.py                          # 3000 problems
     python benchmarks/verdicts.py --problems 100000 --seed 7
 
-Problems have one to six contacts, S of any rank from a third up: regular, zero, with a negative eigenvalue of a
-millionth, with contacts that nothing moves, with compliances over 24 decades, with contacts that stand twice, normal
-rows alone, and in any unit; loads of any size, half of them such that some force balances them; coefficients of
-friction from 0 to 1000, one for all or one each. *refused* is an error that says why S is no compliance; *wrong* a
-force that is marked converged and breaks a condition of its law by more than a millionth; *uncaught* anything else.
+Problems have one to six contacts and an S of any rank from a third up: regular, zero, with a negative eigenvalue of a
+millionth, with contacts that cannot move, with compliances over 24 decades, with duplicate contacts, with normal rows
+only, and in any unit. Loads have any size; half of them are such that some force balances them. Coefficients of
+friction range from 0 to 1000, one for all contacts or one each. *refused* is an error that says why S is not a
+compliance; *wrong* is a force with status converged that violates a condition of its law by more than a millionth;
+*uncaught* is any other error.
 
-The check is in long double and uses no measure of the program. With ``c_k = ‖S_kk‖`` the compliance of a contact, of a
-contact that has none the mean of the others, lengths count in ``√c_k`` and forces in ``1/√c_k``, both then in the
-square root of an energy, against the larger of what the forces store and what each overlap alone would.
+The check uses extended precision and no error measure of the program. The compliance of a contact is ``c_k = ‖S_kk‖``,
+or the mean of the others if that vanishes. Lengths are divided by ``√c_k`` and forces multiplied by it, so that both
+are square roots of energies; they are compared with the larger of the energy of the forces and that of each overlap.
 """
 
 from __future__ import annotations
@@ -79,7 +80,7 @@ def problem(rng: np.random.Generator):
 
 
 def breach(S, b, mu, force, law: str) -> float:
-    """Largest breach of a condition of the law by a force (3m,), as a share of the problem's own size."""
+    """Largest breach of a condition of the law by a force (3m,), relative to the size of the problem."""
     m = len(b) // 3
     compliance = 2.0 ** np.floor(np.log2(np.abs(S).max())) if S.any() else 1.0
     length = 2.0 ** np.floor(np.log2(np.abs(b).max())) if b.any() else 1.0
@@ -104,9 +105,9 @@ def breach(S, b, mu, force, law: str) -> float:
         np.maximum(0.0, -u_n - rounding) / c,
         np.maximum(0.0, -f_n) * c,
         np.maximum(0.0, f_t - mu * f_n) * c / weight,
-        np.minimum(np.abs(f_n) * c, beyond),  # a force across a gap
+        np.minimum(np.abs(f_n) * c, beyond),  # a force with an open gap
     ]
-    if LAWS[law].frictional:  # what slips under load rubs, and against its slip
+    if LAWS[law].frictional:  # sliding contacts have the full friction force, opposed to the slip
         slips = ((u_t - rounding) / c > WRONG * size) & (f_n * c > WRONG * size) & (mu > 0)
         along = (f[1::3] * u[1::3] + f[2::3] * u[2::3]) / np.where(u_t > 0, u_t, 1.0)
         breaches.append(np.where(slips, np.abs(along + mu * f_n) * c / weight, 0.0))
@@ -132,7 +133,7 @@ def main() -> None:
         except ValueError:
             found[kind, "refused"] += LOADS
             continue
-        except Exception as error:  # what must not happen is counted, with where to find it
+        except Exception as error:  # count errors that must not happen, and print where they occurred
             found[kind, "uncaught"] += LOADS
             console.print(f"uncaught: problem {number}, {KINDS[kind]}, {law}: {error!r}", soft_wrap=True)
             continue

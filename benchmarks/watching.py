@@ -1,15 +1,14 @@
-"""Cost of contact candidates: a run that detects the contacts against one with known contacts.
+"""Cost of contact detection: a run with contact candidates against a run with known contacts.
 
     python benchmarks/watching.py                                  # 500 samples of the hat on the plate, one increment
-    python benchmarks/watching.py --followed --samples 100         # the path followed, as the scene has it
+    python benchmarks/watching.py --followed --samples 100         # the followed path, as the scene has it
     python benchmarks/watching.py --scene meshes/lap_joint meshes/wheelhouse/watched.toml
 
-One process, one thread, processor time. *ahead* is the guess of what will touch, made once per model; *watched* the
-samples, each with the candidates that it turns out to need; *known* the same samples begun with all candidates that
-carried force in any of them, step by step: the final active sets. The ratio is (ahead + watched) / known. Both runs
-give the same key characteristics, to what a tolerance of 1e-6 mm in penetration leaves, and the tolerance of the path
-where it is followed: their largest difference comes next. Last are milliseconds a sample of the watched run, and those
-of commit b7e00c6, where they are known.
+One process, one thread, processor time. *ahead* is the prediction of the working set, once per model; *watched* are the
+samples, each extended by the candidates that it needs; *known* are the same samples started with all candidates that
+carried force in any of them, step by step. The ratio is (ahead + watched) / known. The largest difference of the key
+characteristics between both runs stays within the penetration tolerance of 1e-6 mm and the tolerance of the path. Last
+come milliseconds per sample of the watched run and, where known, those of commit b7e00c6.
 """
 
 from __future__ import annotations
@@ -71,7 +70,7 @@ def measure(scene, arguments) -> list[str]:
 
 
 def timed(work):
-    """Processor seconds, and what came of it."""
+    """Processor seconds and the result of a call."""
     start = time.process_time()
     result = work()
     return time.process_time() - start, result
