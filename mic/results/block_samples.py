@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
@@ -32,6 +32,9 @@ class BlockSamples:
     tables: Mapping[str, pd.DataFrame]
     contacts: int
     samples: int
+    _categories: dict[tuple[str, str], tuple[dict[str, int], np.ndarray]] = field(default_factory=dict, init=False)
+    _columns: dict[tuple[str, str], np.ndarray] = field(default_factory=dict, init=False)
+    _rows: dict[tuple[Any, ...], np.ndarray] = field(default_factory=dict, init=False)
 
     @property
     def count(self) -> int:
@@ -56,10 +59,6 @@ class BlockSamples:
     @cached_property
     def _requested(self) -> np.ndarray:
         return self.tables["samples"]["sample"].to_numpy() < self.samples
-
-    @cached_property
-    def _categories(self) -> dict[tuple[str, str], tuple[dict[str, int], np.ndarray]]:
-        return {}
 
     def _rows_with(self, table: str, key: str, name: str) -> np.ndarray:
         """Which rows of a table have a name in a column of names."""
@@ -92,14 +91,6 @@ class BlockSamples:
                     raise KeyError(f"the run has no {key} {name!r}; it has: {', '.join(known)}")
             self._rows[selection] = np.flatnonzero(chosen)[self.valid]
         return self._values(table, column)[self._rows[selection]]
-
-    @cached_property
-    def _rows(self) -> dict[tuple[Any, ...], np.ndarray]:
-        return {}
-
-    @cached_property
-    def _columns(self) -> dict[tuple[str, str], np.ndarray]:
-        return {}
 
     def _values(self, table: str, column: str) -> np.ndarray:
         """A whole column, cached: pandas takes longer to return it than the caller to use it."""

@@ -165,11 +165,10 @@ def compute_fields(outcome: Outcome, cache: Path | None = None) -> list[PartFiel
         factors = {law: low_rank(parts[p], H) for law, parts in samples.items()}
         loads = [np.column_stack([factor.mean_force, factor.force]) for factor in factors.values()]
         solved, rigid = displacement_field(part, np.hstack(loads), cache)  # (v, 3, columns), (v, 3, 6)
-        start = 0
-        for law, factor in factors.items():
-            stop = start + 1 + factor.rank
-            mean = solved[:, :, start] + rigid @ factor.mean_motion
-            basis = np.concatenate([solved[:, :, start + 1 : stop], rigid], axis=2)
+        ends = np.cumsum([load.shape[1] for load in loads])
+        for (law, factor), own in zip(factors.items(), np.split(solved, ends[:-1], axis=2)):
+            mean = own[:, :, 0] + rigid @ factor.mean_motion
+            basis = np.concatenate([own[:, :, 1:], rigid], axis=2)
             normal = np.einsum("vi,vir->vr", part.surface.vertex_normals, basis)
             fields.append(
                 PartField(
@@ -184,7 +183,6 @@ def compute_fields(outcome: Outcome, cache: Path | None = None) -> list[PartFiel
                     _truncation_error(samples[law][p], H, G, factor, ~part.functionals.rotation),
                 )
             )
-            start = stop
     return fields
 
 
@@ -217,8 +215,7 @@ def write_fields(folder, outcome: Outcome | None = None, cache: Path | None = No
         header = {"basis": None, "files": []}
     if header["basis"] == basis:
         return read_fields(outcome.folder)[0]
-    fields: list[PartField] = []
-    skipped = None
+    fields, skipped = [], None
     if not outcome.model.scene.report.fields:
         skipped = "No fields: the scene does not request them (fields = true under [report])."
     elif not outcome.parts:

@@ -44,7 +44,8 @@ def study_friction(outcome: RunSamples) -> pd.DataFrame | None:
     coefficient = contacts.friction_in(stage).coefficient
     prepared = next(other for other in outcome.model.process("coulomb").stages if other.plan.name == stage)
     rows = contacts.dimension * len(contacts)
-    response, step = prepared.response, replace(prepared.plan.steps[-1], limits=())  # limited forces are part of b
+    response = prepared.steps[-1].response
+    step = replace(prepared.plan.steps[-1], limits=())  # limited forces are part of b
     S = response.S.first(rows)
     force, displacement = (
         np.stack(

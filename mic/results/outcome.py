@@ -33,30 +33,11 @@ CACHE_SIZE = 48_000_000  # bytes of tables in memory
 class Outcome(RunSamples):
     """Samples and statistics of a run."""
 
-    @cached_property
-    def zone_statistics(self) -> pd.DataFrame:
-        """Tangential motion and normal force of each zone: :data:`mic.results.schema.ZONE_STATISTICS`."""
-        return statistic_tables.zone_statistics(self)
-
-    @cached_property
-    def contact_statistics(self) -> pd.DataFrame:
-        """Forces and states of each contact pair: :data:`mic.results.schema.CONTACT_STATISTICS`."""
-        return statistic_tables.contact_statistics(self)
-
-    @cached_property
-    def measurement_statistics(self) -> pd.DataFrame:
-        """Key characteristics against their limits: :data:`mic.results.schema.MEASUREMENT_STATISTICS`."""
-        return statistic_tables.measurement_statistics(self)
-
-    @cached_property
-    def profile_statistics(self) -> pd.DataFrame:
-        """Deviation maps: :data:`mic.results.schema.PROFILE_STATISTICS`."""
-        return statistic_tables.profile_statistics(self)
-
-    @cached_property
-    def limit_statistics(self) -> pd.DataFrame:
-        """Clamps and guns of limited force: :data:`mic.results.schema.LIMIT_STATISTICS`."""
-        return statistic_tables.limit_statistics(self)
+    zone_statistics = cached_property(statistic_tables.zone_statistics)
+    contact_statistics = cached_property(statistic_tables.contact_statistics)
+    measurement_statistics = cached_property(statistic_tables.measurement_statistics)
+    profile_statistics = cached_property(statistic_tables.profile_statistics)
+    limit_statistics = cached_property(statistic_tables.limit_statistics)
 
     def summary(self) -> dict:
         """The outcome in one JSON-ready dict (``summary.json``), see :func:`mic.results.summary.summary`."""

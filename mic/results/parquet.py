@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -16,14 +17,6 @@ __all__ = ["read_identity", "read_table", "write_table"]
 
 _AGAIN = "run the scene again into this folder"
 _FORMATS = {table.name: Format(f"block of {table.name}", table.version, _AGAIN) for table in DATASETS}
-_ARROW = {
-    "bool": pa.bool_(),
-    "int32": pa.int32(),
-    "int64": pa.int64(),
-    "float32": pa.float32(),
-    "float64": pa.float64(),
-}
-_NAMES = pa.dictionary(pa.int32(), pa.string())
 
 
 def write_table(path: Path, table: Table, frame: pd.DataFrame, identity: str, group: Group | None = None) -> None:
@@ -38,16 +31,14 @@ def write_table(path: Path, table: Table, frame: pd.DataFrame, identity: str, gr
     """
     table.check(frame, path, "this is a fault of the program")
     columns = [column for column in table.columns if column.name in frame]
+    # Column by column: pa.Table.from_pandas takes as long as writing the file.
+    arrays = [_arrow(frame[column.name].array) for column in columns]
     fields = [
-        pa.field(
-            column.name, _ARROW.get(column.dtype, _NAMES), metadata={"unit": column.unit, "meaning": column.meaning}
-        )
-        for column in columns
+        pa.field(column.name, array.type, metadata={"unit": column.unit, "meaning": column.meaning})
+        for column, array in zip(columns, arrays)
     ]
     kind = _FORMATS[table.name]
     header = {"kind": kind.kind, "format": str(kind.version), "identity": identity}
-    # Column by column: pa.Table.from_pandas takes as long as writing the file.
-    arrays = [_arrow(frame[column.name].array) for column in columns]
     content = pa.Table.from_arrays(arrays, schema=pa.schema(fields, header))
     repeating = [column.name for column in table.columns if column.dtype != "float64"]  # floats rarely repeat
     with replacing(path, group=group) as temporary:
@@ -71,19 +62,9 @@ def read_table(path: Path, table: Table) -> tuple[pd.DataFrame, str]:
     FormatError
         If the file differs from the declaration, or is truncated or altered.
     """
-    kind = _FORMATS[table.name]
-    try:
-        with pq.ParquetFile(path, page_checksum_verification=True) as file:
-            content = file.read()
-        header = _header(content.schema)
-        frame = content.to_pandas()
-    except FileNotFoundError:
-        raise
-    except (pa.ArrowException, OSError, ValueError):
-        raise kind.damaged(path) from None
-    kind.check(path, header)
+    identity, frame = _read(path, table, lambda file: file.read().to_pandas())
     table.check(frame, path, _AGAIN)
-    return frame, str(header["identity"])
+    return frame, identity
 
 
 def read_identity(path: Path, table: Table) -> str:
@@ -95,15 +76,21 @@ def read_identity(path: Path, table: Table) -> str:
     FormatError
         If the file is of another kind or truncated.
     """
+    return _read(path, table, lambda file: None)[0]
+
+
+def _read(path: Path, table: Table, read: Callable[[pq.ParquetFile], Any]) -> tuple[str, Any]:
+    """Identity in a file, and what `read` takes from it."""
     kind = _FORMATS[table.name]
     try:
-        header = _header(pq.read_schema(path))
+        with pq.ParquetFile(path, page_checksum_verification=True) as file:
+            header, content = _header(file.schema_arrow), read(file)
     except FileNotFoundError:
         raise
     except (pa.ArrowException, OSError, ValueError):
         raise kind.damaged(path) from None
     kind.check(path, header)
-    return str(header["identity"])
+    return str(header["identity"]), content
 
 
 def _header(schema: pa.Schema) -> dict[str, object]:

@@ -4,14 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from pathlib import Path
 
 import numpy as np
 import pandas as pd
 
-from mic.results.schema import PATH, PATH_ERRORS
-
-__all__ = ["SMALLEST", "UNKNOWN", "Effect", "PathStudy", "read_path_study"]
+__all__ = ["SMALLEST", "UNKNOWN", "Effect", "PathStudy"]
 
 SMALLEST = 0.01  # mm; no share is given relative to less
 
@@ -75,10 +72,10 @@ class PathStudy:
             Ignored for measurements.
         """
         measured = quantity == "measurement"
-        values = self._values.get((law, quantity, name, None if measured else stage))
-        if values is None:
+        rows = self._groups.get((law, quantity, name, "" if measured else stage))
+        if rows is None:
             return UNKNOWN, UNKNOWN
-        value, tight = values
+        value, tight = rows["value"].to_numpy(), rows["tighter"].to_numpy()
         change = float(np.mean(tight - value))
         if len(value) < 2:
             return Effect.of(change, 0.0 if measured else float(value[0])), UNKNOWN
@@ -89,25 +86,8 @@ class PathStudy:
         )
 
     @cached_property
-    def _values(self) -> dict[tuple, tuple[np.ndarray, np.ndarray]]:
-        """Values in the run and on the tighter path, of the repetitions that converged."""
-        groups = self.pairs[self.pairs["converged"]].groupby(["law", "quantity", "name", "stage"], sort=False)
-        return {
-            (law, quantity, name, None if quantity == "measurement" else stage): (
-                rows["value"].to_numpy(),
-                rows["tighter"].to_numpy(),
-            )
-            for (law, quantity, name, stage), rows in groups
-        }
-
-
-def read_path_study(folder: Path) -> PathStudy | None:
-    """The path study of a run folder; None if it has none.
-
-    Raises
-    ------
-    FormatError
-        If a file differs from :data:`mic.results.schema.PATH` or :data:`~mic.results.schema.PATH_ERRORS`.
-    """
-    pairs, errors = (table.read(folder, "call `mic report` on the run folder") for table in (PATH, PATH_ERRORS))
-    return None if pairs is None or errors is None else PathStudy(pairs, errors)
+    def _groups(self) -> dict[tuple, pd.DataFrame]:
+        """Repetitions that converged, by law, quantity, name and stage; without stage for measurements."""
+        rows = self.pairs[self.pairs["converged"]]
+        stage = rows["stage"].mask(rows["quantity"] == "measurement", "")
+        return dict(list(rows.groupby([rows["law"], rows["quantity"], rows["name"], stage], sort=False)))

@@ -233,9 +233,9 @@ class RunFolder:
             return self.record(), []
         except FormatError as problem:
             header = _json_header(path)
-            if header is not None and header[0] != _RUN.kind:
+            if header is not None and header.get("kind") != _RUN.kind:
                 raise RunError(f"{path}: is not the record of a run; name another folder with --out") from None
-            if header is None or header[1] == _RUN.version:
+            if header is None or header.get("format") == _RUN.version:
                 return None, [_set_aside(path)]
             if not replace:
                 raise RunError(f"{str(problem).partition(';')[0]}; {_REPLACE}") from None
@@ -243,7 +243,7 @@ class RunFolder:
 
     def _check_without_record(self, identity: str, replace: bool) -> list[str]:
         """Check a folder without a record: all its blocks must belong to the requested run; returns sentences."""
-        blocks = [_block(law, name) for law, name in self._files(SAMPLES)]
+        blocks = self._blocks_with(SAMPLES)
         identities = {self._identity(block) for block in blocks} - {None}
         if identities - {identity}:
             if not replace:
@@ -298,10 +298,8 @@ class RunFolder:
 
     def _refuse_links(self) -> None:
         """Refuse symbolic links: they could lead out of the folder."""
-        places = [self.path / name for name in ("run.json", *_SINGLE, "tables", "fields")]
-        for table in _BLOCK_TABLES:
-            places += [self.path / table.name, *(self.path / table.name).glob("law=*")]
-        for place in places:
+        names = ("run.json", *_SINGLE, *(table.name for table in _BLOCK_TABLES))
+        for place in (*(self.path / name for name in names), *self._folders()[1:]):
             if place.is_symlink():
                 raise RunError(f"{place}: is a link, and a run writes to its own folder only; remove the link")
 
@@ -364,7 +362,7 @@ class RunFolder:
             for table in DATASETS:  # samples last: they mark the block as finished
                 if table.name in tables:
                     write_table(self._path(table, block), table, tables[table.name], identity, group=group)
-        for other in self._finished_blocks(block.law):  # the last block of a shorter run is part of this one
+        for other in self._blocks_with(SAMPLES, block.law):  # the last block of a shorter run is part of this one
             contained = block.first <= other.first and other.end <= block.end
             if other != block and contained and self._identity(other) == identity:
                 self._remove(other)
@@ -383,7 +381,7 @@ class RunFolder:
         """
         usable = [
             block
-            for block in self._finished_blocks(law)
+            for block in self._blocks_with(SAMPLES, law)
             if samples is None or block.end <= samples or (block.first < samples and self.has_pairs(block))
         ]
         covered = np.zeros(max((block.end for block in usable), default=0), dtype=bool)
@@ -503,23 +501,18 @@ class RunFolder:
     def _path(self, table: Table, block: Block) -> Path:
         return self.path / table.name / f"law={block.law}" / f"{block.name}{Path(table.place).suffix}"
 
-    def _files(self, table: Table) -> list[tuple[str, str]]:
-        """(law, stem) of every file of a table that has a block's name."""
-        return [
-            (path.parent.name.removeprefix("law="), path.stem)
-            for path in (self.path / table.name).glob(f"law=*/*{Path(table.place).suffix}")
-            if _BLOCK_NAME.fullmatch(path.stem)
-        ]
+    def _blocks_with(self, table: Table, law: str = "*") -> list[Block]:
+        """The blocks of one or all laws that have a file of a table."""
+        blocks = []
+        for path in (self.path / table.name).glob(f"law={law}/*{Path(table.place).suffix}"):
+            if name := _BLOCK_NAME.fullmatch(path.stem):
+                first, last = int(name[1]), int(name[2])
+                blocks.append(Block(path.parent.name.removeprefix("law="), first, last - first + 1))
+        return blocks
 
     def _all_blocks(self) -> list[Block]:
         """All blocks with any file, finished or not."""
-        return [
-            _block(law, name) for law, name in sorted({key for table in _BLOCK_TABLES for key in self._files(table)})
-        ]
-
-    def _finished_blocks(self, law: str) -> list[Block]:
-        """All finished blocks of a law, including overlapping ones."""
-        return [_block(law, name) for other, name in self._files(SAMPLES) if other == law]
+        return sorted({block for table in _BLOCK_TABLES for block in self._blocks_with(table)})
 
     def _identity(self, block: Block) -> str | None:
         """Identity of a block's run; None if the block is not finished or cannot be read."""
@@ -558,15 +551,10 @@ def _set_aside(path: Path) -> str:
     return f"{path}: cut short or damaged; set aside as {aside.name if aside else path.name} and written again."
 
 
-def _json_header(path: Path) -> tuple[Any, Any] | None:
-    """Kind and format that a JSON file states, (None, None) if it states none; None if it cannot be read."""
+def _json_header(path: Path) -> dict[str, Any] | None:
+    """Content of a JSON file, empty if it is no table; None if it cannot be read."""
     try:
         content = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError, RecursionError):
         return None
-    return (content.get("kind"), content.get("format")) if isinstance(content, dict) else (None, None)
-
-
-def _block(law: str, name: str) -> Block:
-    first, last = map(int, name.split("-"))
-    return Block(law, first, last - first + 1)
+    return content if isinstance(content, dict) else {}

@@ -20,9 +20,9 @@ from mic.errors import RunError
 from mic.process.model import ReducedModel
 from mic.results.block_samples import BlockSamples
 from mic.results.block_statistics import Accumulator
-from mic.results.path_effect import PathStudy, read_path_study
+from mic.results.path_effect import PathStudy
 from mic.results.run_folder import Block, RunFolder
-from mic.results.schema import FRICTION, Table
+from mic.results.schema import FRICTION, PATH, PATH_ERRORS, Table
 from mic.scene.samples import DESIGNS
 from mic.statistics import estimates
 
@@ -249,12 +249,13 @@ class RunSamples:
     @cached_property
     def path_study(self) -> PathStudy | None:
         """Effect of a tighter load path: :mod:`mic.results.path_effect`; None if not stored."""
-        return read_path_study(self.folder)
+        pairs, errors = self.study(PATH), self.study(PATH_ERRORS)
+        return None if pairs is None or errors is None else PathStudy(pairs, errors)
 
     @cached_property
     def friction_study(self) -> pd.DataFrame | None:
         """Comparison of the laws as friction grows: :data:`mic.results.schema.FRICTION`; None if not stored."""
-        return FRICTION.read(self.folder, "call `mic report` on the run folder")
+        return self.study(FRICTION)
 
     def study(self, table: Table) -> pd.DataFrame | None:
         """A table of :data:`mic.results.schema.STUDIES`, or ``ACCURACY``; None if not stored.
@@ -264,7 +265,8 @@ class RunSamples:
         FormatError
             If the file differs from the declaration.
         """
-        return table.read(self.folder, "call the command that wrote it on the run folder again")
+        command = "`mic report`" if table in (PATH, PATH_ERRORS, FRICTION) else "the command that wrote it"
+        return table.read(self.folder, f"call {command} on the run folder")
 
 
 class _LazyTables(dict[str, pd.DataFrame]):

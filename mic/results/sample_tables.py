@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pandas as pd
 
@@ -27,8 +29,7 @@ def tables(model, evaluation: Evaluation, first: int = 0) -> dict[str, pd.DataFr
     first : int
         Number of the first sample.
     """
-    n = len(evaluation.deviations)
-    number = first + np.arange(n, dtype=np.int32)
+    number = first + np.arange(len(evaluation.deviations), dtype=np.int32)
     zones = [zone.name for zone in model.scene.zones]
     stages = list(evaluation.resolutions)
     resolutions = list(evaluation.resolutions.values())
@@ -42,14 +43,10 @@ def tables(model, evaluation: Evaluation, first: int = 0) -> dict[str, pd.DataFr
     status = np.array([str(getattr(value, "value", value)) for r in resolutions for value in r.status], dtype=object)
     columns = {
         SAMPLES: {"sample": number, "failed": evaluation.failed, "built": evaluation.built},
-        DEVIATIONS: {
-            "sample": np.tile(number, len(model.parameters)),
-            "deviation": _named(np.repeat(np.arange(len(model.parameters)), n), model.parameters),
-            "value": evaluation.deviations.T.ravel(),
-        },
-        RESOLUTIONS: {
-            "sample": np.tile(number, len(stages)),
-            "stage": _named(np.repeat(np.arange(len(stages)), n), stages),
+        DEVIATIONS: _keys(number, deviation=(range(len(model.parameters)), model.parameters))
+        | {"value": evaluation.deviations.T.ravel()},
+        RESOLUTIONS: _keys(number, stage=(range(len(stages)), stages))
+        | {
             "residual": _joined([r.residual for r in resolutions], float),
             "status": pd.Categorical(status),
             "rung": pd.Categorical(np.array([name for r in resolutions for name in r.rung], dtype=object)),
@@ -62,17 +59,14 @@ def tables(model, evaluation: Evaluation, first: int = 0) -> dict[str, pd.DataFr
             "unseen": _joined([r.unseen for r in resolutions], float),
             "unseen_at": _joined([r.unseen_at for r in resolutions], np.int32),
         },
-        SLIPS: {
-            "sample": np.tile(number, len(motions)),
-            "stage": _named(np.repeat(np.arange(len(stages)), n * moving), stages),
-            "zone": _named(np.tile(np.repeat(np.arange(moving), n), len(stages)), zones),
-        }
+        SLIPS: _keys(
+            number,
+            stage=(np.repeat(range(len(stages)), moving), stages),
+            zone=(np.tile(range(moving), len(stages)), zones),
+        )
         | {name: _joined([motion[name] for motion in motions], float) for name in SLIPS.names[3:]},
-        MEASUREMENTS: {
-            "sample": np.tile(number, len(measured)),
-            "measurement": _named(np.repeat(np.arange(len(measured)), n), measured),
-            "value": evaluation.measurements.T.ravel(),
-        },
+        MEASUREMENTS: _keys(number, measurement=(range(len(measured)), measured))
+        | {"value": evaluation.measurements.T.ravel()},
         CONTACTS: _contacts(model.contacts, resolutions, number, stages, zones, LAWS[evaluation.law].frictional),
         PROFILES: _profiles(model, evaluation.readings, number),
         LIMITS: _limits(model, resolutions, number, stages),
@@ -87,11 +81,8 @@ def _profiles(model, readings: np.ndarray, number: np.ndarray):
     names = [model.scene.measurements[k].name for k in profiles]
     columns = np.concatenate([np.zeros(0, dtype=int), *indices])
     point = np.concatenate([np.zeros(0, dtype=int), *(index - index[0] for index in indices)])
-    return {
-        "sample": np.tile(number, len(columns)),
-        "measurement": _named(
-            np.repeat(np.arange(len(profiles)), [len(index) * len(number) for index in indices]), names
-        ),
+    measurement = np.repeat(range(len(profiles)), [len(index) for index in indices])
+    return _keys(number, measurement=(measurement, names)) | {
         "point": np.repeat(point, len(number)).astype(np.int32),
         "value": readings[:, columns].T.ravel(),
     }
@@ -101,14 +92,11 @@ def _limits(model, resolutions: list[Resolution], number: np.ndarray, stages: li
     """Columns of the dataset `limits`."""
     limited = {plan.name: plan.limit_names(model.scene, model.weld_size) for plan in model.plans}
     names = list(dict.fromkeys(name for stage in stages for name in limited[stage]))
-    rows = [(i, names.index(name), j) for i, stage in enumerate(stages) for j, name in enumerate(limited[stage])]
-    columns = {
-        "sample": np.tile(number, len(rows)),
-        "stage": _named(np.repeat([i for i, _, _ in rows], len(number)), stages if rows else []),
-        "name": _named(np.repeat([k for _, k, _ in rows], len(number)), names),
-    }
+    rows = [(i, j, names.index(name)) for i, stage in enumerate(stages) for j, name in enumerate(limited[stage])]
+    stage_of, _, name_of = zip(*rows) if rows else ((), (), ())
+    columns = _keys(number, stage=(stage_of, stages if rows else []), name=(name_of, names))
     for column, dtype in (("pushed", float), ("left", float), ("reached", bool), ("needed", float)):
-        columns[column] = _joined([getattr(resolutions[i], column)[:, j] for i, _, j in rows], dtype)
+        columns[column] = _joined([getattr(resolutions[i], column)[:, j] for i, j, _ in rows], dtype)
     return columns
 
 
@@ -171,6 +159,12 @@ def _contacts(contacts, resolutions, number, stages, zones, frictional):
             share = _joined([r.trace.share[:, :, state].ravel() for r in resolutions], np.float32)
             columns[name] = share if frictional else np.full_like(share, np.nan)
     return columns
+
+
+def _keys(number, **keys) -> dict[str, Any]:
+    """Columns `sample` and the given ones, each as codes and their names; all samples have every code."""
+    columns = {key: _named(np.repeat(codes, len(number)), names) for key, (codes, names) in keys.items()}
+    return {"sample": np.tile(number, len(next(iter(keys.values()))[0]))} | columns
 
 
 def _named(codes, names):

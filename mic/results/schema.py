@@ -17,54 +17,6 @@ from pandas.api import types
 from mic.errors import FormatError
 from mic.system.files import Group, replacing
 
-__all__ = [
-    "ACCURACY",
-    "COMPARISON",
-    "CONTACTS",
-    "CONDENSED",
-    "CONTACT_STATISTICS",
-    "CONTRIBUTORS",
-    "DATASETS",
-    "DENSITY",
-    "DESIGN_POINTS",
-    "DEVIATIONS",
-    "EXPLANATION",
-    "FIELDS",
-    "FORCES",
-    "FRICTION",
-    "FRICTION_EFFECTS",
-    "FURTHER",
-    "LIMITS",
-    "LIMIT_STATISTICS",
-    "LINEARITY",
-    "MEASUREMENTS",
-    "MEASUREMENT_STATISTICS",
-    "OPTIMA",
-    "OPTIMUM_CHANGES",
-    "OPTIMUM_MATCHES",
-    "ORDERS",
-    "PROFILES",
-    "PROFILE_STATISTICS",
-    "PATH",
-    "PATH_ERRORS",
-    "PREDICTIONS",
-    "RARE",
-    "REMEDIES",
-    "REMEDY_EFFECTS",
-    "RESOLUTIONS",
-    "SAMPLES",
-    "SENSITIVITIES",
-    "SLIPS",
-    "SPREADS",
-    "STATISTICS",
-    "STUDIES",
-    "SUMS",
-    "ZONE_STATISTICS",
-    "Column",
-    "Table",
-    "reference",
-]
-
 
 @dataclass(frozen=True)
 class Column:
@@ -261,6 +213,7 @@ def _of_kind(kind: str) -> tuple[Table, ...]:
 
 _DECLARED = tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))
 _TABLES = {key: _table(key, entry) for key, entry in _DECLARED.items()}
+__all__ = ["DATASETS", "STATISTICS", "STUDIES", "Column", "Table", "reference", *(key.upper() for key in _TABLES)]
 SAMPLES = _TABLES["samples"]
 DEVIATIONS = _TABLES["deviations"]
 RESOLUTIONS = _TABLES["resolutions"]
@@ -311,60 +264,13 @@ STUDIES = _of_kind("study")
 
 def reference() -> str:
     """The reference of the results folder, in Markdown."""
-    lines = [
-        "# Results",
-        "",
-        "A run writes one folder. An interrupted run can be read, and completed by running the same command again.",
-        "",
-        "| file | holds |",
-        "| --- | --- |",
-        "| `run.json` | scene, requested samples and seed, laws, identity and its inputs, versions, wall time |",
-        "| `model.npz` | the reduced model; `mic.ReducedModel.load` reads it, no finite elements needed |",
-        "| `parts.npz` | meshes and functionals of the parts |",
-        "| `paper.toml` | published values for comparison, if the scene has any |",
-        "| `summary.json` | statistics by law, zone and measurement, each with its interval |",
-        "| `report.html`, `assembly.png` | the report and its picture of the assembly |",
-        "| `tables.xlsx` | all tables in one workbook, written by `mic report --excel` |",
-    ]
-    lines += [
-        f"| `{table.place}` | {table.description} |"
-        for table in (*_of_kind("dataset"), SUMS, FORCES, CONDENSED, FIELDS)
-    ]
-    lines += [f"| `{table.place}` | {table.description} |" for table in (*STATISTICS, *STUDIES)]
-    lines += [
-        "",
-        "`LAW` is a contact law, `FIRST-LAST` the numbers of a block's first and last sample. The datasets are Apache "
-        "Parquet, partitioned by law: `pandas.read_parquet(folder / 'slips')` reads all laws at once and adds the "
-        "column `law`. The metadata of each Parquet column hold its unit. A file ending in `.damaged` could not be "
-        "read; its samples were computed again. A file ending in `.other-run` is a block of another run. `.lock` names "
-        "the process that is writing to the folder. [What is promised](promises.md) describes the effect of a second "
-        "run, or of another scene, on a folder.",
-    ]
-    for title, tables in (
-        ("Datasets", _of_kind("dataset")),
-        ("Statistics", STATISTICS),
-        ("Studies", STUDIES),
-        ("Fields", (FORCES, FIELDS)),
-    ):
-        lines += ["", f"## {title}"]
-        for table in tables:
-            lines += [
-                "",
-                f"### {table.name}",
-                "",
-                f"`{table.place}`: one row for {table.rows}. {table.description}",
-                "",
-            ]
-            lines += ["| column | type | unit | meaning |", "| --- | --- | --- | --- |"]
-            lines += [_described(column) for column in table.columns]
-    return "\n".join(lines) + "\n"
+    from jinja2 import Template  # not needed to read tables
 
-
-def _described(column: Column) -> str:
-    """The column as a row of a Markdown table."""
-    kind = f"{column.dtype} ({column.shape})" if column.shape else column.dtype
-    meaning = column.meaning + ("; absent if only normal contact is modelled" if column.optional else "")
-    return f"| `{column.name}` | {kind} | {column.unit} | {meaning} |"
+    datasets = _of_kind("dataset")
+    sections = {"Datasets": datasets, "Statistics": STATISTICS, "Studies": STUDIES, "Fields": (FORCES, FIELDS)}
+    text = Path(__file__).with_name("reference.jinja").read_text(encoding="utf-8")
+    template = Template(text, keep_trailing_newline=True)
+    return template.render(files=(*datasets, SUMS, FORCES, CONDENSED, FIELDS, *STATISTICS, *STUDIES), sections=sections)
 
 
 if __name__ == "__main__":

@@ -11,7 +11,7 @@ import pandas as pd
 
 from mic.contact.laws import LAWS
 from mic.contact.states import STATES
-from mic.results.path_effect import UNKNOWN, Effect
+from mic.results.path_effect import UNKNOWN
 from mic.results.run_samples import RunSamples
 from mic.results.schema import (
     CONTACT_STATISTICS,
@@ -51,7 +51,8 @@ def whole_yield(outcome: RunSamples, law: str) -> Estimate:
     accumulator, samples = outcome.accumulators[law], len(outcome.sample_numbers(law))
     beyond = int(accumulator.counts["any outside",]) if samples else 0
     share = estimates.share(samples - beyond, samples)
-    return share if outcome.together == 1 else _without_interval(share)
+    unknown = math.nan * share.value
+    return share if outcome.together == 1 else replace(share, low=unknown, high=unknown)
 
 
 def zone_statistics(outcome: RunSamples) -> pd.DataFrame:
@@ -77,17 +78,15 @@ def zone_statistics(outcome: RunSamples) -> pd.DataFrame:
                     "samples": samples,
                 }
                 for motion in MOTIONS:
-                    values = estimates.mean(of_zone[motion]), estimates.six_sigma(of_zone[motion])
-                    for name, value, effect in zip(FIGURES, values, _effects(outcome, law, motion, zone.name, stage)):
-                        row |= _interval(f"{name}_{motion}", value) | _change(f"{name}_{motion}", effect)
+                    row |= _mean_and_spread(f"_{motion}", of_zone[motion])
+                    row |= _path_effects(f"_{motion}", outcome, law, motion, zone.name, stage)
                 for column in ("slip_length", "friction_work"):
                     row |= _interval(f"mean_{column}", estimates.mean(of_zone[column]))
                 for name, which in PRESSED.items():
                     force = outcome.accumulators[law].moments["pressed", stage, which].at(z)
-                    row |= _interval(f"mean_{name}", estimates.mean(force))
-                    row |= _interval(f"six_sigma_{name}", estimates.six_sigma(force))
+                    row |= _mean_and_spread(f"_{name}", force)
                 rows.append(row | {state: estimates.mean(of_zone[state]).value for state in STATES})
-    return _frame(ZONE_STATISTICS, pd.DataFrame(rows), outcome.together == 1)
+    return _frame(ZONE_STATISTICS, [pd.DataFrame(rows)], outcome.together == 1)
 
 
 def _coefficient(zone, law, stage: str) -> float:
@@ -105,27 +104,18 @@ def contact_statistics(outcome: RunSamples) -> pd.DataFrame:
     for law in outcome.laws:
         accumulator, samples = outcome.accumulators[law], len(outcome.sample_numbers(law))
         for stage in outcome.stages:
-            f_n, u_n = (accumulator.moments["contacts", stage, column] for column in ("f_n", "u_n"))
+            moments = {key[2]: of for key, of in accumulator.moments.items() if key[:2] == ("contacts", stage)}
             columns = {"law": law, "stage": stage, "zone": zone, "contact": np.arange(m), "samples": samples}
-            columns |= _interval("mean_f_n", estimates.mean(f_n)) | _interval("six_sigma_f_n", estimates.six_sigma(f_n))
-            columns["mean_gap"] = estimates.mean(u_n).value
+            columns |= _mean_and_spread("_f_n", moments["f_n"]) | {"mean_gap": estimates.mean(moments["u_n"]).value}
             if outcome.has_slip:
-                force, motion = (accumulator.moments["contacts", stage, column] for column in ("f_t", "u_t"))
-                columns |= _interval("mean_slip_force", estimates.mean(force))
-                columns |= _interval("six_sigma_slip_force", estimates.six_sigma(force))
-                columns |= _interval("mean_tangential", estimates.mean(motion))
+                columns |= _mean_and_spread("_slip_force", moments["f_t"])
+                columns |= _interval("mean_tangential", estimates.mean(moments["u_t"]))
+                stick, slip = (estimates.mean(moments[column]).value for column in ("path_stick", "path_slip"))
+                columns |= {"path_open": 1.0 - stick - slip, "path_stick": stick, "path_slip": slip}
             for name, count in zip(STATES, accumulator.counts["states", stage]):
                 columns |= _interval(name, estimates.share(count, samples))
-            if outcome.has_slip:
-                stick, slip = (
-                    estimates.mean(accumulator.moments["contacts", stage, column]).value
-                    for column in ("path_stick", "path_slip")
-                )
-                columns |= {"path_open": 1.0 - stick - slip, "path_stick": stick, "path_slip": slip}
             frames.append(pd.DataFrame(columns, index=np.arange(m)))
-    return _frame(
-        CONTACT_STATISTICS, pd.concat(frames, ignore_index=True) if frames else pd.DataFrame(), outcome.together == 1
-    )
+    return _frame(CONTACT_STATISTICS, frames, outcome.together == 1)
 
 
 def measurement_statistics(outcome: RunSamples) -> pd.DataFrame:
@@ -155,11 +145,10 @@ def measurement_statistics(outcome: RunSamples) -> pd.DataFrame:
                 "upper": item.upper,
                 "samples": moments[0].used,
             }
-            effects = dict(zip(FIGURES, _effects(outcome, law, "measurement", item.name)))
             for name, estimate in zip(MEASURED, moments):
-                row |= _interval(name, estimate) | (_change(name, effects[name]) if name in effects else {})
-            rows.append(row | _improved(regression, k))
-    return _frame(MEASUREMENT_STATISTICS, pd.DataFrame(rows))
+                row |= _interval(name, estimate)
+            rows.append(row | _path_effects("", outcome, law, "measurement", item.name) | _improved(regression, k))
+    return _frame(MEASUREMENT_STATISTICS, [pd.DataFrame(rows)])
 
 
 def _improved(regression: RegressionEstimates | None, k: int) -> dict[str, Any]:
@@ -180,14 +169,10 @@ def profile_statistics(outcome: RunSamples) -> pd.DataFrame:
             if item.points is None:
                 continue
             x = outcome.accumulators[law].moments["profiles", item.name]
-            columns = {"law": law, "measurement": item.name, "point": np.arange(len(item.points))}
-            columns |= dict(zip("xyz", np.array(item.points).T))
-            mean, six_sigma = estimates.mean(x), estimates.six_sigma(x)
-            if outcome.together > 1:  # moments give no interval of samples in groups
-                mean, six_sigma = _without_interval(mean), _without_interval(six_sigma)
-            columns |= {"samples": mean.used} | _interval("mean", mean) | _interval("six_sigma", six_sigma)
+            columns = {"law": law, "measurement": item.name, "point": np.arange(len(item.points)), "samples": x.n}
+            columns |= dict(zip("xyz", np.array(item.points).T)) | _mean_and_spread("", x)
             frames.append(pd.DataFrame(columns))
-    return _frame(PROFILE_STATISTICS, pd.concat(frames, ignore_index=True) if frames else pd.DataFrame())
+    return _frame(PROFILE_STATISTICS, frames, outcome.together == 1)
 
 
 def _by_groups(outcome: RunSamples, law: str, item, moments: tuple[Estimate, ...]) -> tuple[Estimate, ...]:
@@ -230,33 +215,35 @@ def limit_statistics(outcome: RunSamples) -> pd.DataFrame:
             row |= _interval("mean_pushed", estimates.mean(pushed))
             most = float(needed.high) if needed.n > 0 else math.nan
             rows.append(row | {"max_left": float(left.high), "max_needed": most})
-    return _frame(LIMIT_STATISTICS, pd.DataFrame(rows), outcome.together == 1)
+    return _frame(LIMIT_STATISTICS, [pd.DataFrame(rows)], outcome.together == 1)
 
 
-def _without_interval(estimate: Estimate) -> Estimate:
-    """The estimate with NaN as the ends of its interval."""
-    return replace(estimate, low=np.nan * estimate.value, high=np.nan * estimate.value)
-
-
-def _frame(table: Table, frame: pd.DataFrame, independent: bool = True) -> pd.DataFrame:
-    """The frame, with NaN as intervals if the samples are not independent; an empty table if it has no rows."""
+def _frame(table: Table, frames: list[pd.DataFrame], independent: bool = True) -> pd.DataFrame:
+    """The frames as one table, without rows if they have none; NaN as intervals if the samples are not independent."""
+    if not sum(map(len, frames)):
+        return table.empty()
+    frame = pd.concat(frames, ignore_index=True)
+    frame = frame[[name for name in table.names if name in frame]]
     if not independent:
         bounds = [name for name in frame.columns if name.endswith(("_low", "_high"))]
         frame = frame.assign(**dict.fromkeys(bounds, math.nan))
-    return frame if len(frame) else table.empty()
+    return frame
+
+
+def _mean_and_spread(name: str, moments: Moments) -> dict[str, Any]:
+    """Mean and 6σ with their intervals."""
+    mean, six_sigma = estimates.mean(moments), estimates.six_sigma(moments)
+    return _interval(f"mean{name}", mean) | _interval(f"six_sigma{name}", six_sigma)
 
 
 def _interval(name: str, estimate: Estimate) -> dict[str, Any]:
     return {name: estimate.value, f"{name}_low": estimate.low, f"{name}_high": estimate.high}
 
 
-def _effects(
-    outcome: RunSamples, law: str, quantity: str, name: str, stage: str | None = None
-) -> tuple[Effect, Effect]:
-    """Effect of a tighter load path on mean and 6σ; NaN if unknown."""
+def _path_effects(suffix: str, outcome: RunSamples, law: str, *quantity: str) -> dict[str, float]:
+    """Effect of a tighter load path on mean and 6σ of a quantity (:meth:`PathStudy.effects`); NaN if unknown."""
     study = outcome.path_study
-    return (UNKNOWN, UNKNOWN) if study is None else study.effects(law, quantity, name, stage)
-
-
-def _change(name: str, effect: Effect) -> dict[str, float]:
-    return {f"{name}_path": effect.change, f"{name}_path_share": effect.share}
+    columns: dict[str, float] = {}
+    for name, effect in zip(FIGURES, study.effects(law, *quantity) if study else (UNKNOWN, UNKNOWN)):
+        columns |= {f"{name}{suffix}_path": effect.change, f"{name}{suffix}_path_share": effect.share}
+    return columns
