@@ -81,7 +81,7 @@ def test_a_cad_sheet_is_meshed_with_the_given_size_and_a_solid_refused(tmp_path)
         assert surface.areas.sum() == pytest.approx(600) and surface.edge_lengths.max() < 1.5 * size
         counts.append(len(surface.triangles))
     assert counts[1] > counts[0]
-    with pytest.raises(FormatError, match="it holds a solid, and the skin of a solid is no mid-surface"):
+    with pytest.raises(FormatError, match="it holds a solid, whose skin is no mid-surface"):
         read_mesh(tmp_path / "solid.step", size=5.0)
     with pytest.raises(FormatError, match="needs an element size"):
         read_mesh(tmp_path / "sheet.step")
@@ -101,7 +101,7 @@ def test_a_part_from_cad_needs_a_size_in_mm():
 
 def test_a_cad_file_without_gmsh_is_refused_with_the_remedy(tmp_path, monkeypatch):
     monkeypatch.setattr("shutil.which", lambda *args, **keys: None)
-    with pytest.raises(FormatError, match=r"a\.step: CAD files are read by gmsh, which is missing; install it"):
+    with pytest.raises(FormatError, match=r"a\.step: gmsh, which reads CAD files, is missing; install it"):
         read_mesh(written(tmp_path, "ISO-10303-21;\n", "a.step"), size=1.0)
 
 
@@ -161,7 +161,7 @@ MALFORMED = {
             ("*Element, type=S3", "*Elgen\n1, 10\n*Element, type=S3", r"\*ELGEN generates the mesh by a rule"),
             ("*Element, type=S3", "*Nset, nset=a, generate\n3, 1\n*Element, type=S3", "generates no numbers"),
             ("*Element, type=S3", "*Nset\n3, 1\n*Element, type=S3", r"this \*NSET has no name"),
-            ("*Node\n", "*Assembly\n*Instance, name=i, part=q\n*End Instance\n*Node\n", "part 'Q', which is missing"),
+            ("*Node\n", "*Assembly\n*Instance, name=i, part=q\n*End Instance\n*Node\n", "the part 'Q' of instance 'i' is missing"),
             ("*Node\n", "*System\n0,0,0,1,0,0\n2,0,0\n*Node\n", "are collinear"),
             ("*Element, type=S3", "*Shell section, elset=rib, offset=field\n1.\n*Element, type=S3", "OFFSET = FIELD"),
             ("*Element, type=S3", "*Material, name=a\n*Elastic\nsoft, 0.3\n*Element, type=S3", r"\*ELASTIC is no num"),

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from mic.errors import SceneError
-from mic.geometry.load import fixture_surface, load_part
+from mic.geometry.load import load_fixture, load_part
 from mic.geometry.script import load_script, named_sizes
 from mic.scene.fixture import Fixture
 from mic.scene.part import Part
@@ -245,10 +245,10 @@ def test_files_that_are_missing_or_bad_name_part_and_file(tmp_path):
     with pytest.raises(SceneError, match="part 'sheet': mesh: .*bad.vtk: .*cannot be read"):
         load_part(part(mesh="bad.vtk"), tmp_path, tmp_path)
     with pytest.raises(SceneError, match="fixture 'pad': mesh: .*bad.vtk: .*cannot be read"):
-        fixture_surface(Fixture(name="pad", mesh="bad.vtk"), tmp_path)
+        load_fixture(Fixture(name="pad", mesh="bad.vtk"), tmp_path)
 
 
 def test_a_pad_is_a_disc_with_its_normal_outwards(tmp_path):
-    pad = fixture_surface(Fixture(name="pad", point=(1, 2, 3), normal=(0, 0, -1), radius=4.0), tmp_path)
+    pad, _ = load_fixture(Fixture(name="pad", point=(1, 2, 3), normal=(0, 0, -1), radius=4.0), tmp_path)
     assert pad.normals[:, 2] == pytest.approx(-1) and pad.points.mean(0) == pytest.approx([1, 2, 3])
     assert pad.areas.sum() == pytest.approx(np.pi * 16, rel=0.01)

@@ -264,7 +264,7 @@ def test_given_points_belong_to_the_nearer_side_of_the_sheet():
 
 
 def test_fewer_pairs_than_sides_are_refused():
-    with pytest.raises(ValueError, match="face each other on 2 sides of a sheet, and 1 pairs are too few"):
+    with pytest.raises(ValueError, match="1 pairs are too few for 2 facing sides of a sheet"):
         find_pairs(zone(pairs=1), *hem())
 
 

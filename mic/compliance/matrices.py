@@ -137,7 +137,7 @@ def _by_table(matrix: csr_matrix, places: dict[int, tuple[float, ...]], table: P
 def _dmig(path: Path, places: dict[int, tuple[float, ...]]) -> NodalMatrix:
     by_name: dict[str, dict[tuple[tuple[int, int], tuple[int, int]], float]] = {}
     forms: dict[str, str] = {}
-    for where, card in nastran.cards(path):
+    for where, card in nastran.cards(list(nastran.lines(path))):
         try:
             if card[0] == "GRID":
                 if card[2] not in ("", "0"):

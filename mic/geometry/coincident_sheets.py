@@ -13,6 +13,7 @@ import numpy as np
 
 from mic.errors import SceneError
 from mic.geometry.pairing import ContactPair, Side
+from mic.geometry.triangles import place_text
 
 __all__ = ["COINCIDENT", "offsets", "refuse_coincident"]
 
@@ -72,7 +73,6 @@ def refuse_coincident(key: str, names: Sequence[str], pairs: list[ContactPair], 
     pair = min(pairs, key=lambda pair: pair.gap, default=None)
     if pair is None or pair.gap + touching >= COINCIDENT * touching:
         return
-    where = ", ".join(f"{x:.1f}" for x in pair.point)
     shares, sure = offsets(pair, first, second)
     remedy = " and ".join(
         f"offset = {share:+g} for {name}" for share, name, body in zip(shares, names, (first, second)) if not body.rigid
@@ -81,7 +81,8 @@ def refuse_coincident(key: str, names: Sequence[str], pairs: list[ContactPair], 
     normals = first.surface.normals[pair.patches[0].triangle]
     upwards = ", ".join(f"{x:.2f}" for x in np.average(normals, axis=0, weights=pair.patches[0].weight))
     raise SceneError(
-        f"{key}: {names[0]} and {names[1]} coincide ({abs(pair.gap + touching):.3g} mm apart at ({where})), so it is "
-        f"unknown which of them lies on which side; mesh their mid-surfaces, or give {remedy}{why}: offset moves a "
-        f"part by this many thicknesses along its normals, which are ({upwards}) for {names[0]} there"
+        f"{key}: {names[0]} and {names[1]} coincide ({abs(pair.gap + touching):.3g} mm apart at "
+        f"{place_text(pair.point)}), so it is unknown which of them lies on which side; mesh their mid-surfaces, or "
+        f"give {remedy}{why}: offset moves a part by this many thicknesses along its normals, which are ({upwards}) "
+        f"for {names[0]} there"
     )

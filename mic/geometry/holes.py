@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mic.geometry.surface import Patch, Surface
-from mic.geometry.triangles import components
+from mic.geometry.triangles import components, unit
 
 __all__ = ["Hole", "find_holes"]
 
@@ -55,9 +55,7 @@ def find_holes(surface: Surface) -> list[Hole]:
     triangle, opposite = np.nonzero(surface.border)
     if not len(triangle):
         return []
-    corners = surface.triangles[triangle]
-    rows = np.arange(len(triangle))
-    ends = np.column_stack([corners[rows, (opposite + 1) % 3], corners[rows, (opposite + 2) % 3]])
+    ends = surface.ends(triangle, opposite)
     vertex, local = np.unique(ends, return_inverse=True)
     a, b = local.reshape(-1, 2).T
     count, label = components(a, b, len(vertex))
@@ -71,8 +69,7 @@ def _hole(surface: Surface, triangle, opposite, ends) -> Hole | None:
     x = surface.points[ends]
     middle, length = x.mean(1), np.linalg.norm(x[:, 1] - x[:, 0], axis=1)
     centre = length @ middle / length.sum()
-    inwards = surface.points[surface.triangles[triangle, opposite]] - middle
-    inwards /= np.linalg.norm(inwards, axis=1, keepdims=True)
+    inwards = unit(surface.points[surface.triangles[triangle, opposite]] - middle)
     if length @ np.einsum("ij,ij->i", inwards, middle - centre) <= 0:
         return None
     corners = x.reshape(-1, 3) - centre
@@ -87,6 +84,5 @@ def _hole(surface: Surface, triangle, opposite, ends) -> Hole | None:
     )
     longest = int(np.argmax(extents))
     size = float(extents[longest]), float(widths[longest])
-    rim = Patch(*surface.sample_edges(triangle, opposite, float(length.max())))
-    rim = Patch(rim.triangle, rim.barycentric, rim.weight / rim.weight.sum())
-    return Hole(centre, axes[2], size, float(np.abs(corners @ axes[2]).max()), rim)
+    *place, share = surface.sample_edges(triangle, opposite, float(length.max()))
+    return Hole(centre, axes[2], size, float(np.abs(corners @ axes[2]).max()), Patch(*place, share / share.sum()))

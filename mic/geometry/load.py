@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -12,25 +12,17 @@ import numpy as np
 from mic.errors import SceneError
 from mic.geometry import grading, structured
 from mic.geometry.deck import Deck
-from mic.geometry.grading import GradedSize
 from mic.geometry.offset import moved
 from mic.geometry.refinement import halved
-from mic.geometry.script import build, named_sizes
+from mic.geometry.script import arrays_surface, build, graded_sizes, mesh_arrays, named_sizes
 from mic.geometry.script_dependencies import Dependencies, opened_files
 from mic.geometry.surface import Surface
-from mic.geometry.triangles import linked_rows
+from mic.geometry.triangles import linked_rows, place_text
 from mic.scene.part import USUAL
 from mic.system.disk_cache import ABSENT, Cache
 from mic.system.files import Format, fingerprint
 
-__all__ = [
-    "LoadedPart",
-    "coarsest_size",
-    "finer_surface",
-    "fixture_surface",
-    "load_fixture",
-    "load_part",
-]
+__all__ = ["LoadedPart", "coarsest_size", "finer_surface", "load_fixture", "load_part"]
 
 GENERATED = Format("generated mesh", 3, ABSENT)
 
@@ -85,12 +77,7 @@ def load_part(part: Any, folder: Path, cache: Path, size: float | None = None) -
         Naming part, key and file, if the file is missing or unusable, or the script fails; if the thickness is not
         given or the mesh file gives several; if the part consists of several pieces, or its offset cannot be applied.
     """
-    key = "mesh" if part.mesh is not None else "geometry"
-    path = folder / getattr(part, key)
-    if not path.is_file():
-        raise SceneError(
-            f"part {part.name!r}: {key}: there is no file {path}; correct the name (it is relative to the scene file)"
-        )
+    path = _existing(f"part {part.name!r}", _source(part), folder / getattr(part, _source(part)))
     if part.mesh is not None:
         sets = [part.set] if isinstance(part.set, str) else part.set or ()
         surface, deck, inputs = _read(f"part {part.name!r}", path, part.mesh, sets, part.unit, part.size)
@@ -128,11 +115,6 @@ def coarsest_size(part: Any, folder: Path) -> float | None:
     return max(named_sizes(part.name, path).values(), default=None)
 
 
-def fixture_surface(fixture: Any, folder: Path) -> Surface:
-    """Surface of a rigid fixture, see :func:`load_fixture`."""
-    return load_fixture(fixture, folder)[0]
-
-
 def load_fixture(fixture: Any, folder: Path) -> tuple[Surface, dict[str, str | None]]:
     """Surface of a rigid fixture and the hash of its file: its mesh, or a flat round pad with its normal outwards.
 
@@ -150,10 +132,8 @@ def load_fixture(fixture: Any, folder: Path) -> tuple[Surface, dict[str, str | N
         Naming fixture, key and file, if the mesh is missing or unusable.
     """
     if fixture.mesh is not None:
-        path = folder / fixture.mesh
-        if not path.is_file():
-            raise SceneError(f"fixture {fixture.name!r}: mesh: there is no file {path}; correct the name")
-        surface, _, inputs = _read(f"fixture {fixture.name!r}", path, fixture.mesh)
+        owner = f"fixture {fixture.name!r}"
+        surface, _, inputs = _read(owner, _existing(owner, "mesh", folder / fixture.mesh), fixture.mesh)
         return surface, inputs
     n = np.array(fixture.normal)
     t = np.cross(n, np.eye(3)[np.argmin(np.abs(n))])
@@ -162,6 +142,13 @@ def load_fixture(fixture: Any, folder: Path) -> tuple[Surface, dict[str, str | N
     rim = fixture.radius / np.cos(np.pi / 36) * (np.cos(angle)[:, None] * t + np.sin(angle)[:, None] * np.cross(n, t))
     triangles = np.column_stack([np.zeros(36, int), 1 + np.arange(36), 1 + (np.arange(36) + 1) % 36])
     return Surface(np.vstack([np.zeros(3), rim]) + fixture.point, triangles), {}
+
+
+def _existing(owner: str, key: str, path: Path) -> Path:
+    """The path; refuses one without a file."""
+    if not path.is_file():
+        raise SceneError(f"{owner}: {key}: there is no file {path}; correct the name (relative to the scene)")
+    return path
 
 
 def _filled(part, deck):
@@ -201,15 +188,18 @@ def _refuse_pieces(part, surface):
     if many == 1:
         return
     largest = np.argsort(-sizes, kind="stable")[: min(LISTED_PIECES, many)]
-    listed = []
-    for number in largest:
-        place = ", ".join(f"{x:.1f}" for x in surface.corners[piece == number].mean(axis=(0, 1)))
-        listed.append(f"{sizes[number]} triangles about ({place})")
+    middles = [surface.corners[piece == number].mean(axis=(0, 1)) for number in largest]
+    listed = [f"{sizes[number]} triangles about {place_text(x)}" for number, x in zip(largest, middles)]
     raise SceneError(
-        f"part {part.name!r}: {'mesh' if part.mesh is not None else 'geometry'}: the mesh consists of {many} pieces "
-        f"that share no points: {'; '.join(listed)}{', …' if many > LISTED_PIECES else ''}; make each a separate part "
-        "(`set` chooses among the sets of a file), or merge their points"
+        f"part {part.name!r}: {_source(part)}: the mesh consists of {many} pieces that share no points: "
+        f"{'; '.join(listed)}{', …' if many > LISTED_PIECES else ''}; make each a separate part (`set` chooses among "
+        "the sets of a file), or merge their points"
     )
+
+
+def _source(part) -> str:
+    """Key of a part's mesh."""
+    return "mesh" if part.mesh is not None else "geometry"
 
 
 def _middle(part, surface):
@@ -238,11 +228,12 @@ def _generated(part, path, cache, size, share=1.0):
     """Surface of a script at a multiple of a size, cached, and the files that it read."""
     meshes, key = Cache(cache, "meshes", GENERATED), _key(part, path, size, share)
     found = meshes.load(key)
-    read = Dependencies(found[0]["files"], found[0]["place"]) if found is not None else None
-    if found is not None and read is not None and read.unchanged(path):
-        return _surface_of(found[1]), read
+    if found is not None:
+        read = Dependencies(found[0]["files"], found[0]["place"])
+        if read.unchanged(path):
+            return arrays_surface(found[1]), read
     surface, read = build(part.name, path, size, share)
-    meshes.store(key, read.header(), _arrays(surface))
+    meshes.store(key, asdict(read), mesh_arrays(surface))
     return surface, read
 
 
@@ -251,16 +242,4 @@ def _key(part, path, size, share):
     sources = sorted([*path.parent.glob("*.py"), *path.parent.parent.glob("*.py")])
     ours = (Path(structured.__file__), Path(grading.__file__))
     contents = [source.read_bytes().hex() for source in (*ours, *sources) if source.is_file()]
-    graded = [size.places.tolist(), size.sizes.tolist()] if isinstance(size, GradedSize) else None
-    return fingerprint([part.name, size, graded, share, path.name, contents])
-
-
-def _arrays(surface):
-    """A surface as cached arrays."""
-    arrays = {"points": surface.points, "triangles": surface.triangles}
-    return arrays if surface.given_normals is None else arrays | {"normals": surface.given_normals}
-
-
-def _surface_of(arrays):
-    """The surface of cached arrays."""
-    return Surface(arrays["points"], arrays["triangles"], arrays.get("normals"))
+    return fingerprint([part.name, size, graded_sizes(size), share, path.name, contents])

@@ -19,6 +19,7 @@ from mic.errors import FormatError
 from mic.geometry.deck import UNITS, Deck
 from mic.geometry.readers import READERS, read_raw
 from mic.geometry.surface import Surface
+from mic.geometry.triangles import rotation
 
 __all__ = ["FACING", "Cloud", "Deviations", "Fit", "deviations", "read_cloud", "sheet_normals", "spread"]
 
@@ -131,10 +132,8 @@ def read_cloud(path: Path, unit: str, surface: Surface, deck: Deck | None) -> Cl
             f"{path}: row 1: column {', '.join(missing)} is missing; give x, y, z, or x, y, z, deviation, or node, "
             "deviation"
         )
-    points = _finite(path, scale * frame[list(AXES)].to_numpy(), AXES)
-    if "deviation" not in columns:
-        return Cloud(points, None)
-    return Cloud(points, _finite(path, scale * frame[["deviation"]].to_numpy(), ("deviation",))[:, 0])
+    points = _finite(path, scale * frame[list(AXES)].to_numpy(float), AXES)
+    return Cloud(points, _deviation(path, frame, scale) if "deviation" in columns else None)
 
 
 def _table(path: Path) -> pd.DataFrame:
@@ -159,9 +158,8 @@ def _table(path: Path) -> pd.DataFrame:
         raise FormatError(f"{path}: there are no rows below the header; export the measured points")
     for number, cells in rows.items():
         if len(cells) != len(columns):
-            raise FormatError(
-                f"{path}: row {number}: there are {len(cells)} cells and {len(columns)} columns; give one cell for each"
-            )
+            counts = f"{len(cells)} cells and {len(columns)} columns"
+            raise FormatError(f"{path}: row {number}: there are {counts}; give one cell for each")
     found = pd.DataFrame.from_dict(rows, orient="index", columns=columns)
     found = found[[column for column in columns if column in (*AXES, "deviation", "node")]]
     if separator == ";":  # the comma may be a decimal separator
@@ -170,20 +168,18 @@ def _table(path: Path) -> pd.DataFrame:
     wrong = np.argwhere(numbers.isna().to_numpy())
     if len(wrong):
         row, column = wrong[0]
-        raise FormatError(
-            f"{path}: row {found.index[row]}: {found.columns[column]} is {found.iloc[row, column]!r}; give a number in "
-            "every row"
-        )
+        cell = f"{found.columns[column]} is {found.iloc[row, column]!r}"
+        raise FormatError(f"{path}: row {found.index[row]}: {cell}; give a number in every row")
     return numbers
 
 
-def _finite(path: Path, values: np.ndarray, names) -> np.ndarray:
-    """The values as floats; refuses values that are not finite."""
+def _finite(path: Path, values: np.ndarray, names: tuple[str, ...]) -> np.ndarray:
+    """The values (n, m) of named quantities; refuses values that are not finite."""
     bad = np.argwhere(~np.isfinite(values))
     if len(bad):
         row, column = bad[0]
         raise FormatError(f"{path}: point {row + 1}: {names[column]} is {values[row, column]}; give finite numbers")
-    return np.asarray(values, dtype=float)
+    return values
 
 
 def _nodal_deviations(path: Path, frame: pd.DataFrame, scale: float, surface: Surface, deck: Deck | None) -> Cloud:
@@ -197,8 +193,12 @@ def _nodal_deviations(path: Path, frame: pd.DataFrame, scale: float, surface: Su
         if point < 0 or node != int(node):
             raise FormatError(f"{path}: row {row}: the part has no node {node:g} on its surface; remove the row")
         found.append(point)
-    value = _finite(path, scale * frame[["deviation"]].to_numpy(), ("deviation",))[:, 0]
-    return Cloud(surface.points[np.array(found)], value)
+    return Cloud(surface.points[np.array(found)], _deviation(path, frame, scale))
+
+
+def _deviation(path: Path, frame: pd.DataFrame, scale: float) -> np.ndarray:
+    """The column of deviations, mm."""
+    return _finite(path, scale * frame[["deviation"]].to_numpy(float), ("deviation",))[:, 0]
 
 
 def sheet_normals(surface: Surface, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -248,7 +248,8 @@ def deviations(
         near = np.abs(off) <= max(within, 3 * np.median(np.abs(off)))
         rows = np.hstack([n, np.cross(points - middle, n) / surface.diameter])[near]
         motion = -np.linalg.lstsq(rows, off[near], rcond=1e-6)[0]
-        step = _rotation(motion[3:] / surface.diameter)
+        turned = motion[3:] / surface.diameter
+        step = rotation(turned, float(np.linalg.norm(turned)))
         points, turn = middle + motion[:3] + (points - middle) @ step.T, step @ turn
         if np.abs(motion).max() < CONVERGED * surface.diameter:
             break
@@ -281,13 +282,9 @@ def _on_measured_face(surface: Surface, foot: np.ndarray, off: np.ndarray) -> np
 
 def _refuse_unit(path: Path, points: np.ndarray, surface: Surface, unit: str) -> None:
     """Refuse a cloud whose size differs from the part so much that any best fit would be meaningless."""
-    span, size = _spans(points, surface)
-    likely = _likely_unit(span, size, unit)
-    if likely is not None and max(size / span, span / size) > IMPLAUSIBLE:
-        raise FormatError(
-            f"{path}: the points cannot be those of the part: they span {span:.3g} mm and the part {size:.3g} mm; give "
-            f'unit = "{likely}"'
-        )
+    remedy = _unit_remedy(points, surface, unit)
+    if remedy and abs(np.log(surface.diameter / _span(points))) > np.log(IMPLAUSIBLE):
+        raise FormatError(f"{path}: the points cannot be those of the part: {remedy}")
 
 
 def _refuse_excluded(path: Path, near, points, foot, within: float, surface: Surface, unit: str) -> None:
@@ -295,39 +292,28 @@ def _refuse_excluded(path: Path, near, points, foot, within: float, surface: Sur
     if (~near).mean() <= EXCLUDED:
         return
     typical = float(np.median(np.linalg.norm(points - foot, axis=1)))
-    remedy = "correct the part, the unit or the datum of the points, or raise within"
-    span, size = _spans(points, surface)
-    likely = _likely_unit(span, size, unit)
-    if likely is not None:
-        remedy = f'they span {span:.3g} mm and the part {size:.3g} mm; give unit = "{likely}"'
+    usual = "correct the part, the unit or the datum of the points, or raise within"
     raise FormatError(
         f"{path}: {int((~near).sum())} of {len(near)} points lie more than {within:g} mm from the part (median "
-        f"{typical:.3g} mm): {remedy}"
+        f"{typical:.3g} mm): {_unit_remedy(points, surface, unit) or usual}"
     )
 
 
-def _spans(points: np.ndarray, surface: Surface) -> tuple[float, float]:
-    """Diagonals of the bounding boxes of points and of the part, mm."""
-    return float(np.linalg.norm(np.ptp(points, axis=0))), surface.diameter
+def _span(points: np.ndarray) -> float:
+    """Diagonal of the bounding box of points, mm."""
+    return float(np.linalg.norm(np.ptp(points, axis=0)))
 
 
-def _likely_unit(span: float, size: float, unit: str) -> str | None:
-    """Another unit in which the points would be as large as the part; None if there is none."""
+def _unit_remedy(points: np.ndarray, surface: Surface, unit: str) -> str | None:
+    """Remedy that names another unit, in which the points would be as large as the part; None if there is none."""
+    span, size = _span(points), surface.diameter
     if span == 0.0:
         return None
     away = {name: abs(np.log(size / span * UNITS[unit][0] / UNITS[name][0])) for name in UNITS}
     likely = min(away, key=lambda name: away[name])
-    return likely if likely != unit and away[likely] < LIKELY < away[unit] else None
-
-
-def _rotation(turn: np.ndarray) -> np.ndarray:
-    """(3, 3) rotation matrix of a rotation vector (Rodrigues)."""
-    angle = float(np.linalg.norm(turn))
-    if angle == 0.0:
-        return np.eye(3)
-    x, y, z = turn / angle
-    K = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
-    return np.eye(3) + np.sin(angle) * K + (1 - np.cos(angle)) * K @ K
+    if likely == unit or not away[likely] < LIKELY < away[unit]:
+        return None
+    return f'they span {span:.3g} mm and the part {size:.3g} mm; give unit = "{likely}"'
 
 
 def spread(surface: Surface, spacing: float, box=None) -> np.ndarray:

@@ -40,7 +40,7 @@ import numpy as np
 from scipy.sparse import csr_matrix, identity, vstack
 from scipy.sparse.linalg import lsmr
 
-from mic.geometry.triangles import components
+from mic.geometry.triangles import area_vectors, components, paired_sides, sides, unit
 
 __all__ = ["COARSE", "GUARD", "CornerNormals", "Rule", "corner_normals"]
 
@@ -104,16 +104,16 @@ def corner_normals(points: np.ndarray, triangles: np.ndarray, given: np.ndarray 
         Either sense, any length; NaN or zero where unknown.
     """
     corners = points[triangles]
-    own = _unit(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]))[:, None]
+    own = unit(area_vectors(corners))[:, None]
     normal = np.broadcast_to(own, corners.shape).copy()
     rule = np.full(triangles.shape, Rule.TRIANGLE, dtype=np.int8)
     decided = np.zeros(triangles.shape, dtype=bool)
     if given is not None:
         length = np.linalg.norm(given, axis=2, keepdims=True)
-        unit = np.divide(given, length, out=np.zeros_like(corners), where=length > 0)
-        cosine = (unit * own).sum(axis=2)
+        direction = np.divide(given, length, out=np.zeros_like(corners), where=length > 0)
+        cosine = (direction * own).sum(axis=2)
         use = np.abs(cosine) > np.cos(np.radians(GUARD))
-        normal[use] = (np.sign(cosine)[..., None] * unit)[use]
+        normal[use] = (np.sign(cosine)[..., None] * direction)[use]
         decided = (length > 0)[..., 0]
         rule[decided] = np.where(use, Rule.GIVEN, Rule.GUARDED)[decided]
         if decided.all():
@@ -151,22 +151,18 @@ class _Edges:
     def __init__(self, points, triangles, own):
         k, me = len(triangles), np.arange(len(triangles))
         start, end = triangles[:, [1, 2, 0]], triangles[:, [2, 0, 1]]
-        pair = np.stack([np.minimum(start, end), np.maximum(start, end)], axis=2).reshape(-1, 2)
-        edge, count = np.unique(pair, axis=0, return_inverse=True, return_counts=True)[1:]
-        edge = edge.ravel()
-        sides = np.flatnonzero(count[edge] == 2)
-        sides = sides[np.argsort(edge[sides], kind="stable")].reshape(-1, 2)
+        pair = paired_sides(*sides(triangles)[1:])
         forward = (start < end).ravel()
-        sides = sides[forward[sides[:, 0]] != forward[sides[:, 1]]]
+        pair = pair[forward[pair[:, 0]] != forward[pair[:, 1]]]
         across = np.full(3 * k, -1)
-        across[sides[:, 0]], across[sides[:, 1]] = sides[:, 1], sides[:, 0]
+        across[pair[:, 0]], across[pair[:, 1]] = pair[:, 1], pair[:, 0]
         has = across >= 0
         triangle = np.where(has, across // 3, 0)
         cosine = (own[np.repeat(me, 3)] * own[triangle]).sum(axis=1)
         sine = np.linalg.norm(np.cross(own[np.repeat(me, 3)], own[triangle]), axis=1)
         dihedral = np.where(has, np.degrees(np.arctan2(sine, cosine)), 0.0)
         corners = points[triangles]
-        height = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)[:, None]
+        height = np.linalg.norm(area_vectors(corners), axis=1)[:, None]
         height = (height / np.linalg.norm(points[start] - points[end], axis=2)).ravel()
         widths = np.where(has, np.maximum(height / height[across], height[across] / height), 1.0)
         self.across = across
@@ -179,7 +175,7 @@ class _Edges:
         bend = np.where(self.dihedral < _FOLD, self.dihedral, 0.0)
         for end_of_edge in (start, end):
             np.maximum.at(bent, end_of_edge.ravel(), bend.ravel())
-        direction = _unit(points[end] - points[start])
+        direction = unit(points[end] - points[start])
         beyond = bent[triangles]
         for c in range(3):
             for other in ((c + 1) % 3, (c + 2) % 3):
@@ -222,11 +218,11 @@ def _estimate(points, triangles, own, edges):
     ends = np.concatenate([fan[:, [a, b]] for a, b in ((0, 1), (1, 2), (2, 0))])
     chord = np.concatenate([points[triangles[:, b]] - points[triangles[:, a]] for a, b in ((0, 1), (1, 2), (2, 0))])
     ends, first = np.unique(np.sort(ends, axis=1), axis=0, return_index=True)
-    chord = _unit(chord[first])
+    chord = unit(chord[first])
 
     corner = np.repeat(np.arange(k), 3)
-    sides = points[triangles]
-    a, b = (_unit(np.roll(sides, -step, axis=1) - sides) for step in (1, 2))
+    corners = points[triangles]
+    a, b = (unit(np.roll(corners, -step, axis=1) - corners) for step in (1, 2))
     angle = np.arctan2(np.linalg.norm(np.cross(a, b), axis=2), (a * b).sum(axis=2)).ravel()
     start = _mean(joined, angle[:, None] * own[corner], count)
     whole = np.bincount(joined[same[:, 0]], minlength=count) == np.bincount(joined, minlength=count)
@@ -260,7 +256,7 @@ def _estimate(points, triangles, own, edges):
         normal = normal.copy()
         for _ in range(_STEPS):
             n = normal[free]
-            e = _unit(np.cross(n, np.eye(3)[np.argmin(np.abs(n), axis=1)]))
+            e = unit(np.cross(n, np.eye(3)[np.argmin(np.abs(n), axis=1)]))
             axes = np.stack([e, np.cross(n, e)], axis=1)
             slope = np.einsum("qac,qc->qa", axes[who], chord[edge])
             place = np.repeat(edge, 2), (2 * who[:, None] + [0, 1]).ravel()
@@ -268,7 +264,7 @@ def _estimate(points, triangles, own, edges):
             turn = (chord * normal[ends].sum(axis=1)).sum(axis=1)
             back = _PULL * np.einsum("qac,qc->qa", axes, start - n).ravel()
             step = lsmr(vstack([bend, held]), np.concatenate([-turn, back]), atol=_ROUGH, btol=_ROUGH)[0]
-            normal[free] = _unit(n + np.einsum("qa,qac->qc", step.reshape(-1, 2), axes))
+            normal[free] = unit(n + np.einsum("qa,qac->qc", step.reshape(-1, 2), axes))
             if np.abs(step).max() < _STILL:
                 break
     return normal[fan]
@@ -288,15 +284,10 @@ def _mean(group, vector, count):
     """(count, 3) unit vectors along the sums of the vectors (q, 3) of each group; NaN for an empty group."""
     total = np.column_stack([np.bincount(group, vector[:, c], count) for c in range(3)])
     with np.errstate(invalid="ignore"):
-        return _unit(total)
+        return unit(total)
 
 
 def _differ(group, vector, mean):
     """(count,) bool: whether the vectors (q, 3) of a group differ from their mean."""
     far = np.abs(vector - mean[group]).max(axis=1) > _EQUAL
     return np.bincount(group, far, len(mean)) > 0
-
-
-def _unit(vector):
-    """Vectors divided by their lengths."""
-    return vector / np.linalg.norm(vector, axis=-1, keepdims=True)

@@ -13,7 +13,7 @@ from __future__ import annotations
 import numpy as np
 
 from mic.geometry.surface import Surface
-from mic.geometry.triangles import components
+from mic.geometry.triangles import area_vectors, components, place_text
 
 __all__ = ["moved"]
 
@@ -43,9 +43,10 @@ def moved(surface: Surface, distance: float) -> Surface:
     triangles, points = surface.triangles, surface.points
     edge, _, count = surface.sides
     if (count > 2).any():
+        place = place_text(points[edge[count > 2][0]].mean(axis=0))
         raise ValueError(
-            f"its offset cannot be applied: three or more of its triangles share the edge at "
-            f"{_place(points[edge[count > 2][0]].mean(axis=0))}, and no side is the upper one; mesh the mid-surface"
+            f"its offset cannot be applied: three or more of its triangles share the edge at {place}, and no side is "
+            "the upper one; mesh the mid-surface"
         )
     together = np.arange(len(points))
     for _ in range(ROUNDS):
@@ -56,7 +57,7 @@ def moved(surface: Surface, distance: float) -> Surface:
         together = _merged(surface, folded, together)
     raise ValueError(
         f"its offset of {distance:.3g} mm inverts {len(folded)} of its triangles, such as that at "
-        f"{_place(surface.corners[folded[0]].mean(axis=0))}: the bend is tighter than the offset; mesh its "
+        f"{place_text(surface.corners[folded[0]].mean(axis=0))}: the bend is tighter than the offset; mesh its "
         "mid-surface, or change the sign of offset if the sheet lies on the other side"
     )
 
@@ -82,9 +83,8 @@ def _steps(surface: Surface, together: np.ndarray) -> np.ndarray:
 def _inverted(surface: Surface, points: np.ndarray) -> np.ndarray:
     """Triangles that are inverted or lose their height at the moved points."""
     corners = points[surface.triangles]
-    across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     longest = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1)
-    height = np.einsum("ij,ij->i", across, surface.normals) / np.maximum(longest, np.finfo(float).tiny)
+    height = np.einsum("ij,ij->i", area_vectors(corners), surface.normals) / np.maximum(longest, np.finfo(float).tiny)
     return np.flatnonzero(height < THIN * 2 * surface.areas / surface.edge_lengths.max(axis=1))
 
 
@@ -99,7 +99,3 @@ def _merged(surface: Surface, folded: np.ndarray, together: np.ndarray) -> np.nd
     n = len(together)
     first, second = np.concatenate([ends, np.stack([np.arange(n), together])], axis=1)
     return components(first, second, n)[1]
-
-
-def _place(x: np.ndarray) -> str:
-    return f"({', '.join(f'{value:.1f}' for value in x)})"

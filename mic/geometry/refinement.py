@@ -20,7 +20,7 @@ from functools import cached_property
 
 import numpy as np
 
-from mic.geometry.triangles import closest_barycentric
+from mic.geometry.triangles import area_vectors, closest_barycentric, sides, unit
 
 __all__ = ["Division", "divided", "halved"]
 
@@ -52,33 +52,26 @@ def halved(points: np.ndarray, triangles: np.ndarray, normals: np.ndarray) -> tu
     normals : (4 k, 3, 3) array
     """
     triangles = np.asarray(triangles)
-    sides = np.stack([triangles[:, edge] for edge in EDGES], axis=1)  # (k, 3, 2)
-    edges, of_side = np.unique(np.sort(sides, axis=2).reshape(-1, 2), axis=0, return_inverse=True)
-    of_side = of_side.reshape(-1, 3)
+    edges, opposite, _ = sides(triangles)
+    of_side = np.roll(opposite, 1, axis=1)  # in the order of `EDGES`
     L = points[edges[:, 1]] - points[edges[:, 0]]
-    T = np.stack([L - _across(L, end, edges, sides, of_side, normals) for end in (0, 1)])
+    T = np.stack([L - _across(L, end, edges, triangles, of_side, normals) for end in (0, 1)])
     middle = points[edges].mean(axis=1) + (T[0] - T[1]) / 8
 
-    tangent = 1.5 * L - (T[0] + T[1]) / 4
-    tangent /= np.linalg.norm(tangent, axis=1, keepdims=True)
+    along = unit(1.5 * L - (T[0] + T[1]) / 4)[of_side]
     mean = np.stack([normals[:, i] + normals[:, j] for i, j in EDGES], axis=1)  # (k, 3, 3), one for each side
-    along = tangent[of_side]
-    mean = mean - (mean * along).sum(axis=2, keepdims=True) * along
-    mean /= np.linalg.norm(mean, axis=2, keepdims=True)
+    mean = unit(mean - (mean * along).sum(axis=2, keepdims=True) * along)
 
-    a, b, c = triangles.T
-    ab, bc, ca = (len(points) + of_side).T
-    children = np.stack([(a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca)]).transpose(2, 0, 1)
-    (n_a, n_b, n_c), (n_ab, n_bc, n_ca) = normals.transpose(1, 0, 2), mean.transpose(1, 0, 2)
-    turned = np.stack([(n_a, n_ab, n_ca), (n_ab, n_b, n_bc), (n_ca, n_bc, n_c), (n_ab, n_bc, n_ca)])
-    return np.vstack([points, middle]), children.reshape(-1, 3), turned.transpose(2, 0, 1, 3).reshape(-1, 3, 3)
+    vertex = np.concatenate([triangles, len(points) + of_side], axis=1)
+    normal = np.concatenate([normals, mean], axis=1)
+    return np.vstack([points, middle]), vertex[:, FOUR].reshape(-1, 3), normal[:, FOUR].reshape(-1, 3, 3)
 
 
-def _across(L, end, edges, sides, of_side, normals):
+def _across(L, end, edges, triangles, of_side, normals):
     """(e, 3) projection of the edges L (e, 3) on the span of their triangles' normals at one end."""
     total = np.zeros((len(edges), 3, 3))
     for s, corners in enumerate(EDGES):
-        first = sides[:, s, 0] == edges[of_side[:, s], end]
+        first = triangles[:, corners[0]] == edges[of_side[:, s], end]
         n = np.where(first[:, None], normals[:, corners[0]], normals[:, corners[1]])
         np.add.at(total, of_side[:, s], n[:, :, None] * n[:, None, :])
     size, direction = np.linalg.eigh(total)  # for two normals at an angle φ: 1 ± cos φ
@@ -161,8 +154,7 @@ def divided(
         large = mesh.too_large(places, reach, size)
         if not large.any():
             mesh.close()
-            between = np.einsum("kij,kjl->kil", mesh.corners, normals[mesh.of])
-            between /= np.linalg.norm(between, axis=2, keepdims=True)
+            between = unit(np.einsum("kij,kjl->kil", mesh.corners, normals[mesh.of]))
             return Division(mesh.points, mesh.triangles, between, mesh.of, mesh.corners)
         while large.any():
             mesh.divide(large)
@@ -182,7 +174,7 @@ class _AdaptiveMesh:
     def too_large(self, places, reach, size) -> np.ndarray:
         """(k,) bool: which triangles near a place exceed its size."""
         corner = self.points[self.triangles]
-        own = np.sqrt(np.linalg.norm(np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]), axis=1))
+        own = np.sqrt(np.linalg.norm(area_vectors(corner), axis=1))
         found = np.zeros(len(own), dtype=bool)
         middle, order = corner.mean(axis=1), np.argsort(-own)
         around = np.linalg.norm(corner - middle[:, None], axis=2).max(axis=1)
@@ -210,38 +202,30 @@ class _AdaptiveMesh:
 
     def divide(self, chosen) -> None:
         """Divide the chosen triangles into four each."""
-        whole = self.triangles[chosen]
-        edges = np.unique(self._keys(whole[:, EDGES]))
-        new = edges[~np.isin(edges, self._edges)]
+        new = np.setdiff1d(self._keys(self.triangles[chosen][:, EDGES]), self._edges)
         ends = np.stack([new >> SHIFT, new & (2**SHIFT - 1)], axis=1)
         number = len(self.points) + np.arange(len(new))
         self.points = np.vstack([self.points, self.points[ends].mean(axis=1)])
         order = np.argsort(np.concatenate([self._edges, new]))
         self._edges = np.concatenate([self._edges, new])[order]
         self._middle = np.concatenate([self._middle, number])[order]
-        middle = self._middles(whole[:, EDGES])
-        vertex, corner = np.concatenate([whole, middle], axis=1), _with_middles(self.corners[chosen])
-        self._replace(
-            ~chosen, np.repeat(self.of[chosen], 4), vertex[:, FOUR].reshape(-1, 3), corner[:, FOUR].reshape(-1, 3, 3)
-        )
+        self._replace(chosen, FOUR)
 
     def close(self) -> None:
         """Remove hanging nodes: bisect triangles with a divided edge."""
-        middle = self._middles(self.triangles[:, EDGES])
-        cut = (middle >= 0).any(axis=1)
-        rows = np.flatnonzero(cut)
-        two = TWO[(middle[rows] >= 0).argmax(axis=1)]
-        vertex, corner = np.concatenate([self.triangles[rows], middle[rows]], axis=1), _with_middles(self.corners[rows])
-        row = np.arange(len(rows))[:, None, None]
-        self._replace(
-            ~cut, np.repeat(self.of[rows], 2), vertex[row, two].reshape(-1, 3), corner[row, two].reshape(-1, 3, 3)
-        )
+        cut = self._middles(self.triangles[:, EDGES]) >= 0
+        self._replace(cut.any(axis=1), TWO[cut[cut.any(axis=1)].argmax(axis=1)])
 
-    def _replace(self, unchanged, of, triangles, corners) -> None:
-        """Keep some triangles and append others."""
-        self.of = np.concatenate([self.of[unchanged], of])
-        self.triangles = np.concatenate([self.triangles[unchanged], triangles])
-        self.corners = np.concatenate([self.corners[unchanged], corners])
+    def _replace(self, chosen, children) -> None:
+        """Replace the chosen triangles by children (m, 3), or (c, m, 3) of each, of their corners and midpoints."""
+        whole, corner = self.triangles[chosen], self.corners[chosen]
+        between = np.stack([corner[:, i] + corner[:, j] for i, j in EDGES], axis=1) / 2
+        vertex = np.concatenate([whole, self._middles(whole[:, EDGES])], axis=1)
+        row, many = np.arange(len(whole))[:, None, None], children.shape[-2]
+        vertex, corner = vertex[row, children], np.concatenate([corner, between], axis=1)[row, children]
+        self.of = np.concatenate([self.of[~chosen], np.repeat(self.of[chosen], many)])
+        self.triangles = np.concatenate([self.triangles[~chosen], vertex.reshape(-1, 3)])
+        self.corners = np.concatenate([self.corners[~chosen], corner.reshape(-1, 3, 3)])
 
     def _keys(self, sides) -> np.ndarray:
         """Key of each edge, from its two ends."""
@@ -254,8 +238,3 @@ class _AdaptiveMesh:
         keys = self._keys(sides)
         at = np.minimum(np.searchsorted(self._edges, keys), len(self._edges) - 1)
         return np.where(self._edges[at] == keys, self._middle[at], -1)
-
-
-def _with_middles(corner) -> np.ndarray:
-    """(k, 6, 3) values at the corners (k, 3, 3), and their means over the edges."""
-    return np.concatenate([corner, np.stack([corner[:, i] + corner[:, j] for i, j in EDGES], axis=1) / 2], axis=1)

@@ -16,7 +16,7 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import breadth_first_order, connected_components
 from scipy.spatial import cKDTree
 
-from mic.geometry.triangles import components, linked_rows
+from mic.geometry.triangles import area_vectors, components, linked_rows, paired_sides, place_text, sides
 
 __all__ = ["MeshReport", "repair"]
 
@@ -69,12 +69,6 @@ class MeshReport:
     element_map: np.ndarray
     turned: np.ndarray
 
-    @property
-    def repaired(self) -> bool:
-        """Whether anything but splitting quadrilaterals was needed."""
-        dropped = self.points_dropped or self.triangles_without_area or self.triangles_repeated
-        return bool(dropped or self.points_merged or self.triangles_split or self.triangles_turned)
-
     def __str__(self) -> str:
         lines = [
             (self.quadrilaterals_split, "quadrilaterals split"),
@@ -90,7 +84,7 @@ class MeshReport:
         return "\n".join(f"{count} {text}" for count, text in lines if count) or "nothing to repair"
 
 
-def repair(points, triangles, quadrilaterals=None) -> tuple[np.ndarray, np.ndarray, MeshReport]:
+def repair(points, triangles, quadrilaterals=()) -> tuple[np.ndarray, np.ndarray, MeshReport]:
     """Points (n, 3) and triangles (k, 3) fit for a `Surface`, and a report of the changes.
 
     Parameters
@@ -108,31 +102,23 @@ def repair(points, triangles, quadrilaterals=None) -> tuple[np.ndarray, np.ndarr
     ValueError
         For arrays that do not describe a mesh, or a one-sided sheet.
     """
-    points = np.array(points, dtype=float)
-    triangles = np.array(triangles, dtype=np.int64)
-    if points.ndim != 2 or points.shape[1] != 3:
-        raise ValueError(f"points must have shape (n, 3), not {points.shape}")
-    if triangles.ndim != 2 or triangles.shape[1] != 3:
-        raise ValueError(f"triangles must have shape (k, 3), not {triangles.shape}")
-    if not np.isfinite(points).all():
-        raise ValueError(
-            f"point {np.flatnonzero(~np.isfinite(points).all(axis=1))[0]} has a coordinate that is not finite"
-        )
+    points, triangles = np.array(points, dtype=float), np.array(triangles, dtype=np.int64)
+    quadrilaterals = np.array(quadrilaterals, dtype=np.int64).reshape(-1, 4)
+    bad = np.flatnonzero(~np.isfinite(points).all(axis=1))
+    if len(bad):
+        raise ValueError(f"point {bad[0]} has a coordinate that is not finite")
+    corners = np.concatenate([triangles.ravel(), quadrilaterals.ravel()])
+    if not np.isin(corners, np.arange(len(points))).all():
+        raise ValueError(f"elements refer to points outside 0..{len(points) - 1}; export the mesh again")
     # original corner of each corner of the triangles; last column: original element
-    split, origin = 0, np.column_stack([np.arange(triangles.size).reshape(-1, 3), np.arange(len(triangles))])
-    if quadrilaterals is not None:
-        quadrilaterals = np.array(quadrilaterals, dtype=np.int64)
-        _check_numbers(quadrilaterals, len(points))
+    split = len(quadrilaterals)
+    origin = np.column_stack([np.arange(triangles.size).reshape(-1, 3), np.arange(len(triangles))])
+    if split:
         quadrilaterals = _merge(points)[quadrilaterals]  # neighbours share their points
         triangles = np.concatenate([triangles, _split_quadrilaterals(points, quadrilaterals)])
-        split = len(quadrilaterals)
         halves = np.tile(quadrilaterals, (2, 1))[:, None, :] == triangles[-2 * split :, :, None]
         corner = triangles.size - 6 * split + 4 * np.tile(np.arange(split), 2)[:, None] + halves.argmax(axis=2)
         origin = np.concatenate([origin, np.column_stack([corner, len(origin) + np.tile(np.arange(split), 2)])])
-    if len(triangles) == 0:
-        raise ValueError("the mesh has no triangles; export its shell elements")
-    _check_numbers(triangles, len(points))
-
     representative = _merge(points)
     triangles = representative[triangles]
     sound = _with_area(points, triangles)
@@ -149,7 +135,7 @@ def repair(points, triangles, quadrilaterals=None) -> tuple[np.ndarray, np.ndarr
     number = np.full(len(points), -1)
     number[used] = np.arange(len(used))
     merged = representative != np.arange(len(points))
-    edges = _Edges(triangles)
+    edge, count = _sides(triangles)
     report = MeshReport(
         quadrilaterals_split=split,
         points_merged=int(merged.sum()),
@@ -158,20 +144,14 @@ def repair(points, triangles, quadrilaterals=None) -> tuple[np.ndarray, np.ndarr
         triangles_repeated=repeated,
         triangles_split=divided,
         triangles_turned=int(turn.sum()),
-        junction_edges=int((edges.count > 2).sum()),
-        pieces=edges.pieces(),
+        junction_edges=int((count > 2).sum()),
+        pieces=int(linked_rows(edge)[0]),
         point_map=number[representative],
         corner_map=origin[:, :3],
         element_map=origin[:, 3],
         turned=turn,
     )
     return points[used], number[triangles], report
-
-
-def _check_numbers(elements, n_points):
-    """Refuse elements with point numbers out of range."""
-    if elements.size and (elements.min() < 0 or elements.max() >= n_points):
-        raise ValueError(f"elements refer to points outside 0..{n_points - 1}; export the mesh again")
 
 
 def _split_quadrilaterals(points, quadrilaterals):
@@ -221,28 +201,13 @@ def _with_area(points, triangles):
     """(k,) bool: whether each triangle has an area."""
     corner = points[triangles]
     longest = np.linalg.norm(corner - np.roll(corner, 1, axis=1), axis=2).max(axis=1)
-    double_area = np.linalg.norm(np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]), axis=1)
-    return double_area > FLAT * longest**2
+    return np.linalg.norm(area_vectors(corner), axis=1) > FLAT * longest**2
 
 
-class _Edges:
-    """Edges of triangles. Side s of triangle k runs from vertex s to vertex s + 1 and has the number 3k + s."""
-
-    def __init__(self, triangles):
-        start, end = triangles.ravel(), np.roll(triangles, -1, axis=1).ravel()
-        self.forward = start < end  # whether the side runs from its lower to its higher vertex
-        pairs = np.column_stack([np.minimum(start, end), np.maximum(start, end)])
-        self.vertices, of_side, self.count = np.unique(pairs, axis=0, return_inverse=True, return_counts=True)
-        self.of_side = of_side.ravel()
-
-    def shared_by_two(self):
-        """(m, 2) the two sides of every edge that has two."""
-        sides = np.flatnonzero(self.count[self.of_side] == 2)
-        return sides[np.argsort(self.of_side[sides], kind="stable")].reshape(-1, 2)
-
-    def pieces(self):
-        """Number of sets of triangles connected by edges."""
-        return int(linked_rows(self.of_side.reshape(-1, 3))[0])
+def _sides(triangles):
+    """Edge of each side, and the number of triangles of each edge; side 3k + s runs from vertex s to s + 1 of k."""
+    _, edge, count = sides(triangles)
+    return np.roll(edge, 1, axis=1), count
 
 
 def _split_at_points_on_edges(points, triangles, origin):
@@ -252,13 +217,12 @@ def _split_at_points_on_edges(points, triangles, origin):
     """
     divided = 0
     while True:
-        edges = _Edges(triangles)
-        free = np.flatnonzero(edges.count[edges.of_side] == 1)
+        edge, count = _sides(triangles)
+        free = np.flatnonzero(count[edge.ravel()] == 1)
         start, end = triangles.ravel()[free], np.roll(triangles, -1, axis=1).ravel()[free]
         candidates = np.unique(start)
         middle, half = (points[start] + points[end]) / 2, np.linalg.norm(points[end] - points[start], axis=1) / 2
         near = cKDTree(points[candidates]).query_ball_point(middle, half)
-        done = set()
         keep, fans, origins = np.ones(len(triangles), dtype=bool), [], []
         for side, a, b, length, around in zip(free, start, end, 2 * half, near):
             direction = (points[b] - points[a]) / length
@@ -267,9 +231,8 @@ def _split_at_points_on_edges(points, triangles, origin):
             distance = np.linalg.norm(offset - along[:, None] * direction, axis=1)
             on_edge = (distance < ON_EDGE * length) & (along > ON_EDGE * length) & (along < (1 - ON_EDGE) * length)
             triangle = side // 3
-            if not on_edge.any() or triangle in done:
+            if not on_edge.any() or not keep[triangle]:
                 continue
-            done.add(triangle)
             keep[triangle] = False
             turn = (side % 3 + np.arange(3)) % 3  # a, b and the corner opposite
             apex = triangles[triangle, turn[2]]
@@ -279,9 +242,9 @@ def _split_at_points_on_edges(points, triangles, origin):
             of_fan[0, 0], of_fan[-1, 1], of_fan[:, 2] = origin[triangle, turn]
             of_fan[:, 3] = origin[triangle, 3]
             origins.append(of_fan)
-        if not done:
+        if not fans:
             return triangles, origin, divided
-        divided += len(done)
+        divided += len(fans)
         triangles, origin = np.concatenate([triangles[keep], *fans]), np.concatenate([origin[keep], *origins])
         sound = _with_area(points, triangles)
         triangles, origin = triangles[sound], origin[sound]
@@ -295,22 +258,18 @@ def _turned(points, triangles):
     chosen.
     """
     k = len(triangles)
-    edges = _Edges(triangles)
-    first, second = edges.shared_by_two().T
-    agree = edges.forward[first] != edges.forward[second]
+    first, second = paired_sides(*_sides(triangles)).T
+    forward = (triangles < np.roll(triangles, -1, axis=1)).ravel()  # from the lower to the higher vertex
+    agree = forward[first] != forward[second]
     first, second = first // 3, second // 3
     as_given = np.concatenate([first, first + k])
     partner = np.concatenate([np.where(agree, second, second + k), np.where(agree, second + k, second)])
     n_sets, label = components(as_given, partner, 2 * k)
     given, turned = label[:k], label[k:]
     if (given == turned).any():
-        where = points[triangles[np.flatnonzero(given == turned)[0]]].mean(axis=0)
-        raise ValueError(
-            f"the sheet near {np.round(where, 3).tolist()} has one side only (a Möbius strip), hence no normals; cut it"
-        )
-    corner = points[triangles]
-    area = np.linalg.norm(np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]), axis=1)
+        where = place_text(points[triangles[np.flatnonzero(given == turned)[0]]].mean(axis=0))
+        raise ValueError(f"the sheet near {where} has one side only (a Möbius strip), hence no normals; cut it")
+    area = np.linalg.norm(area_vectors(points[triangles]), axis=1)
     area_as_given = np.bincount(given, weights=area, minlength=n_sets)
-    return (area_as_given[turned] > area_as_given[given]) | (
-        (area_as_given[turned] == area_as_given[given]) & (turned < given)
-    )
+    gain = area_as_given[turned] - area_as_given[given]
+    return (gain > 0) | ((gain == 0) & (turned < given))

@@ -22,6 +22,7 @@ import sys
 import tempfile
 import traceback
 from collections.abc import Mapping
+from dataclasses import asdict
 from pathlib import Path
 from types import ModuleType
 from typing import Any, NoReturn
@@ -33,7 +34,7 @@ from mic.geometry.grading import GradedSize
 from mic.geometry.script_dependencies import Dependencies, opened_files
 from mic.geometry.surface import Surface
 
-__all__ = ["build", "load_script", "named_sizes"]
+__all__ = ["arrays_surface", "build", "graded_sizes", "load_script", "mesh_arrays", "named_sizes"]
 
 LIMIT = 600.0  # s
 UNWRITABLE = 73  # exit status of a script's process that cannot write its result
@@ -59,15 +60,29 @@ def build(part: str, path: Path, size: float | str, share: float = 1.0) -> tuple
     SceneError
         Naming part and file, if the script fails in any way.
     """
-    graded = [size.places.tolist(), size.sizes.tolist()] if isinstance(size, GradedSize) else None
-    result, arrays = _run(part, path, {"size": size, "graded": graded, "share": share})
-    surface = Surface(arrays["points"], arrays["triangles"], arrays.get("normals"))
-    return surface, Dependencies(result["files"], result["place"])
+    result, arrays = _run(part, path, {"size": size, "graded": graded_sizes(size), "share": share})
+    return arrays_surface(arrays), Dependencies(**result)
 
 
 def named_sizes(part: str, path: Path) -> dict[str, float]:
     """Named sizes of a script, mm. Parameters and errors are those of :func:`build`."""
     return _run(part, path, {"size": None})[0]["sizes"]
+
+
+def graded_sizes(size: float | str | None) -> list | None:
+    """Places and sizes of a graded size as JSON; None for any other size."""
+    return [size.places.tolist(), size.sizes.tolist()] if isinstance(size, GradedSize) else None
+
+
+def mesh_arrays(surface: Surface) -> dict[str, np.ndarray]:
+    """The arrays of a surface by name, to be stored."""
+    arrays = {"points": surface.points, "triangles": surface.triangles, "normals": surface.given_normals}
+    return {name: array for name, array in arrays.items() if array is not None}
+
+
+def arrays_surface(arrays: Mapping[str, np.ndarray]) -> Surface:
+    """The surface of arrays as :func:`mesh_arrays` returns them."""
+    return Surface(arrays["points"], arrays["triangles"], arrays.get("normals"))
 
 
 def load_script(path: Path) -> ModuleType:
@@ -101,15 +116,10 @@ def _run(part: str, path: Path, request: Mapping[str, Any]) -> tuple[dict[str, A
         (folder / "request.json").write_text(json.dumps({"part": part, "path": str(path), **request}))
         status = _wait(folder)
         result = folder / "result.json"
-        if not result.is_file():
-            raise SceneError(f"part {part!r}: geometry: {path}: {_failure(status)}")
-        content = json.loads(result.read_text())
+        content = json.loads(result.read_text()) if result.is_file() else {"reason": _failure(status)}
         if "reason" in content:
             raise SceneError(f"part {part!r}: geometry: {path}: {content['reason']}")
-        mesh = folder / "mesh.npz"
-        if not mesh.is_file():
-            return content, {}
-        with np.load(mesh) as arrays:
+        with np.load(folder / "mesh.npz") as arrays:
             return content, dict(arrays)
 
 
@@ -156,17 +166,13 @@ def _end(process: subprocess.Popen) -> None:
 def _failure(status: int | None) -> str:
     """Reason why a script returned no result, and the remedy."""
     if status is None:
-        return (
-            f"the script does not end within {_limit():g} s; correct its loop, use a larger size, or set "
-            "MIC_SCRIPT_LIMIT to more seconds"
-        )
+        late = f"the script does not end within {_limit():g} s"
+        return f"{late}; correct its loop, use a larger size, or set MIC_SCRIPT_LIMIT to more seconds"
     if status < 0:
         return f"the script crashes (signal {-status}), probably in a library; run it on its own and correct it"
     if status == UNWRITABLE:
-        return (
-            f"its mesh cannot be written into {tempfile.gettempdir()}: free space on that disk, or set TMPDIR to a "
-            "folder on another one"
-        )
+        full = f"its mesh cannot be written into {tempfile.gettempdir()}"
+        return f"{full}: free space on that disk, or set TMPDIR to a folder on another one"
     return f"the script ends the program (exit status {status}) instead of returning a mesh; remove the exit"
 
 
@@ -179,8 +185,7 @@ def _serve(folder: Path) -> None:
     except BaseException as problem:  # a script is the user's own program and may raise anything
         content, arrays = {"reason": _reason(problem, path)}, {}
     try:
-        if arrays:
-            np.savez(folder / "mesh.npz", **arrays)
+        np.savez(folder / "mesh.npz", **arrays)
         (folder / "result.part").write_text(json.dumps(content))
         (folder / "result.part").replace(folder / "result.json")
     except OSError:  # the reason cannot be written either
@@ -202,10 +207,7 @@ def _mesh(path: Path, request: Mapping[str, Any]) -> tuple[dict[str, Any], dict[
         script = load_script(path)
         surface = _surface(script.build(request["part"], _size(script, size, request["share"])))
     read = Dependencies.of(path, _declared(script), opened)
-    arrays = {"points": surface.points, "triangles": surface.triangles}
-    if surface.given_normals is not None:
-        arrays["normals"] = surface.given_normals
-    return read.header(), arrays
+    return asdict(read), mesh_arrays(surface)
 
 
 def _reason(problem: BaseException, path: Path) -> str:

@@ -11,10 +11,10 @@ import importlib.util
 import os
 import sys
 import sysconfig
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from mic.system.files import fingerprint
 
@@ -52,6 +52,7 @@ def _record(event: str, arguments: tuple) -> None:
             opened.append((os.fsdecode(path), writes))
 
 
+@dataclass
 class Dependencies:
     """The files from which a generated mesh was made.
 
@@ -64,8 +65,8 @@ class Dependencies:
         Folder of the script and working directory, if the paths depend on them.
     """
 
-    def __init__(self, files: Mapping[str, str | None], place: Mapping[str, str]):
-        self.files, self.place = dict(files), dict(place)
+    files: dict[str, str | None]
+    place: dict[str, str]
 
     @classmethod
     def of(cls, script: Path, declared: list[str], opened: list[tuple[str, bool]]) -> Dependencies:
@@ -75,10 +76,9 @@ class Dependencies:
         written = {os.path.realpath(path) for path, writes in opened if writes}
         files: dict[str, str | None] = {}
         place: dict[str, str] = {}
-        modules = [
-            getattr(module, "__file__", None) for name, module in sys.modules.copy().items() if name != "__main__"
-        ]
-        imported = [path for path in modules if isinstance(path, str) and Path(path).is_relative_to(near)]
+        modules = [module for name, module in sys.modules.copy().items() if name != "__main__"]
+        sources = [path for module in modules if isinstance(path := getattr(module, "__file__", None), str)]
+        imported = [path for path in sources if Path(path).is_relative_to(near)]
         paths = [(path, True) for path in [*(str(folder / name) for name in declared), *imported]]
         for given, sure in paths + [(path, False) for path, _ in opened]:
             path = _source(os.path.realpath(given))
@@ -106,18 +106,11 @@ class Dependencies:
             return False
         return all(_content(os.path.join(folder, path)) == content for path, content in self.files.items())
 
-    def header(self) -> dict[str, Any]:
-        """Content as JSON."""
-        return {"files": self.files, "place": self.place}
-
 
 def _source(path: str) -> str:
     """The source of a compiled module; any other path unchanged."""
-    if path.endswith(".pyc"):
-        try:
-            return importlib.util.source_from_cache(path)
-        except ValueError:
-            pass
+    with suppress(ValueError):  # a path outside of a folder of compiled modules
+        return importlib.util.source_from_cache(path) if path.endswith(".pyc") else path
     return path
 
 

@@ -12,13 +12,23 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import chain
 
 import numpy as np
 from scipy.spatial import cKDTree
 
 from mic.geometry.normals import CornerNormals, corner_normals
-from mic.geometry.triangles import closest_barycentric, dot, length, linked_rows, sides, subtriangles
+from mic.geometry.triangles import (
+    area_vectors,
+    closest_barycentric,
+    dot,
+    edge_barycentric,
+    length,
+    linked_rows,
+    listed,
+    sides,
+    subtriangles,
+    unit,
+)
 
 __all__ = ["EQUAL", "Patch", "Projection", "Surface"]
 
@@ -102,10 +112,9 @@ class Surface:
             raise ValueError(f"points must have shape (n, 3), not {points.shape}")
         if triangles.ndim != 2 or triangles.shape[1] != 3 or len(triangles) == 0:
             raise ValueError(f"triangles must have shape (k, 3) with k > 0, not {triangles.shape}")
-        if not np.isfinite(points).all():
-            raise ValueError(
-                f"point {np.flatnonzero(~np.isfinite(points).all(1))[0]} has a coordinate that is not finite"
-            )
+        bad = np.flatnonzero(~np.isfinite(points).all(1))
+        if len(bad):
+            raise ValueError(f"point {bad[0]} has a coordinate that is not finite")
         if triangles.min() < 0 or triangles.max() >= len(points):
             raise ValueError(f"triangles refer to vertices outside 0..{len(points) - 1}")
         object.__setattr__(self, "points", points)
@@ -113,10 +122,8 @@ class Surface:
         if self.given_normals is not None:
             given = np.ascontiguousarray(self.given_normals, dtype=float)
             if given.shape != (len(triangles), 3, 3):
-                raise ValueError(
-                    f"normals must have shape ({len(triangles)}, 3, 3), one at each corner of each triangle, not "
-                    f"{given.shape}"
-                )
+                shape = f"({len(triangles)}, 3, 3), one at each corner of each triangle"
+                raise ValueError(f"normals must have shape {shape}, not {given.shape}")
             object.__setattr__(self, "given_normals", given)
         longest = self.edge_lengths.max(1)
         flat = np.flatnonzero(self.areas <= 1e-12 * longest**2)
@@ -136,8 +143,7 @@ class Surface:
 
     @cached_property
     def _area_vectors(self) -> np.ndarray:
-        c = self.corners
-        return 0.5 * np.cross(c[:, 1] - c[:, 0], c[:, 2] - c[:, 0])
+        return 0.5 * area_vectors(self.corners)
 
     @cached_property
     def areas(self) -> np.ndarray:
@@ -194,22 +200,21 @@ class Surface:
         opposite : (e,) int array
             Corner of the triangle opposite to the edge.
         """
-        owner = np.repeat(np.arange(len(self.triangles)), 3)
         _, edge, count = self.sides
-        edge = edge.ravel()
-        total = np.column_stack([np.bincount(edge, self.normals[owner, i], len(count)) for i in range(3)])
+        normals = np.repeat(self.normals, 3, axis=0)
+        total = np.column_stack([np.bincount(edge.ravel(), normals[:, i], len(count)) for i in range(3)])
         # The sum of two unit normals at an angle φ has length 2 cos(φ/2).
         smooth = (count == 2) & (np.linalg.norm(total, axis=1) >= 2 * np.cos(max_angle / 2) - EQUAL)
-        ending = np.flatnonzero(~smooth[edge])
-        return owner[ending], ending % 3
+        return np.nonzero(~smooth[edge])
+
+    def ends(self, triangle, opposite) -> np.ndarray:
+        """(e, 2) vertices of edges as `edges` returns them, in the orientation of their triangles."""
+        return self.triangles[triangle[:, None], (opposite[:, None] + [1, 2]) % 3]
 
     @cached_property
     def border_vertices(self) -> np.ndarray:
         """(n,) bool: whether each vertex is an end of a border edge."""
-        mask = np.zeros(len(self.points), dtype=bool)
-        for corner in range(3):
-            mask[np.delete(self.triangles, corner, axis=1)[self.border[:, corner]]] = True
-        return mask
+        return np.isin(np.arange(len(self.points)), self.ends(*np.nonzero(self.border)))
 
     @cached_property
     def diameter(self) -> float:
@@ -340,7 +345,7 @@ class Surface:
             count = np.cumsum(self._tree.query_ball_point(x, radius, return_length=True))
             pieces = np.split(pieces[0], np.flatnonzero(np.diff(count // BATCH)) + 1)
         for rows in pieces:
-            owner, triangle = _listed(self._tree.query_ball_point(x[rows], radius[rows]))
+            owner, triangle = listed(self._tree.query_ball_point(x[rows], radius[rows]))
             yield rows[owner], triangle
 
     def _nearest_of(self, x, normal, cosine, side, bound, owner, triangle):
@@ -433,7 +438,8 @@ class Surface:
         near = np.asarray(self._tree.query_ball_point(foot.point[0], wide + self.reach.max()), dtype=np.int64)
         near = near[np.linalg.norm(self._centroids[near] - foot.point[0], axis=1) <= wide + self.reach[near]]
         near = near[(self.normals[near] @ self.normals[seeds].T).max(1) > 0.5 + EQUAL]
-        near = np.sort(near[self._connected(near, seed)])
+        piece = linked_rows(self.triangles[near])[1]
+        near = np.sort(near[piece == piece[near == seed]])
         triangle, barycentric, area = self._within(near, foot.point[0], radius)
         if not len(area):
             return Patch(foot.triangle, foot.barycentric, np.ones(1))
@@ -538,31 +544,15 @@ class Surface:
         parts = np.maximum(np.ceil(length / spacing - EQUAL), 1).astype(int)
         owner = np.repeat(np.arange(len(parts)), parts)
         at = (np.arange(len(owner)) - np.repeat(np.cumsum(parts) - parts, parts) + 0.5) / parts[owner]
-        barycentric = np.zeros((len(owner), 3))
-        rows = np.arange(len(owner))
-        barycentric[rows, (opposite[owner] + 1) % 3] = 1 - at
-        barycentric[rows, (opposite[owner] + 2) % 3] = at
-        return triangle[owner], barycentric, (length / parts)[owner]
+        return triangle[owner], edge_barycentric(opposite[owner], at), (length / parts)[owner]
 
     def smooth_normals(self, triangle, barycentric) -> np.ndarray:
         """(q, 3) unit normals of the curved sheet, interpolated between those at the corners of the triangles."""
-        n = np.einsum("qi,qij->qj", barycentric, self.corner_normals[triangle])
-        return n / np.linalg.norm(n, axis=1, keepdims=True)
+        return unit(np.einsum("qi,qij->qj", barycentric, self.corner_normals[triangle]))
 
     def at(self, triangle, barycentric) -> np.ndarray:
         """(q, 3) coordinates of points given by triangle and barycentric coordinates, mm."""
         return np.einsum("qi,qij->qj", barycentric, self.corners[triangle])
-
-    def _connected(self, triangles, seed):
-        """Mask of the `triangles` that are connected with `seed` through shared vertices."""
-        label = linked_rows(self.triangles[triangles])[1]
-        return label == label[np.flatnonzero(triangles == seed)[0]]
-
-
-def _listed(found) -> tuple[np.ndarray, np.ndarray]:
-    """Owner of each number and the numbers, concatenated from an array of lists."""
-    count = np.fromiter(map(len, found), np.int64, len(found))
-    return np.repeat(np.arange(len(count)), count), np.fromiter(chain.from_iterable(found), np.int64, count.sum())
 
 
 def _least(value, owner, tie):

@@ -2,11 +2,63 @@
 
 from __future__ import annotations
 
+from itertools import chain
+
 import numpy as np
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
-__all__ = ["closest_barycentric", "components", "dot", "length", "linked_rows", "sides", "subtriangles"]
+__all__ = [
+    "area_vectors",
+    "closest_barycentric",
+    "components",
+    "dot",
+    "edge_barycentric",
+    "length",
+    "linked_rows",
+    "listed",
+    "paired_sides",
+    "place_text",
+    "rotation",
+    "sides",
+    "subtriangles",
+    "unit",
+]
+
+
+def unit(vector):
+    """Vectors along the last axis divided by their lengths."""
+    return vector / np.linalg.norm(vector, axis=-1, keepdims=True)
+
+
+def place_text(point) -> str:
+    """Coordinates of a point in mm, for messages."""
+    return f"({', '.join(f'{x:.1f}' for x in point)})"
+
+
+def rotation(axis, angle: float):
+    """(3, 3) matrix of the rotation by an angle, radians, about an axis of any length (Rodrigues)."""
+    if angle == 0.0:
+        return np.eye(3)
+    x, y, z = axis / np.linalg.norm(axis)
+    cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+    return np.eye(3) + np.sin(angle) * cross + (1 - np.cos(angle)) * cross @ cross
+
+
+def area_vectors(corners):
+    """(k, 3) normals of triangles with corners (k, 3, 3); their length is twice the area."""
+    return np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+
+
+def edge_barycentric(opposite, at):
+    """(n, 3) barycentric coordinates of points on edges, at shares (n,) of their length.
+
+    `opposite` (n,) is the corner opposite to each edge, which runs from the next corner to the one after.
+    """
+    barycentric, rows = np.zeros((len(opposite), 3)), np.arange(len(opposite))
+    barycentric[rows, (opposite + 1) % 3] = 1 - at
+    barycentric[rows, (opposite + 2) % 3] = at
+    return barycentric
 
 
 def sides(triangles) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -20,6 +72,13 @@ def sides(triangles) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return vertices, edge.reshape(-1, 3), count
 
 
+def paired_sides(edge, count) -> np.ndarray:
+    """(m, 2) sides of every edge of exactly two triangles, from `sides`: side 3 k + c is opposite to corner c of k."""
+    edge = edge.ravel()
+    pairs = np.flatnonzero(count[edge] == 2)
+    return pairs[np.argsort(edge[pairs], kind="stable")].reshape(-1, 2)
+
+
 def components(first, second, n: int) -> tuple[int, np.ndarray]:
     """Number of connected components of n nodes linked in pairs, and the component (n,) of each node."""
     return connected_components(coo_matrix((np.ones(len(first)), (first, second)), shape=(n, n)), directed=False)
@@ -31,6 +90,12 @@ def linked_rows(numbers) -> tuple[int, np.ndarray]:
     row = np.repeat(np.arange(len(numbers)), numbers.shape[1])
     incidence = coo_matrix((np.ones(len(row)), (row, local.ravel())), shape=(len(numbers), len(used))).tocsr()
     return connected_components(incidence @ incidence.T, directed=False)
+
+
+def listed(found) -> tuple[np.ndarray, np.ndarray]:
+    """Owner of each number and the numbers, concatenated from an array of lists."""
+    count = np.fromiter(map(len, found), np.int64, len(found))
+    return np.repeat(np.arange(len(count)), count), np.fromiter(chain.from_iterable(found), np.int64, count.sum())
 
 
 def subtriangles(n: int) -> np.ndarray:

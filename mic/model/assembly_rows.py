@@ -12,7 +12,7 @@ from mic.compliance.part import Part
 from mic.compliance.superelement import ELEMENT, Superelement, superelement
 from mic.errors import FormatError, Problems, SceneError
 from mic.geometry.deck import UNITS
-from mic.geometry.load import LoadedPart, fixture_surface
+from mic.geometry.load import LoadedPart, load_fixture
 from mic.geometry.pairing import Side, candidate_spacing
 from mic.geometry.surface import Surface
 from mic.model import characteristics
@@ -128,7 +128,7 @@ def _bodies(scene: Scene, surfaces, fixtures) -> dict[str, Side]:
     bodies = {name: Side(surface, thickness[name]) for name, surface in surfaces.items()}
     pads = [pad for pad in scene.fixtures if pad.mesh is None]
     discs = {pad.name: (pad.point, pad.radius) for pad in pads if pad.point and pad.radius}
-    rigid = {**fixtures, **{pad.name: fixture_surface(pad, scene.folder) for pad in pads}}
+    rigid = {**fixtures, **{pad.name: load_fixture(pad, scene.folder)[0] for pad in pads}}
     return bodies | {name: Side(surface, disc=discs.get(name)) for name, surface in rigid.items()}
 
 

@@ -9,16 +9,7 @@ import numpy as np
 from mic.geometry.pairing.cell_centres import first_maximum
 from mic.geometry.surface import EQUAL, Patch, Surface
 
-__all__ = [
-    "ContactPair",
-    "PressedPoint",
-    "Side",
-    "common_tie",
-    "make_pair",
-    "set_tangents",
-    "thinner_sheet",
-    "weld_numbers",
-]
+__all__ = ["ContactPair", "PressedPoint", "Side", "set_tangents", "weld_numbers"]
 
 
 @dataclass(frozen=True)
@@ -123,54 +114,6 @@ class PressedPoint:
         sideways = np.linalg.norm(step - along[:, None] * cloud.normal, axis=1)
         inside = (sideways <= self.radius + tie) & (np.abs(along) <= cloud.distance + self.radius)
         return inside if self.normal is None else inside & (cloud.normal @ self.normal > 0)
-
-
-def common_tie(*bodies) -> float:
-    """Largest tie length of the bodies, mm: shorter distances count as zero."""
-    return max(body.surface.tie for body in bodies)
-
-
-def thinner_sheet(*bodies) -> float:
-    """Smallest thickness of the deformable bodies, mm."""
-    return min(body.thickness for body in bodies if not body.rigid)
-
-
-def make_pair(cloud, area, sampled, other, swap=False):
-    """Contact pair of a cell; t1 and t2 of its frame are not set.
-
-    Raises
-    ------
-    ValueError
-        If the normals of the cell cancel because the surfaces cross.
-    """
-    weight = cloud.area / cloud.area.sum()
-    n = weight @ cloud.normal
-    if not np.linalg.norm(n) > 0.1:
-        where = ", ".join(f"{x:.1f}" for x in weight @ cloud.point)
-        raise ValueError(f"the surfaces intersect at ({where}); correct the meshes so that they do not")
-    n /= np.linalg.norm(n)
-    apart = cloud.distance - sampled.half_thickness - other.half_thickness
-    overlaps = apart < -max(sampled.surface.tie, other.surface.tie)
-    sides = [
-        int(np.sign(weight @ np.einsum("ij,j->i", body.surface.normals[triangle], n) * sign))
-        for body, triangle, sign in ((sampled, cloud.triangle, 1), (other, cloud.other_triangle, -1))
-    ]
-    patches = [
-        Patch(cloud.triangle, cloud.barycentric, weight),
-        Patch(cloud.other_triangle, cloud.other_barycentric, weight),
-    ]
-    if swap:
-        n, sides, patches = -n, sides[::-1], patches[::-1]
-    return ContactPair(
-        weight @ cloud.point,
-        np.column_stack([n, np.zeros((3, 2))]),
-        float(weight @ apart),
-        float((-apart[overlaps]).max(initial=0.0)),
-        float(weight[overlaps].sum()),
-        float(area),
-        tuple(patches),
-        tuple(sides),
-    )
 
 
 def weld_numbers(pressed, cloud, tie) -> np.ndarray:

@@ -10,6 +10,7 @@ from scipy.spatial import cKDTree
 from mic.geometry.pairing.facing_points import FINE, OPPOSITE, FacingPoints
 from mic.geometry.pairing.sheet_sides import distance_same_side
 from mic.geometry.surface import EQUAL
+from mic.geometry.triangles import edge_barycentric, listed, unit
 
 __all__ = ["corner_points", "edge_points"]
 
@@ -69,24 +70,20 @@ def corner_points(bodies, spacing, anchors):
 
 def _edge_crossings(bodies, spacing, anchors):
     """Points where edges of the two bodies cross, with their rank: the overlap of the bodies has a corner there."""
-    surface = bodies.sampled.surface
+    surface, other = bodies.sampled.surface, bodies.other.surface
     triangle, opposite = surface.edges(np.radians(FOLD))
-    start, end = surface.corners[triangle, (opposite + 1) % 3], surface.corners[triangle, (opposite + 2) % 3]
+    start, end = surface.points[surface.ends(triangle, opposite).T]
     if bodies.other.disc is None:
-        others, across = bodies.other.surface.edges(np.radians(FOLD))
-        corners = bodies.other.surface.corners
-        first, last = corners[others, (across + 1) % 3], corners[others, (across + 2) % 3]
-        border = bodies.other.surface.border[others, across]
+        edges = other.edges(np.radians(FOLD))
+        (first, last), border = other.points[other.ends(*edges).T], other.border[edges]
     else:
-        rim = _pad_rim(bodies.other, spacing / FINE, anchors)
-        first = bodies.other.surface.at(*rim[:2])
+        first = other.at(*_pad_rim(bodies.other, spacing / FINE, anchors)[:2])
         last, border = np.roll(first, -1, axis=0), np.ones(len(first), dtype=bool)
     reach = bodies.reach + bodies.tie
     half = np.linalg.norm(last - first, axis=1) / 2
     longest = np.linalg.norm(end - start, axis=1).max(initial=0.0) / 2
     near = cKDTree((start + end) / 2).query_ball_point((first + last) / 2, half + longest + reach) if len(start) else []
-    k = np.repeat(np.arange(len(near)), [len(one) for one in near])
-    i = np.concatenate([np.zeros(0, dtype=np.int64), *near]).astype(np.int64)
+    k, i = listed(near)
     u, v, w = end[i] - start[i], last[k] - first[k], start[i] - first[k]
     uu, uv, vv, uw, vw = (np.einsum("ij,ij->i", *two) for two in ((u, u), (u, v), (v, v), (u, w), (v, w)))
     turns = uu * vv - uv**2 > np.sin(np.radians(CORNER)) ** 2 * uu * vv
@@ -96,11 +93,8 @@ def _edge_crossings(bodies, spacing, anchors):
     apart = np.linalg.norm(w + along[:, None] * u - ahead[:, None] * v, axis=1)
     use = np.flatnonzero(inside[0] & inside[1] & (apart <= reach))
     at, own = np.clip(along[use], 0.0, 1.0), i[use]
-    barycentric = np.zeros((len(use), 3))
-    barycentric[np.arange(len(use)), (opposite[own] + 1) % 3] = 1 - at
-    barycentric[np.arange(len(use)), (opposite[own] + 2) % 3] = at
     rank = 1.0 + (surface.border[triangle[own], opposite[own]] & border[k[use]])
-    cloud = bodies.project(triangle[own], barycentric, rank)
+    cloud = bodies.project(triangle[own], edge_barycentric(opposite[own], at), rank)
     cloud = replace(cloud, normal=-cloud.seen_from(bodies.other).normal)
     return cloud.take(bodies.in_region(cloud.point, surface.tie))
 
@@ -111,11 +105,8 @@ def _border_corners(body):
     The rank is 2 where the border turns, 1 where a fold ends on it.
     """
     surface = body.surface
-    triangle, opposite = surface.edges(np.radians(FOLD))
-    ends = surface.triangles[triangle[:, None], (opposite[:, None] + [1, 2]) % 3]
-    ends = np.unique(np.sort(ends, axis=1), axis=0)
-    away = surface.points[ends[:, 1]] - surface.points[ends[:, 0]]
-    away /= np.linalg.norm(away, axis=1, keepdims=True)
+    ends = np.unique(np.sort(surface.ends(*surface.edges(np.radians(FOLD))), axis=1), axis=0)
+    away = unit(surface.points[ends[:, 1]] - surface.points[ends[:, 0]])
     total = np.zeros_like(surface.points)  # sum of unit edge vectors: length 2 sin(φ/2) for two edges at an angle φ
     np.add.at(total, ends[:, 0], away)
     np.add.at(total, ends[:, 1], -away)

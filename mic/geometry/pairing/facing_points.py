@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
-from mic.geometry.pairing.contact_pair import ContactPair, Side, common_tie, make_pair, thinner_sheet
+from mic.geometry.pairing.contact_pair import ContactPair, Side
+from mic.geometry.surface import Patch
+from mic.geometry.triangles import place_text
 
-__all__ = ["Bodies", "FacingPoints", "project_points"]
+__all__ = ["Bodies", "FacingPoints"]
 
 FINE = 6  # sampling points across a cell
 OPPOSITE = -0.5  # cosine between normals: below it, two points lie on different sides of a sheet
@@ -37,22 +39,20 @@ class FacingPoints:
     triangle: np.ndarray
     barycentric: np.ndarray
     point: np.ndarray
-    normal: np.ndarray  # of the sampled surface, turned towards the other
+    normal: np.ndarray
     area: np.ndarray
-    distance: np.ndarray  # along the normal, between mid-surfaces
+    distance: np.ndarray
     other_triangle: np.ndarray
     other_barycentric: np.ndarray
 
     def take(self, index):
         """The points of an index array."""
-        return FacingPoints(*(getattr(self, name)[index] for name in self.__dataclass_fields__))
+        return FacingPoints(*(values[index] for values in vars(self).values()))
 
     @staticmethod
     def joined(parts: Sequence[FacingPoints]) -> FacingPoints:
         """All points of several sets."""
-        return FacingPoints(
-            *(np.concatenate([getattr(part, name) for part in parts]) for name in FacingPoints.__dataclass_fields__)
-        )
+        return FacingPoints(*(np.concatenate(values) for values in zip(*(vars(part).values() for part in parts))))
 
     def seen_from(self, body: Side) -> FacingPoints:
         """The same points as sampling points of the other body, which they were projected onto."""
@@ -74,36 +74,41 @@ class Bodies:
     sampled, other : Side
     swapped : bool
         Whether the sampled body is the second one of the zone.
+    max_gap, max_angle : float
+        Limits within which points face each other, mm and radians.
     """
 
     zone: Any
     sampled: Side
     other: Side
-    swapped: bool = False
+    swapped: bool
+    max_gap: float
+    max_angle: float
 
     @classmethod
     def of(cls, zone, first: Side, second: Side) -> Bodies:
         """The bodies of a zone; the deformable one is sampled, as the mesh of a rigid fixture may be coarse."""
-        return cls(zone, second, first, True) if first.rigid else cls(zone, first, second)
+        sampled, other = (second, first) if first.rigid else (first, second)
+        return cls(zone, sampled, other, first.rigid, zone.max_gap, np.radians(zone.max_angle_deg))
 
     def reversed(self) -> Bodies:
         """The same with the other body sampled."""
-        return Bodies(self.zone, self.other, self.sampled, not self.swapped)
+        return replace(self, sampled=self.other, other=self.sampled, swapped=not self.swapped)
 
     @property
     def tie(self) -> float:
-        """Distances below this count as zero, mm."""
-        return common_tie(self.sampled, self.other)
+        """Distances below this count as zero, mm: the larger tie of both."""
+        return max(self.sampled.surface.tie, self.other.surface.tie)
 
     @property
     def thinner(self) -> float:
-        """Thickness of the thinner sheet, mm."""
-        return thinner_sheet(self.sampled, self.other)
+        """Smallest thickness of the deformable bodies, mm."""
+        return min(body.thickness for body in (self.sampled, self.other) if not body.rigid)
 
     @property
     def reach(self) -> float:
         """Largest distance between facing mid-surfaces, mm."""
-        return self.zone.max_gap + self.sampled.half_thickness + self.other.half_thickness
+        return self.max_gap + self.sampled.half_thickness + self.other.half_thickness
 
     def anchors(self, landmarks) -> list:
         """Points whose distances break ties."""
@@ -114,13 +119,41 @@ class Bodies:
         return cloud.distance - self.sampled.half_thickness - self.other.half_thickness
 
     def pair(self, cloud: FacingPoints, area: float) -> ContactPair:
-        """Contact pair of a cell."""
-        return make_pair(cloud, area, self.sampled, self.other, self.swapped)
+        """Contact pair of a cell; t1 and t2 of its frame are not set.
 
-    def project(self, triangle, barycentric, area, normal=None) -> FacingPoints:
-        """`project_points` of the sampled body within the limits of the zone."""
-        limits = self.zone.max_gap, np.radians(self.zone.max_angle_deg)
-        return project_points(self.sampled, self.other, *limits, triangle, barycentric, area, normal)
+        Raises
+        ------
+        ValueError
+            If the normals of the cell cancel because the surfaces cross.
+        """
+        weight = cloud.area / cloud.area.sum()
+        n = weight @ cloud.normal
+        if not np.linalg.norm(n) > 0.1:
+            where = place_text(weight @ cloud.point)
+            raise ValueError(f"the surfaces intersect at {where}; correct the meshes so that they do not")
+        n /= np.linalg.norm(n)
+        apart = self.gap(cloud)
+        overlaps = apart < -self.tie
+        sides = [
+            int(np.sign(weight @ np.einsum("ij,j->i", body.surface.normals[triangle], n) * sign))
+            for body, triangle, sign in ((self.sampled, cloud.triangle, 1), (self.other, cloud.other_triangle, -1))
+        ]
+        patches = [
+            Patch(cloud.triangle, cloud.barycentric, weight),
+            Patch(cloud.other_triangle, cloud.other_barycentric, weight),
+        ]
+        if self.swapped:
+            n, sides, patches = -n, sides[::-1], patches[::-1]
+        return ContactPair(
+            weight @ cloud.point,
+            np.column_stack([n, np.zeros((3, 2))]),
+            float(weight @ apart),
+            float((-apart[overlaps]).max(initial=0.0)),
+            float(weight[overlaps].sum()),
+            float(area),
+            tuple(patches),
+            tuple(sides),
+        )
 
     def sample(self, spacing=None, pads=()):
         """Sampling points of the zone at a spacing, mm, by default the median edge length; finer near pads.
@@ -167,62 +200,50 @@ class Bodies:
             return np.linalg.norm(x[:, None] - foot, axis=2).min(1) <= zone.within + margin
         return np.ones(len(x), dtype=bool)
 
+    def project(self, triangle, barycentric, area, normal=None, both=True) -> FacingPoints:
+        """Sampling points with their closest points on the other surface; points that face nothing are left out.
 
-def project_points(sampled, other, max_gap, max_angle, triangle, barycentric, area, normal=None, both=True):
-    """Sampling points with their closest points on the other surface; points that face nothing are left out.
+        With `both`, a point that faces the other body on both sides of the sheet appears twice.
+        """
+        surface, opposite = self.sampled.surface, self.other.surface
+        point = surface.at(triangle, barycentric)
+        smooth = surface.smooth_normals(triangle, barycentric) if normal is None else normal
+        normal = surface.normals[triangle] if normal is None else normal
+        beside = np.tan(self.max_angle) * self.reach + SIDEWAYS * self.thinner
+        farthest = np.hypot(self.reach, beside) + 3 * self.tie
 
-    With `both`, a point that faces the other body on both sides of the sheet appears twice.
-    """
-    surface, opposite = sampled.surface, other.surface
-    point = surface.at(triangle, barycentric)
-    smooth = surface.smooth_normals(triangle, barycentric) if normal is None else normal
-    normal = surface.normals[triangle] if normal is None else normal
-    reach = max_gap + sampled.half_thickness + other.half_thickness
-    farthest = np.hypot(reach, np.tan(max_angle) * reach + SIDEWAYS * thinner_sheet(sampled, other)) + 3 * common_tie(
-        sampled, other
-    )
+        def facing(rows, side=None):
+            foot = opposite.project(point[rows], normal[rows], self.max_angle, farthest, side)
+            good, along = self._faces_foot(point[rows], normal[rows], foot)
+            sign = np.where(along < -self.tie, -1.0, 1.0)[good]
+            rows, along = rows[good], along[good]
+            place = triangle[rows], barycentric[rows], point[rows]
+            foot = foot.triangle[good], foot.barycentric[good]
+            return FacingPoints(*place, smooth[rows] * sign[:, None], area[rows], along * sign, *foot), (rows, sign)
 
-    def facing(rows, side=None):
-        foot = opposite.project(point[rows], normal[rows], max_angle, farthest, side)
-        good, along = _faces_foot(sampled, other, reach, max_angle, point[rows], normal[rows], foot)
-        sign = np.where(along < -common_tie(sampled, other), -1.0, 1.0)[good]
-        rows, along = rows[good], along[good]
-        return FacingPoints(
-            triangle[rows],
-            barycentric[rows],
-            point[rows],
-            smooth[rows] * sign[:, None],
-            area[rows],
-            along * sign,
-            foot.triangle[good],
-            foot.barycentric[good],
-        ), (rows, sign)
+        cloud, (rows, sign) = facing(np.arange(len(point)))
+        if both:
+            maybe = opposite.behind(surface, cloud.triangle, sign, farthest, self.max_angle)
+            if maybe.any():
+                cloud = FacingPoints.joined([cloud, facing(rows[maybe], -sign[maybe])[0]])
+        return cloud
 
-    cloud, (rows, sign) = facing(np.arange(len(point)))
-    if both:
-        maybe = opposite.behind(surface, cloud.triangle, sign, farthest, max_angle)
-        if maybe.any():
-            cloud = FacingPoints.joined([cloud, facing(rows[maybe], -sign[maybe])[0]])
-    return cloud
-
-
-def _faces_foot(sampled, other, reach, max_angle, point, normal, foot):
-    """(n,) bool whether each point faces its closest point, and (n,) distance to it along the normal, mm."""
-    step = np.where(foot.triangle[:, None] >= 0, foot.point - point, np.nan)
-    along = np.einsum("ij,ij->i", step, normal)
-    # A closest point off the normal line does not face the point: it lies past a bend or corner.
-    sideways = np.linalg.norm(step - along[:, None] * normal, axis=1)
-    # Neither does one on the border of the other surface that is not the foot of a perpendicular.
-    across = np.linalg.norm(np.cross(step, other.surface.normals[foot.triangle]), axis=1)
-    tie = common_tie(sampled, other)
-    with np.errstate(invalid="ignore"):
-        good = (
-            (foot.triangle >= 0)
-            & (np.abs(along) <= reach + tie)
-            & (sideways <= np.tan(max_angle) * np.abs(along) + SIDEWAYS * thinner_sheet(sampled, other) + tie)
-            & ~(foot.at_border & (across > 1e-3 * foot.distance + tie))
-        )
-    if other.disc is not None:
-        centre, radius = other.disc
-        good &= np.linalg.norm(foot.point - np.array(centre), axis=1) <= radius + tie
-    return good, along
+    def _faces_foot(self, point, normal, foot):
+        """(n,) bool whether each point faces its closest point, and (n,) distance to it along the normal, mm."""
+        step = np.where(foot.triangle[:, None] >= 0, foot.point - point, np.nan)
+        along = np.einsum("ij,ij->i", step, normal)
+        # A closest point off the normal line does not face the point: it lies past a bend or corner.
+        sideways = np.linalg.norm(step - along[:, None] * normal, axis=1)
+        # Neither does one on the border of the other surface that is not the foot of a perpendicular.
+        across = np.linalg.norm(np.cross(step, self.other.surface.normals[foot.triangle]), axis=1)
+        with np.errstate(invalid="ignore"):
+            good = (
+                (foot.triangle >= 0)
+                & (np.abs(along) <= self.reach + self.tie)
+                & (sideways <= np.tan(self.max_angle) * np.abs(along) + SIDEWAYS * self.thinner + self.tie)
+                & ~(foot.at_border & (across > 1e-3 * foot.distance + self.tie))
+            )
+        if self.other.disc is not None:
+            centre, radius = self.other.disc
+            good &= np.linalg.norm(foot.point - np.array(centre), axis=1) <= radius + self.tie
+        return good, along

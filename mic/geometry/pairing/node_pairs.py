@@ -41,9 +41,7 @@ def node_pairs(zone, first: Side, second: Side, pressed: Sequence[PressedPoint] 
         cloud = replace(cloud, area=cloud.area / 2)
     cloud = cloud.take(np.flatnonzero(bodies.in_region(cloud.point, bodies.sampled.surface.tie)))
     if not len(cloud.area):
-        raise ValueError(
-            "no vertex of the meshes faces the other surface there; refine the mesh, move the region, or widen max_gap"
-        )
+        raise ValueError("no vertex faces the other surface there; refine the mesh, move the region, or raise max_gap")
     fused = weld_numbers(pressed, cloud, tie)
     pairs = [replace(bodies.pair(cloud.take([i]), cloud.area[i]), nugget=int(fused[i])) for i in range(len(cloud.area))]
     set_tangents(pairs)

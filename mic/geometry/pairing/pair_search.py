@@ -16,8 +16,8 @@ from mic.geometry.pairing.cell_centres import (
     nearest_centre,
     ranked_by_distance,
 )
-from mic.geometry.pairing.contact_pair import ContactPair, PressedPoint, Side, make_pair, set_tangents, weld_numbers
-from mic.geometry.pairing.facing_points import FINE, Bodies, project_points
+from mic.geometry.pairing.contact_pair import ContactPair, PressedPoint, Side, set_tangents, weld_numbers
+from mic.geometry.pairing.facing_points import FINE, Bodies
 from mic.geometry.pairing.sheet_sides import sheet_sides, side_of_points
 from mic.geometry.surface import EQUAL
 
@@ -64,9 +64,7 @@ def find_pairs(
     cloud = bodies.sample(np.sqrt(area / count) / FINE)
     cloud = cloud.take(ranked_by_distance(cloud.point, anchors, tie))  # ties now go to the first point
     if count > len(cloud.area):
-        raise ValueError(
-            f"{count} pairs do not fit into the {area:.3g} mm² where the parts face each other; state fewer pairs"
-        )
+        raise ValueError(f"{count} pairs do not fit into {area:.3g} mm² of facing sheets; state fewer pairs")
     face = sheet_sides(cloud, sampled.surface, np.sqrt(area / count))
     if zone.points:
         number, centres = _stated_centres(zone, cloud, face, np.sqrt(area / count), tie)
@@ -126,10 +124,7 @@ def _distributed_centres(cloud, face, count, tie):
     """
     area = np.bincount(face, cloud.area)
     if count < len(area):
-        raise ValueError(
-            f"the parts face each other on {len(area)} sides of a sheet, and {count} pairs are too few for these; "
-            "state more pairs"
-        )
+        raise ValueError(f"{count} pairs are too few for {len(area)} facing sides of a sheet; state more pairs")
     share = np.maximum(1, np.floor(count * area / area.sum() + EQUAL)).astype(int)
     while share.sum() != count:
         step = int(np.sign(count - share.sum()))
@@ -193,9 +188,10 @@ def pair_at(point, radius: float, first: Side, second: Side) -> ContactPair:
     """
     disc = first.surface.patch(point, radius)
     reach = float(second.surface.project(point).distance[0] + first.surface.project(point).distance[0]) + radius
-    reading = project_points(first, second, reach, np.pi / 3, disc.triangle, disc.barycentric, disc.weight, both=False)
+    bodies = Bodies(None, first, second, False, reach, np.pi / 3)
+    reading = bodies.project(disc.triangle, disc.barycentric, disc.weight, both=False)
     if not len(reading.area):
         raise ValueError("the two parts do not face each other there")
-    pair = make_pair(reading, np.pi * radius**2, first, second)
+    pair = bodies.pair(reading, np.pi * radius**2)
     set_tangents([pair])
     return pair

@@ -86,20 +86,14 @@ def read_mesh(
         if sets:
             mesh = mesh.selected(sets)
         if mesh.solids:
-            raise FormatError(
-                f"this mesh file holds solid elements ({', '.join(mesh.solids)}); give the mid-surface"
-                + (", or the sets that are sheets" if mesh.element_sets else "")
-            )
+            sets = ", or the sets that are sheets" if mesh.element_sets else ""
+            raise FormatError(f"it holds solid elements ({', '.join(mesh.solids)}); give the mid-surface{sets}")
         if any(kind.startswith("polygon") for kind in mesh.others):
-            raise FormatError("this mesh file holds polygons of more than four corners; export triangles")
-        if not len(mesh.triangles) and not len(mesh.quadrilaterals):
-            raise FormatError(
-                f"this mesh file holds no triangles or quadrilaterals, only {', '.join(mesh.others) or 'points'}; "
-                "export the shell elements too"
-            )
-        points, triangles, report = repair(
-            mesh.points * UNITS[unit][0], mesh.triangles, mesh.quadrilaterals if len(mesh.quadrilaterals) else None
-        )
+            raise FormatError("it holds polygons of more than four corners; export triangles")
+        if not len(mesh.elements):
+            held = f"no triangles or quadrilaterals, only {', '.join(mesh.others) or 'points'}"
+            raise FormatError(f"it holds {held}; export the shell elements too")
+        points, triangles, report = repair(mesh.points * UNITS[unit][0], mesh.triangles, mesh.quadrilaterals)
         return Surface(points, triangles, _normals(mesh, report)), _deck(mesh, report, unit)
     except ValueError as problem:
         raise FormatError(f"{path}: {problem}") from problem
@@ -120,33 +114,24 @@ def read_raw(path: Path | str, size: float | None = None) -> RawMesh:
     is_cad = suffix in gmsh_program.CAD_SUFFIXES
     if is_cad and size is None:
         raise FormatError(f"{path}: a CAD file needs an element size for its mesh; add size, mm")
-    reader = READERS.get(suffix) if not is_cad else lambda path: gmsh_program.read_cad(path, float(size or 0))
-    if reader is None:
-        raise FormatError(
-            f"{path}: there is no reader of {path.suffix or 'files without a suffix'}; "
-            f"save the mesh as one of {', '.join((*sorted(READERS), *gmsh_program.CAD_SUFFIXES))}"
-        )
+    if not is_cad and suffix not in READERS:
+        known = ", ".join((*sorted(READERS), *gmsh_program.CAD_SUFFIXES))
+        kind = suffix or "files without a suffix"
+        raise FormatError(f"{path}: there is no reader of {kind}; save the mesh as one of {known}")
     seconds = LIMIT + LIMIT_PER_MB * path.stat().st_size / 1e6 + (gmsh_program.LIMIT if is_cad else 0.0)
     try:
         with time_limit(seconds):
-            return reader(path)
-    except TimeoutError:
-        raise FormatError(
-            f"{path}: this mesh file was not read in {seconds:.0f} s: it is damaged or not what its suffix says; "
-            "export it again, or in another format"
-        ) from None
-    except ImportError as problem:
-        raise FormatError(
-            f"{path}: reading {path.suffix} files needs the package {problem.name}; install it (pip install "
-            f"{problem.name}), or save the mesh in another format"
-        ) from problem
+            return gmsh_program.read_cad(path, float(size or 0)) if is_cad else READERS[suffix](path)
     except FormatError as problem:
         raise FormatError(f"{path}: {problem}") from problem
+    except ImportError as problem:
+        install = f"install it (pip install {problem.name}), or save the mesh in another format"
+        raise FormatError(f"{path}: reading {suffix} files needs the package {problem.name}; {install}") from problem
+    except TimeoutError:
+        text = f"was not read in {seconds:.0f} s: it is damaged or not what its suffix says"
     except (Exception, SystemExit) as problem:  # libraries raise any exception, some exit
-        raise FormatError(
-            f"{path}: this mesh file cannot be read: it is cut short, damaged or not what its suffix says "
-            f"({_describe(problem)}); export it again, or in another format"
-        ) from problem
+        text = f"cannot be read: it is cut short, damaged or not what its suffix says ({_describe(problem)})"
+    raise FormatError(f"{path}: this mesh file {text}; export it again, or in another format")
 
 
 @contextmanager
@@ -171,14 +156,9 @@ def time_limit(seconds: float) -> Iterator[None]:
 def _deck(mesh: RawMesh, report: MeshReport, unit: str) -> Deck:
     """Contents of a file in terms of the repaired points and triangles."""
     length, stress = UNITS[unit]
-    number = lambda points: np.unique(report.point_map[points][report.point_map[points] >= 0])
     present = report.point_map >= 0
     sheets = [
-        replace(
-            sheet,
-            thickness=None if sheet.thickness is None else sheet.thickness * length,
-            young=None if sheet.young is None else sheet.young * stress,
-        )
+        replace(sheet, thickness=_scaled(sheet.thickness, length), young=_scaled(sheet.young, stress))
         for sheet in mesh.sheets
     ]
     sheet_of = np.full(len(report.element_map), -1) if mesh.sheet_of is None else mesh.sheet_of[report.element_map]
@@ -188,7 +168,7 @@ def _deck(mesh: RawMesh, report: MeshReport, unit: str) -> Deck:
             other = replace(sheet, offset=-sheet.offset)
             sheets += [] if other in sheets else [other]
             sheet_of[triangle] = sheets.index(other)
-    node_sets = {name: number(points) for name, points in mesh.node_sets.items()}
+    node_sets = {name: np.unique(report.point_map[points[present[points]]]) for name, points in mesh.node_sets.items()}
     within = {name: np.isin(report.element_map, elements) for name, elements in mesh.element_sets.items()}
     element_sets = {name: np.flatnonzero(triangles) for name, triangles in within.items() if triangles.any()}
     return Deck(
@@ -205,19 +185,17 @@ def _deck(mesh: RawMesh, report: MeshReport, unit: str) -> Deck:
     )
 
 
+def _scaled(value: float | None, unit: float) -> float | None:
+    """A value in terms of another unit; None if it is unknown."""
+    return None if value is None else value * unit
+
+
 def _normals(mesh: RawMesh, report: MeshReport) -> np.ndarray | None:
     """(k, 3, 3) normals from the file at the corners of the repaired triangles; None if it has none."""
-    if mesh.triangle_normals is None and mesh.quadrilateral_normals is None:
+    if mesh.normals is None:
         return None
-    unknown = lambda elements: np.full((*elements.shape, 3), np.nan)
-    given = [
-        unknown(elements) if normals is None else normals
-        for elements, normals in (
-            (mesh.triangles, mesh.triangle_normals),
-            (mesh.quadrilaterals, mesh.quadrilateral_normals),
-        )
-    ]
-    flat = np.concatenate([normals.reshape(-1, 3) for normals in given] + [np.full((1, 3), np.nan)])
+    many, unknown = len(mesh.triangles), np.full((1, 3), np.nan)
+    flat = np.concatenate([mesh.normals[:many, :3].reshape(-1, 3), mesh.normals[many:].reshape(-1, 3), unknown])
     return flat[report.corner_map]  # -1, a corner created by splitting, selects the last row, NaN
 
 

@@ -15,9 +15,10 @@ import numpy as np
 
 from mic.errors import FormatError
 from mic.geometry.deck import Sheet
-from mic.geometry.readers.deck_text import included_file, located, real, refuse_recursion
-from mic.geometry.readers.elements import Gathered
+from mic.geometry.readers.deck_text import axes_of, included_file, located, real, refuse_recursion
+from mic.geometry.readers.elements import Gathered, define
 from mic.geometry.readers.raw_mesh import RawMesh
+from mic.geometry.triangles import rotation
 
 __all__ = ["read"]
 
@@ -121,10 +122,10 @@ def _blocks(path: Path, above: tuple[Path, ...] = ()) -> Iterator[_Block]:
     block = None
     for line, text in _lines(path):
         if not text.startswith("*"):
-            if block is None and not above:
-                raise FormatError(f"line {line}: there are data before the first keyword; the file is no Abaqus deck")
             if block is not None:
                 block.data.append([item.strip().strip('"') for item in text.split(",")])
+            elif not above:
+                raise FormatError(f"line {line}: there are data before the first keyword; the file is no Abaqus deck")
             continue
         if block is not None:
             yield block
@@ -172,11 +173,9 @@ def _joined_lines(data: list[list[str]]) -> Iterator[list[str]]:
     row: list[str] = []
     for fields in data:
         row += fields
-        if row[-1] == "" and len(fields) > 1:
-            row.pop()
-            continue
-        yield row
-        row = []
+        if row[-1] or len(fields) == 1:
+            yield row
+            row = []
     if row:
         yield row
 
@@ -207,9 +206,7 @@ def _add_nodes(block: _Block, scope: _Scope, system) -> None:
         if system is not None:
             origin, axes = system
             point = origin + axes @ point
-        place = tuple(point.tolist())
-        if scope.nodes.setdefault(number, place) != place:
-            raise FormatError(f"node {number} is defined twice, at different positions; remove one definition")
+        define(scope.nodes, number, tuple(point.tolist()), f"node {number}")
         of_set.append(("", fields[0]))
         if any(values[3:]) and not curved and system is None:
             scope.normals.append(("", fields[0], tuple(values[3:])))
@@ -233,9 +230,8 @@ def _add_elements(block: _Block, scope: _Scope) -> None:
         number = int(row[0])
         if sheet and len(row) != count + 1:
             raise FormatError(f"element {number}: a {kind} has {count} nodes, not {len(row) - 1}")
-        element = (kind, tuple(map(int, row[1:])) if sheet else ())
-        if scope.elements.setdefault(number, element) != element:
-            raise FormatError(f"element {number} is defined twice, on different nodes; remove one definition")
+        nodes = tuple(map(int, row[1:])) if sheet else ()
+        define(scope.elements, number, (kind, nodes), f"element {number}")
         of_set.append(("", row[0]))
         row = []
     if row:
@@ -302,17 +298,8 @@ def _system(block: _Block):
         return np.array(values), np.eye(3)
     if len(values) < 9:
         raise FormatError("*SYSTEM needs three points: the origin, one on the x axis, one in the xy plane")
-    return _axes(np.reshape(values[:9], (3, 3)))
-
-
-def _axes(points):
-    """Origin, and axes as columns, of three points: the origin, one on the x axis, one in the xy plane."""
-    x = points[1] - points[0]
-    z = np.cross(x, points[2] - points[0])
-    if not np.linalg.norm(z) > 0:
-        raise FormatError("the three points of this coordinate system are collinear; correct them")
-    x, z = x / np.linalg.norm(x), z / np.linalg.norm(z)
-    return points[0], np.column_stack([x, np.cross(z, x), z])
+    points = np.reshape(values[:9], (3, 3))
+    return points[0], np.column_stack(axes_of(points, "this coordinate system"))
 
 
 # ---- instances and sets
@@ -325,9 +312,7 @@ def _instances(scopes: dict[str, _Scope], instances: list[_Scope]):
     placed = []
     for instance in instances:
         if instance.part and instance.part not in scopes:
-            raise FormatError(
-                f"the instance {instance.name!r} refers to the part {instance.part!r}, which is missing; correct it"
-            )
+            raise FormatError(f"the part {instance.part!r} of instance {instance.name!r} is missing; correct its name")
         motion = _motion(instance)
         if instance.part:
             placed.append((scopes[instance.part], instance.name, motion))
@@ -348,12 +333,9 @@ def _motion(instance: _Scope):
         start, axis, angle = np.array(values[:3]), np.array(values[3:6]) - values[:3], np.radians(values[6])
     except (ValueError, IndexError):
         raise FormatError(f"the instance {instance.name!r} has an invalid position; correct its data") from None
-    length = np.linalg.norm(axis)
-    if not length > 0:
+    if not np.linalg.norm(axis) > 0:
         raise FormatError(f"the instance {instance.name!r} has a rotation axis without length; correct it")
-    x, y, z = axis / length
-    cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
-    turn = np.eye(3) + np.sin(angle) * cross + (1 - np.cos(angle)) * cross @ cross
+    turn = rotation(axis, angle)
     return turn, turn @ (shift - start) + start
 
 

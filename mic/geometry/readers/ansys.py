@@ -12,7 +12,7 @@ from pathlib import Path
 
 from mic.errors import FormatError
 from mic.geometry.deck import Sheet
-from mic.geometry.readers.deck_text import located, text_lines
+from mic.geometry.readers.deck_text import located, take, text_lines
 from mic.geometry.readers.elements import Gathered
 from mic.geometry.readers.raw_mesh import RawMesh
 
@@ -40,16 +40,16 @@ def read(path: Path) -> RawMesh:
     materials: dict[str, dict[str, float]] = {}
     elements: dict[int, tuple[int, str]] = {}  # material and section
     section = ""
-    lines = _Lines(path)
-    for where, line in lines:
+    lines = iter(enumerate(text_lines(path), 1))
+    for number, line in lines:
         words = [word.strip() for word in line.split("!")[0].split(",")]
         command = words[0].upper()
-        with located(where, command):
+        with located(f"line {number}", command):
             if command == "ET":
                 types[int(words[1])] = int(re.sub(r"\D", "", words[2]))
             elif command == "ETBLOCK":
-                lines.take()
-                for text in lines.block():
+                _next(lines)
+                for text in _block(lines):
                     fields = text.split()
                     types[int(fields[0])] = int(fields[1])
             elif command == "NBLOCK":
@@ -66,7 +66,7 @@ def read(path: Path) -> RawMesh:
                 _layer(sections, material_of, section, words[1:])
             elif command == "SECBLOCK" and section:
                 for _ in range(int(words[1])):
-                    _layer(sections, material_of, section, [word.strip() for word in lines.take().split(",")])
+                    _layer(sections, material_of, section, [word.strip() for word in _next(lines).split(",")])
             elif command == "SECOFFSET" and section:
                 _offset(sections, section, words)
             elif command == "MPDATA" and words[3].upper() in ("EX", "NUXY", "PRXY"):
@@ -79,32 +79,18 @@ def read(path: Path) -> RawMesh:
     return gathered.mesh()
 
 
-class _Lines:
-    """The lines of a deck, one by one or by block."""
+def _next(lines: Iterator[tuple[int, str]]) -> str:
+    """The next line."""
+    return take((line for _, line in lines), "this block has no end: the file is cut short; export it again")
 
-    def __init__(self, path: Path):
-        self.lines = text_lines(path)
-        self.at = 0
 
-    def __iter__(self) -> Iterator[tuple[str, str]]:
-        while self.at < len(self.lines):
-            self.at += 1
-            yield f"line {self.at}", self.lines[self.at - 1]
-
-    def take(self) -> str:
-        """The next line."""
-        if self.at >= len(self.lines):
-            raise FormatError("this block has no end: the file is cut short; export it again")
-        self.at += 1
-        return self.lines[self.at - 1]
-
-    def block(self) -> Iterator[str]:
-        """Lines up to the end of a block: -1, or N in a block of nodes."""
-        while True:
-            line = self.take()
-            if line.split(",")[0].strip() == "-1" or line.upper().startswith("N,"):
-                return
-            yield line
+def _block(lines: Iterator[tuple[int, str]]) -> Iterator[str]:
+    """Lines up to the end of a block: -1, or N in a block of nodes."""
+    while True:
+        line = _next(lines)
+        if line.split(",")[0].strip() == "-1" or line.upper().startswith("N,"):
+            return
+        yield line
 
 
 def _columns(text: str, width: int) -> list[str]:
@@ -120,26 +106,26 @@ def _format(text: str) -> tuple[int, int, int]:
     return int(found[1]), int(found[2]), int(found[4] or 0)
 
 
-def _nodes(gathered: Gathered, lines: _Lines) -> None:
+def _nodes(gathered: Gathered, lines: Iterator[tuple[int, str]]) -> None:
     """Nodes of an NBLOCK."""
-    count, width, real = _format(lines.take())
+    count, width, real = _format(_next(lines))
     if not real:
         raise FormatError("the format of this block of nodes has no coordinates")
-    for line in lines.block():
+    for line in _block(lines):
         number = int(line[:width])
         fields = _columns(line[count * width :], real)[:3]
         x, y, z = (float(text or 0) for text in fields + [""] * (3 - len(fields)))
         gathered.add_point((number,), (x, y, z))
 
 
-def _elements(gathered: Gathered, lines: _Lines, types, elements) -> None:
+def _elements(gathered: Gathered, lines: Iterator[tuple[int, str]], types, elements) -> None:
     """Elements of an EBLOCK: material, type, real set, section, …, node count, …, number, nodes, perhaps continued."""
-    _, width, _ = _format(lines.take())
-    for line in lines.block():
+    _, width, _ = _format(_next(lines))
+    for line in _block(lines):
         fields = [int(text) for text in _columns(line, width)]
         count, number, nodes = fields[8], fields[10], fields[11:]
         while len(nodes) < count:
-            nodes += [int(text) for text in _columns(lines.take(), width)]
+            nodes += [int(text) for text in _columns(_next(lines), width)]
         kind = types.get(fields[1])
         if kind is None:
             raise FormatError(f"element {number} has the type {fields[1]}, which no ET defines; export the deck again")
@@ -151,14 +137,14 @@ def _elements(gathered: Gathered, lines: _Lines, types, elements) -> None:
         elements[number] = (fields[0], str(fields[3]))
 
 
-def _component(gathered: Gathered, lines: _Lines, words: list[str]) -> None:
+def _component(gathered: Gathered, lines: Iterator[tuple[int, str]], words: list[str]) -> None:
     """A named set of numbers; a negative number ends a range that begins at the number before it."""
     name, kind, count = words[1], words[2].upper(), int(words[3].split()[0])
-    _, width, _ = _format(lines.take())
+    _, width, _ = _format(_next(lines))
     numbers: list[int] = []
     taken = 0
     while taken < count:
-        for text in _columns(lines.take(), width):
+        for text in _columns(_next(lines), width):
             taken += 1
             value = int(text)
             numbers += [value] if value > 0 else range(numbers[-1] + 1, -value + 1)
@@ -190,7 +176,6 @@ def _assign_sheets(gathered: Gathered, elements, sections, material_of, material
         name = material_of.get(section) or str(material)
         of = materials.get(name, {})
         poisson = of.get("PRXY", of.get("NUXY"))
-        sheet = replace(sheet, young=of.get("EX"), poisson=poisson, material=name if of else None)
-        if sheet != Sheet():
-            gathered.sheets[number,] = sheet
+        material = name if of else None
+        gathered.sheets[number,] = replace(sheet, young=of.get("EX"), poisson=poisson, material=material)
     gathered.parts = [name for name in gathered.element_sets if name.startswith("PID ")]

@@ -6,9 +6,11 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+import numpy as np
+
 from mic.errors import FormatError
 
-__all__ = ["included_file", "located", "real", "refuse_recursion", "text_lines"]
+__all__ = ["axes_of", "included_file", "located", "real", "refuse_recursion", "take", "text_lines"]
 
 DEPTH = 20  # most files that include each other
 
@@ -21,6 +23,39 @@ def text_lines(path: Path) -> list[str]:
 def real(text: str) -> float:
     """The number of a field, also with the exponent D of FORTRAN; 0 for a blank field."""
     return float(text.upper().replace("D", "E")) if text else 0.0
+
+
+def take(lines: Iterator[str], problem: str) -> str:
+    """The next line.
+
+    Raises
+    ------
+    FormatError
+        With the text `problem`, if there is none.
+    """
+    line = next(lines, None)
+    if line is None:
+        raise FormatError(problem)
+    return line
+
+
+def axes_of(points: np.ndarray, name: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Axes of a coordinate system given by its origin, a point on its main axis and a point in a plane with that.
+
+    Returns the main axis, the one that completes it in the plane, and the normal of the plane: x, y and z if the main
+    axis is x, or z, x and y.
+
+    Raises
+    ------
+    FormatError
+        If the points are collinear.
+    """
+    main = points[1] - points[0]
+    normal = np.cross(main, points[2] - points[0])
+    if not np.linalg.norm(normal) > 0:
+        raise FormatError(f"the three points of {name} are collinear; correct them")
+    main, normal = main / np.linalg.norm(main), normal / np.linalg.norm(normal)
+    return main, np.cross(normal, main), normal
 
 
 @contextmanager
@@ -37,9 +72,7 @@ def located(where: str, block: str) -> Iterator[None]:
 def refuse_recursion(path: Path, including: tuple[Path, ...]) -> None:
     """Refuse a file that is included by a file that it includes."""
     if path in including or len(including) > DEPTH:
-        raise FormatError(
-            f"{including[-1].name} includes {path.name}, which includes it in turn; remove one of these lines"
-        )
+        raise FormatError(f"{including[-1].name} includes {path.name}, which includes it in turn; remove one line")
 
 
 def included_file(path: Path, name: str, where: str) -> Path:
@@ -52,8 +85,6 @@ def included_file(path: Path, name: str, where: str) -> Path:
     """
     other = path.parent / name.replace("\\", "/")
     if not name or not other.is_file():
-        raise FormatError(
-            f"{where}: it includes {name or 'a file without a name'}, and there is no file {other}; put it there, or "
-            "correct the name"
-        )
+        name = name or "a file without a name"
+        raise FormatError(f"{where}: it includes {name}, and there is no file {other}; correct the name")
     return other

@@ -8,6 +8,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator
 from dataclasses import replace
+from itertools import accumulate, pairwise
 from pathlib import Path
 
 from mic.errors import FormatError
@@ -77,8 +78,7 @@ def read(path: Path) -> RawMesh:
             if not sheet.thickness:
                 raise FormatError(f"element {key[0]} has an offset and no thickness; give its section a thickness")
             sheet = replace(sheet, offset=offset / sheet.thickness)
-        if sheet != Sheet():
-            gathered.sheets[key] = sheet
+        gathered.sheets[key] = sheet
     gathered.name_parts((part for _, part, *_ in shells), {part: title for part, (title, *_) in parts.items()})
     return gathered.mesh()
 
@@ -191,8 +191,8 @@ def _split(line: str, widths: tuple[int, ...]) -> list[str]:
     if "," in line:
         fields = [text.strip() for text in line.split(",")]
     else:
-        ends = [sum(widths[:i]) for i in range(len(widths) + 1)]
-        fields = [line[a:b].strip() for a, b in zip(ends, ends[1:])]
+        ends = list(accumulate(widths, initial=0))
+        fields = [line[a:b].strip() for a, b in pairwise(ends)]
     return (fields + [""] * len(widths))[: len(widths)]
 
 

@@ -12,7 +12,7 @@ from mic.errors import FormatError
 from mic.geometry.deck import Sheet
 from mic.geometry.readers.raw_mesh import RawMesh
 
-__all__ = ["Gathered"]
+__all__ = ["Gathered", "define"]
 
 
 class Gathered:
@@ -42,8 +42,7 @@ class Gathered:
         FormatError
             If it is already defined at another position.
         """
-        if self.points.setdefault(key, place) != place:
-            raise FormatError(f"node {key[-1]} is defined twice, at different positions; remove one definition")
+        define(self.points, key, place, f"node {key[-1]}")
 
     def add_sheet(self, key: tuple, corners: Iterable[tuple], midside: Iterable[tuple] = ()) -> None:
         """Add a shell element by its corners; repeated corners make a quadrilateral a triangle.
@@ -53,9 +52,7 @@ class Gathered:
         FormatError
             If it is already defined on other nodes.
         """
-        corners = tuple(dict.fromkeys(corners))
-        if self.elements.setdefault(key, corners) != corners:
-            raise FormatError(f"element {key[-1]} is defined twice, on different nodes; remove one definition")
+        define(self.elements, key, tuple(dict.fromkeys(corners)), f"element {key[-1]}")
         self.midside.update(midside)
 
     def add_other(self, key: tuple, kind: str, solid: bool = False) -> None:
@@ -91,53 +88,58 @@ class Gathered:
             If an element uses an undefined point.
         """
         index = {key: number for number, key in enumerate(self.points)}
-        ordered = sorted(
-            (key for key, corners in self.elements.items() if len(corners) > 2), key=lambda key: len(self.elements[key])
-        )
-        number = {key: row for row, key in enumerate(ordered)}
+        shells = {key: corners for key, corners in self.elements.items() if len(corners) > 2}
+        ordered = sorted(shells, key=lambda key: len(shells[key]))
         try:
-            corners = [[index[point] for point in self.elements[key]] for key in ordered]
+            corners = [[index[point] for point in shells[key]] + [-1] * (4 - len(shells[key])) for key in ordered]
         except KeyError as problem:
-            raise FormatError(
-                f"an element uses the {what} {problem.args[0][-1]}, which is not defined; export the mesh again"
-            ) from None
-        split = next((row for row, of in enumerate(corners) if len(of) == 4), len(corners))
-        unknown = (np.nan,) * 3
-        normals = [
-            [self.normals.get((key, point), self.normals.get(point, unknown)) for point in self.elements[key]]
-            for key in (ordered if self.normals else [])
-        ]
-        of_sheet: dict[Sheet, int] = {}
-        sheet_of = [
-            of_sheet.setdefault(self.sheets[key], len(of_sheet)) if key in self.sheets else -1 for key in ordered
-        ]
+            missing = problem.args[0][-1]
+            text = f"an element uses the {what} {missing}, which is not defined; export the mesh again"
+            raise FormatError(text) from None
+        normals = np.full((len(ordered), 4, 3), np.nan)
+        for row, key in enumerate(ordered if self.normals else []):
+            for corner, point in enumerate(shells[key]):
+                normals[row, corner] = self.normals.get((key, point), self.normals.get(point, np.nan))
+        numbers: dict[Sheet, int] = {Sheet(): -1}
+        sheet_of = [numbers.setdefault(self.sheets.get(key, Sheet()), len(numbers) - 1) for key in ordered]
         others = self.unnumbered + Counter(self.kinds.values())
-        if len(ordered) < len(self.elements):
-            others["elements on fewer than three nodes"] = len(self.elements) - len(ordered)
-        sets = {name: [number[key] for key in of if key in number] for name, of in self.element_sets.items()}
+        if len(shells) < len(self.elements):
+            others["elements on fewer than three nodes"] = len(self.elements) - len(shells)
+        element_sets = _numbered(self.element_sets, {key: row for row, key in enumerate(ordered)})
         without = {
             name: tuple(sorted({self.kinds[key] for key in of if key in self.kinds}))
             for name, of in self.element_sets.items()
         }
-        array = lambda rows, count, kind: np.array(rows, dtype=kind).reshape(-1, count)
         return RawMesh(
-            array(list(self.points.values()), 3, float),
-            array(corners[:split], 3, np.int64),
-            array(corners[split:], 4, np.int64),
+            np.array(list(self.points.values()), dtype=float).reshape(-1, 3),
+            np.array(corners, dtype=np.int64).reshape(-1, 4),
             tuple(sorted(self.solids)),
             {kind: count for kind, count in others.items() if kind not in self.solids},
-            array(normals[:split], 9, float).reshape(-1, 3, 3) if self.normals else None,
-            array(normals[split:], 12, float).reshape(-1, 4, 3) if self.normals else None,
+            normals if self.normals else None,
             np.array([key[-1] for key in self.points], dtype=np.int64),
-            {
-                name: np.array(sorted({index[key] for key in of if key in index}), dtype=np.int64)
-                for name, of in self.node_sets.items()
-                if any(key in index for key in of)
-            },
-            {name: np.array(sorted(set(of)), dtype=np.int64) for name, of in sets.items() if of},
+            _numbered(self.node_sets, index),
+            element_sets,
             {name: kinds for name, kinds in without.items() if kinds},
-            tuple(name for name in self.parts if sets.get(name)),
-            tuple(of_sheet),
+            tuple(name for name in self.parts if name in element_sets),
+            tuple(numbers)[1:],
             np.array(sheet_of, dtype=np.int64),
             len(self.midside - {point for corners in self.elements.values() for point in corners}),
         )
+
+
+def define(table: dict, key: Any, value: Any, what: str) -> None:
+    """Add an entry to a table of nodes or elements.
+
+    Raises
+    ------
+    FormatError
+        If it is already defined with another position or other nodes.
+    """
+    if table.setdefault(key, value) != value:
+        raise FormatError(f"{what} is defined twice, and differently; remove one definition")
+
+
+def _numbered(sets: dict[str, list[tuple]], number: dict[tuple, int]) -> dict[str, np.ndarray]:
+    """Numbers of the members of each set; sets of which none has a number are left out."""
+    found = {name: sorted({number[key] for key in keys if key in number}) for name, keys in sets.items()}
+    return {name: np.array(numbers, dtype=np.int64) for name, numbers in found.items() if numbers}

@@ -94,9 +94,9 @@ def _node_numbers(content: bytes) -> np.ndarray:
     else:
         read = _Numbers(nodes, binary != b"0")
         for _ in range(read.sizes(4)[0]):
-            read.ints(3)
-            own = read.sizes(read.sizes(1)[0])
-            read.reals(3 * len(own))
+            read.take(3)
+            own = read.sizes(read.sizes()[0])
+            read.take(3 * len(own), float)
             found += own
     return np.array(found, dtype=np.int64)
 
@@ -117,11 +117,11 @@ def _groups_of_surfaces(content: bytes) -> dict[int, list[int]]:
     counts = read.sizes(4)
     for dimension, count in enumerate(counts[:3]):
         for _ in range(count):
-            (tag,) = read.ints(1)
-            read.reals(6 if dimension or old else 3)
-            physical = read.ints(read.sizes(1)[0])
+            (tag,) = read.take(1)
+            read.take(6 if dimension or old else 3, float)
+            physical = read.take(read.sizes()[0])
             if dimension:
-                read.ints(read.sizes(1)[0])
+                read.take(read.sizes()[0])
             if dimension == 2:
                 groups[tag] = [abs(number) for number in physical]
     return groups
@@ -133,19 +133,15 @@ class _Numbers:
     def __init__(self, content: bytes, binary: bool):
         self.content, self.binary, self.at = content if binary else content.split(), binary, 0
 
-    def ints(self, count: int) -> list[int]:
-        return [int(number) for number in self._take(count, np.dtype(np.int32))]
-
-    def sizes(self, count: int) -> list[int]:
-        return [int(number) for number in self._take(count, np.dtype(np.uint64))]
-
-    def reals(self, count: int) -> list[float]:
-        return [float(number) for number in self._take(count, np.dtype(float))]
-
-    def _take(self, count: int, kind: np.dtype):
-        start = self.at
+    def take(self, count: int, kind: type = np.int32) -> list:
+        """The next numbers, of a kind that decides their size in a binary section."""
+        kind, start = np.dtype(kind), self.at
         self.at += count * (kind.itemsize if self.binary else 1)
         if self.at > len(self.content):
             raise ValueError("the section of entities is cut short; export the file again")
         piece = self.content[start : self.at]
-        return np.frombuffer(piece, kind) if isinstance(piece, bytes) else piece
+        return (np.frombuffer(piece, kind) if self.binary else np.array(piece).astype(kind)).tolist()
+
+    def sizes(self, count: int = 1) -> list[int]:
+        """The next counts."""
+        return self.take(count, np.uint64)

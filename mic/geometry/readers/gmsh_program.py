@@ -32,9 +32,7 @@ def read_cad(path: Path, size: float) -> RawMesh:
     options += ["-setnumber", "Mesh.MeshSizeFromCurvature", "12", "-setnumber", "Mesh.MeshSizeMin", repr(size / 20)]
     with _converted(path, "CAD", options) as mesh:
         if gmsh.volumes(mesh):
-            raise FormatError(
-                "it holds a solid, and the skin of a solid is no mid-surface; export the mid-surface as a sheet"
-            )
+            raise FormatError("it holds a solid, whose skin is no mid-surface; export the mid-surface as a sheet")
         return gmsh.read(mesh)
 
 
@@ -55,9 +53,7 @@ def _converted(path: Path, kind: str, options: Sequence[str]) -> Iterator[Path]:
     """Temporary ``.msh`` file, version 4.1, that gmsh writes for a file of some kind with some command-line options."""
     program = shutil.which("gmsh") or shutil.which("gmsh", path=str(Path(sys.executable).parent))
     if program is None:
-        raise FormatError(
-            f"{kind} files are read by gmsh, which is missing; install it: pip install 'mic-contact[mesh]'"
-        )
+        raise FormatError(f"gmsh, which reads {kind} files, is missing; install it: pip install 'mic-contact[mesh]'")
     with TemporaryDirectory() as folder:
         mesh = Path(folder) / "mesh.msh"
         with open(program, "rb") as file:  # pip installs a script, whose first line may name another Python

@@ -10,17 +10,18 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import takewhile
 from pathlib import Path
 
 import numpy as np
 
 from mic.errors import FormatError
 from mic.geometry.deck import Sheet
-from mic.geometry.readers.deck_text import included_file, located, refuse_recursion, text_lines
-from mic.geometry.readers.elements import Gathered
+from mic.geometry.readers.deck_text import axes_of, included_file, located, refuse_recursion, take, text_lines
+from mic.geometry.readers.elements import Gathered, define
 from mic.geometry.readers.raw_mesh import RawMesh
 
-__all__ = ["cards", "read"]
+__all__ = ["cards", "lines", "read"]
 
 #: Fields of each kind of shell: corners, mid-side nodes, ZOFFS, TFLAG, thicknesses.
 SHELLS: dict[str, tuple[Sequence[int], Sequence[int], int | None, int, Sequence[int]]] = {
@@ -40,7 +41,10 @@ OTHERS = re.compile(
     r"|TRIAX6?|QUADX.?|ONM[12]|ONROD)|R(BE1|BE2|BE3|BAR1?|ROD|JOINT|TRPLT1?|SSCON|SPLINE)|PLOTEL"
 )
 REAL = re.compile(r"([+-]?(?:\d+\.?\d*|\.\d+))([+-]\d+)")  # 1.5-3: an exponent without its letter
-CASE_SET = re.compile(r"\s*SET\s+(\d+)\s*=\s*(.*)", re.IGNORECASE)
+BULK = re.compile(r"\s*(BEGIN|GRID)\b", re.IGNORECASE)  # the end of case control
+CASE_SET = re.compile(r"^\s*SET\s+(\d+)\s*=\s*((?:.*,\s*\n)*.*)", re.IGNORECASE | re.MULTILINE)
+RANGE = re.compile(r"(\d+)(?:\s+THRU\s+(\d+))?")
+LONGEST = 10_000_000  # numbers of a range
 HYPERMESH = re.compile(r'\$HMNAME\s+(COMP|PROP|PROPERTY)\s+(\d+)\s*"([^"]*)"\s*(\d*)')
 HYPERMESH_SET = re.compile(r'\$HMSET\s+(\d+)\s+([12])\s*"([^"]*)"')
 ANSA = re.compile(r"\$ANSA_NAME(?:_COMMENT)?;(\d+);(PSHELL|PCOMP|SET);([^;]*);")
@@ -51,7 +55,7 @@ class _Content:
     """Cards of a deck that are interpreted once all are read."""
 
     systems: dict[int, tuple[str, list[str], str]] = field(default_factory=dict)
-    grids: dict[int, tuple[str, np.ndarray]] = field(default_factory=dict)
+    grids: dict[int, tuple[str, tuple[float, ...]]] = field(default_factory=dict)
     normals: dict[int, tuple[str, np.ndarray]] = field(default_factory=dict)
     default_system: str = ""
     properties: dict[int, tuple[Sheet, str]] = field(default_factory=dict)
@@ -62,12 +66,8 @@ class _Content:
         """Store a card, and add its elements to the mesh."""
         name = card[0]
         if name == "GRID":
-            grid = (card[2], np.array([_real(text) for text in card[3:6]]))
-            before = self.grids.setdefault(int(card[1]), grid)
-            if before[0] != grid[0] or (before[1] != grid[1]).any():
-                raise FormatError(
-                    f"grid point {card[1]} is defined twice, at different positions; remove one definition"
-                )
+            place = tuple(_real(text) for text in card[3:6])
+            define(self.grids, int(card[1]), (card[2], place), f"grid point {card[1]}")
         elif name == "GRDSET":
             self.default_system = card[2]
         elif name.startswith("CORD"):
@@ -102,13 +102,13 @@ def read(path: Path) -> RawMesh:
         Naming the line, if a number is invalid, a coordinate system or an included file does not exist, or something is
         defined twice.
     """
-    gathered, text, content = Gathered(), list(_lines(path)), _Content()
-    for where, card in _cards(text):
+    gathered, text, content = Gathered(), list(lines(path)), _Content()
+    for where, card in cards(text):
         with located(where, card[0]):
             content.add(gathered, card, where)
     frames = _Frames(content)
-    for number, (system, position) in content.grids.items():
-        gathered.add_point((number,), tuple(frames.point(system or content.default_system, position).tolist()))
+    for number in content.grids:
+        gathered.add_point((number,), tuple(frames.grid(number).tolist()))
     for number, (system, direction) in content.normals.items():
         point = gathered.points.get((number,))
         if point is not None:
@@ -116,7 +116,7 @@ def read(path: Path) -> RawMesh:
     for name, card, where in content.shells:
         with located(where, name):
             _assign_sheet(gathered, card, content)
-    names, sets = _names(text)
+    names, sets = _names([line for _, line in text])
     gathered.name_parts((int(card[2] or card[1]) for _, card, _ in content.shells), names)
     for name, (kind, numbers) in sets.items():
         for wanted, into in (("1", gathered.node_sets), ("2", gathered.element_sets)):
@@ -146,8 +146,7 @@ def _assign_sheet(gathered: Gathered, card: list[str], content: _Content) -> Non
     text = card[zoffs] if zoffs is not None and len(card) > zoffs else ""
     if text:
         sheet = replace(sheet, offset=_offset(text, sheet.thickness))
-    if sheet != Sheet():
-        gathered.sheets[number,] = sheet
+    gathered.sheets[number,] = sheet
 
 
 def _offset(text: str, thickness: float | None) -> float:
@@ -213,9 +212,9 @@ class _Frames:
         self.content = content
         self.known: dict[int, tuple[str, np.ndarray, np.ndarray]] = {0: ("R", np.zeros(3), np.eye(3))}
 
-    def point(self, system: str, place: np.ndarray) -> np.ndarray:
-        """A point in the basic system."""
-        kind, origin, axes = self._frame(system)
+    def point(self, system: str, place: np.ndarray, above: tuple[int, ...] = ()) -> np.ndarray:
+        """A point in the basic system; `above` are the systems whose definition needs it."""
+        kind, origin, axes = self._frame(system, above)
         r, about, third = place
         if kind == "R":
             return place if system in ("", "0") else origin + axes @ place
@@ -256,92 +255,67 @@ class _Frames:
         with located(where, name):
             points = [int(text) for text in card[2:5]] if by_points else []
             values = np.zeros((0, 3)) if by_points else np.reshape([_real(text) for text in card[3:12]], (3, 3))
-        places = [self._grid(point, (*above, number)) for point in points]
-        places += [self._through(card[2], place, (*above, number)) for place in values]
-        origin, on_z, in_xz = places
-        z = on_z - origin
-        y = np.cross(z, in_xz - origin)
-        if not np.linalg.norm(y) > 0:
-            raise FormatError(f"{where}: the three points of coordinate system {number} are collinear; correct them")
-        y, z = y / np.linalg.norm(y), z / np.linalg.norm(z)
-        self.known[number] = (name[5:6] or "R", origin, np.column_stack([np.cross(y, z), y, z]))
+        places = [self.grid(point, (*above, number)) for point in points]
+        places += [self.point(card[2], place, (*above, number)) for place in values]
+        with located(where, name):
+            z, x, y = axes_of(places, f"coordinate system {number}")
+        self.known[number] = (name[5:6] or "R", places[0], np.column_stack([x, y, z]))
         return self.known[number]
 
-    def _grid(self, number: int, above: tuple[int, ...]) -> np.ndarray:
+    def grid(self, number: int, above: tuple[int, ...] = ()) -> np.ndarray:
         """A grid point in the basic system."""
         if number not in self.content.grids:
             raise FormatError(f"a coordinate system refers to grid point {number}, which does not exist; add it")
         system, place = self.content.grids[number]
-        return self._through(system or self.content.default_system, place, above)
-
-    def _through(self, system: str, place: np.ndarray, above: tuple[int, ...]) -> np.ndarray:
-        """A point given in a system, in the basic system."""
-        self._frame(system, above)
-        return self.point(system, place)
+        return self.point(system or self.content.default_system, np.array(place), above)
 
 
-def _names(text: list[tuple[str, str]]) -> tuple[dict[int, str], dict[str, tuple[str, list[int]]]]:
-    """Names of properties and sets, with their kind, that preprocessors write into comments."""
+def _names(text: list[str]) -> tuple[dict[int, str], dict[str, tuple[str, list[int]]]]:
+    """Names of properties and sets, with their kind, that preprocessors write into comments; members of the sets."""
     names: dict[int, str] = {}
     properties: dict[int, str] = {}
     called: dict[int, tuple[str, str]] = {}
-    members: dict[int, list[int]] = {}
-    begun, ended = 0, False
-    for _, line in text:
-        if line.startswith("$"):
-            if found := HYPERMESH.match(line):
-                # the number of a component's property follows its name
-                (names if found[1] == "COMP" else properties)[int(found[4] or found[2])] = found[3]
-            elif found := HYPERMESH_SET.match(line):
-                called[int(found[1])] = (found[2], found[3])
-            elif found := ANSA.match(line):
-                if found[2] == "SET":
-                    called[int(found[1])] = ("", found[3])
-                else:
-                    properties[int(found[1])] = found[3]
-            continue
-        ended = ended or bool(re.match(r"\s*(BEGIN|GRID)\b", line, re.IGNORECASE))
-        found = CASE_SET.match(line)
-        if found and not ended:
-            begun, listed = int(found[1]), found[2]
-            members[begun] = []
-        elif begun:
-            listed = line
-        else:
-            continue
-        words = listed.replace(",", " ").upper().split()
-        if any(not word.isdigit() and word != "THRU" for word in words):
-            members.pop(begun, None)
-            begun = 0
-            continue
-        _extend(members[begun], words)
-        begun = begun if listed.rstrip().endswith(",") else 0
+    for line in text:
+        if found := HYPERMESH.match(line):
+            # the number of a component's property follows its name
+            (names if found[1] == "COMP" else properties)[int(found[4] or found[2])] = found[3]
+        elif found := HYPERMESH_SET.match(line):
+            called[int(found[1])] = (found[2], found[3])
+        elif found := ANSA.match(line):
+            if found[2] == "SET":
+                called[int(found[1])] = ("", found[3])
+            else:
+                properties[int(found[1])] = found[3]
     sets = {}
-    for number, of in members.items():
+    for number, members in _case_sets(text).items():
         kind, name = called.get(number, ("", f"SET {number}"))
-        sets[name] = (kind, of)
+        sets[name] = (kind, members)
     return properties | names, sets
 
 
-def _extend(numbers: list[int], words: list[str]) -> None:
-    """Add the numbers of a set, with ranges by THRU."""
-    for place, word in enumerate(words):
-        if word == "THRU":
-            continue
-        if place and words[place - 1] == "THRU" and numbers:
-            numbers.extend(range(numbers[-1] + 1, min(int(word), numbers[-1] + 10_000_000) + 1))
-        else:
-            numbers.append(int(word))
+def _case_sets(text: list[str]) -> dict[int, list[int]]:
+    """Members of the sets of numbers in case control; a line that ends in a comma is continued."""
+    lines = (line for line in text if not line.startswith("$"))
+    sets = {}
+    for number, listed in CASE_SET.findall("\n".join(takewhile(lambda line: not BULK.match(line), lines))):
+        words = listed.upper().replace(",", " ").split()
+        if all(word.isdigit() or word == "THRU" for word in words):
+            sets[int(number)] = [
+                member
+                for first, last in RANGE.findall(" ".join(words))
+                for member in range(int(first), min(int(last or first), int(first) + LONGEST) + 1)
+            ]
+    return sets
 
 
 # ---- lines and cards
 
 
-def _lines(path: Path, above: tuple[Path, ...] = ()) -> Iterator[tuple[str, str]]:
+def lines(path: Path, above: tuple[Path, ...] = ()) -> Iterator[tuple[str, str]]:
     """Place and text of every line, with included files in their places."""
     refuse_recursion(path, above)
-    lines = iter(enumerate(text_lines(path), 1))
-    for number, line in lines:
+    rest = iter(enumerate(text_lines(path), 1))
+    for number, line in rest:
         where = f"line {number}" + (f" of {path.name}" if above else "")
         begun = re.match(r"\s*INCLUDE\s*(['\"]?)(.*)", line, re.IGNORECASE)
         if not begun:
@@ -349,20 +323,13 @@ def _lines(path: Path, above: tuple[Path, ...] = ()) -> Iterator[tuple[str, str]
             continue
         name = begun[2].strip()
         while begun[1] and not name.endswith(begun[1]):  # a name may go on in the next line
-            rest = next(lines, None)
-            if rest is None:
-                raise FormatError(f"{where}: the name of the included file has no closing quote; add it")
-            name += rest[1].strip()
+            unclosed = f"{where}: the name of the included file has no closing quote; add it"
+            name += take((line for _, line in rest), unclosed).strip()
         name = (name[: -len(begun[1])] if begun[1] else name.split("$")[0]).strip()
-        yield from _lines(included_file(path, name, where), (*above, path))
+        yield from lines(included_file(path, name, where), (*above, path))
 
 
-def cards(path: Path) -> Iterator[tuple[str, list[str]]]:
-    """Place and fields of every card of a deck; eight blank fields are appended."""
-    return _cards(list(_lines(path)))
-
-
-def _cards(text: list[tuple[str, str]]) -> Iterator[tuple[str, list[str]]]:
+def cards(text: list[tuple[str, str]]) -> Iterator[tuple[str, list[str]]]:
     """Place and fields of every card with its continuations; eight blank fields are appended."""
     begin = [i for i, (_, line) in enumerate(text) if re.match(r"\s*BEGIN\b", line, re.IGNORECASE)]
     place, card = "", []

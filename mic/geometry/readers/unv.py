@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from mic.errors import FormatError
-from mic.geometry.readers.deck_text import located, real, text_lines
+from mic.geometry.readers.deck_text import located, real, take, text_lines
 from mic.geometry.readers.elements import Gathered
 from mic.geometry.readers.raw_mesh import RawMesh
 
@@ -51,10 +51,8 @@ def read(path: Path) -> RawMesh:
             elif name == "2420":
                 turned |= _turned_systems(lines)
     if systems & turned:
-        raise FormatError(
-            f"nodes are defined in coordinate system {min(systems & turned)}, which is not the global one; export "
-            "the mesh in global coordinates"
-        )
+        system = f"coordinate system {min(systems & turned)}, which is not the global one"
+        raise FormatError(f"nodes are defined in {system}; export the mesh in global coordinates")
     return gathered.mesh()
 
 
@@ -63,9 +61,7 @@ def _datasets(path: Path) -> Iterator[tuple[str, str, list[str]]]:
     lines = text_lines(path)
     marks = [number for number, line in enumerate(lines) if line.strip() == "-1"]
     if len(marks) < 2:
-        raise FormatError(
-            "no dataset between lines of -1: the file is no universal file, or cut short; export it again"
-        )
+        raise FormatError("no dataset between lines of -1: this is no universal file, or it is cut short; export it")
     if len(marks) % 2:
         raise FormatError(f"line {marks[-1] + 1}: this dataset has no end; the file is cut short, export it again")
     for start, end in zip(marks[::2], marks[1::2]):
@@ -88,9 +84,7 @@ def _elements(gathered: Gathered, lines: list[str]) -> None:
             next(rest, "")
         nodes: list[int] = []
         while len(nodes) < count:
-            line = next(rest, None)
-            if line is None:
-                raise FormatError(f"element {label} has fewer than its {count} nodes; export the file again")
+            line = take(rest, f"element {label} has fewer than its {count} nodes; export the file again")
             nodes += [int(text) for text in line.split()]
         if kind not in SHEETS:
             name = f"kind {kind}"
@@ -115,9 +109,7 @@ def _groups(gathered: Gathered, name: str, lines: list[str]) -> None:
         numbers: list[int] = []
         each = 4 if name in ("2435", "2452", "2467", "2477") else 2
         while len(numbers) < each * count:
-            line = next(rest, None)
-            if line is None:
-                raise FormatError(f"the group {title!r} has fewer than its {count} members; export the file again")
+            line = take(rest, f"the group {title!r} has fewer than its {count} members; export the file again")
             numbers += [int(text) for text in line.split()]
         members = np.reshape(numbers[: each * count], (-1, each))[:, :2].tolist()
         for kind, into in ((7, gathered.node_sets), (8, gathered.element_sets)):

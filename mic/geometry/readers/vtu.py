@@ -60,6 +60,5 @@ def read_vtu(path: Path) -> dict[str, np.ndarray]:
     try:
         return dict(meshlane.vtu.read(path).point_data)
     except Exception as problem:  # meshlane raises whatever its parsing trips over
-        raise FormatError(
-            f"{path}: these fields are cut short or damaged; remove the file and compute them again"
-        ) from problem
+        remedy = "remove the file and compute them again"
+        raise FormatError(f"{path}: these fields are cut short or damaged; {remedy}") from problem
