@@ -293,7 +293,7 @@ def test_every_invalid_cell_is_reported_with_file_row_and_column(folder, tmp_pat
     where = f"{tmp_path / 'welds.csv'}: row "
     for place in ("3, column name", "3, column y", "3, column radius", "5, column z", "5, column moment"):
         assert f"{where}{place}: " in str(told.value)
-    assert f"{where}5, column parts: there is no part 'rng'; known: plate, ring" in str(told.value)
+    assert f"{where}5, column parts: there is no part called 'rng'; did you mean 'ring'?" in str(told.value)
     assert str(told.value).count(where) == 6
 
 

@@ -402,15 +402,6 @@ def test_the_scene_reference_is_generated_from_the_schema():
     assert (LAP.parents[1] / "docs" / "scene.md").read_text(encoding="utf-8") == reference()
 
 
-@pytest.mark.parametrize("table", [value for value in vars(schema).values() if hasattr(value, "model_fields")])
-def test_every_key_has_a_description(table):
-    tables = schema.Scene.model_fields if table is schema.Scene else {}
-    own_section = {name for name, field in tables.items() if "mic.scene." in str(field.annotation)}
-    for name, field in table.model_fields.items():
-        assert field.description or name in own_section, (
-            f"{table.__name__}.{name} has no description, so the scene reference cannot explain it"
-        )
-
 
 def test_the_words_of_the_schema_are_those_of_the_registries():
     """A kind that the schema names and no room implements would fail long after `mic check`."""

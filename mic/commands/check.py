@@ -54,14 +54,15 @@ MAX_SOURCES = 40  # sources that are listed
 def check(scene, law, accuracy, converge, normals, overlap, strict, page):
     """``mic check``, with the values of its options (:mod:`mic.options`)."""
     console = CommandConsole()
-    report_step = console.say_step
     scene = with_options(load_scene(scene), law)
     for script in dict.fromkeys(part.geometry for part in scene.parts if part.geometry is not None):
         console.say(f"This scene contains a program: {scene.folder / script} is executed to create its meshes.")
     try:
-        assembly = assemble(scene, cache_folder(), progress=report_step, check=plan_assembly)
-        plans = plan_assembly(assembly)
-        optimisation = _optimisation(assembly)
+        assembly = assemble(scene, cache_folder(), progress=console.say_step, check=plan_assembly)
+        plans, optimisation = plan_assembly(assembly), []
+        if scene.optimise is not None:
+            check_places(Space(assembly), assembly)
+            optimisation = optimisation_sentences(assembly)
     except SceneError as error:
         parts = loadable_parts(scene, cache_folder())
         warnings = find_warnings_unplaced(scene, parts)
@@ -73,22 +74,21 @@ def check(scene, law, accuracy, converge, normals, overlap, strict, page):
     console.print(f"[bold]{plain(scene.name)}[/] {plain(scene.description)}")
     _print_parts(console, scene, assembly)
     _print_normals(console, assembly)
-    for sentence in assembly.placed:
-        console.say(sentence)
+    console.say_each(assembly.placed)
     _print_contacts(console, assembly)
     _print_process(console, assembly, plans)
     if optimisation:
         console.print("[bold]Optimisation[/] (mic optimise)")
-        _print_list(console, optimisation)
+        console.say_each(f"• {sentence}" for sentence in optimisation)
     model = _cached_model(assembly)
     _print_doubts(console, assembly, model)
     shapes = _print_sources(console, assembly, model)
-    _print_thicknesses(console, assembly, model, report_step)
-    _print_list(console, _cost(assembly, plans))
+    _print_thicknesses(console, assembly, model)
+    console.say_each(f"• {sentence}" for sentence in _cost(assembly, plans))
     if accuracy:
-        _print_accuracy(console, assembly, report_step)
+        _print_accuracy(console, assembly)
     if converge:
-        _check_convergence(console, scene, assembly, report_step)
+        _check_convergence(console, scene, assembly)
     surfaces = {part.name: part.surface for part in assembly.parts}
     _write_page(console, page, assembly.scene, surfaces, warnings, assembly.contacts, plans, shapes=shapes)
     _write_pictures(console, assembly, normals, overlap)
@@ -101,11 +101,6 @@ def check(scene, law, accuracy, converge, normals, overlap, strict, page):
 def _print_warnings(console, warnings):
     for warning in warnings:
         console.warn("warning", warning)
-
-
-def _print_list(console, sentences):
-    for sentence in sentences:
-        console.say(f"• {sentence}")
 
 
 def _write_page(console, page, scene, surfaces, warnings, contacts=None, plans=(), errors=(), shapes=()):
@@ -123,17 +118,15 @@ def _write_page(console, page, scene, surfaces, warnings, contacts=None, plans=(
 
 def _write_pictures(console, assembly, normals, overlap):
     """Write the pictures of --normals and --overlap."""
-    if normals is None and overlap is None:
-        return
     from mic.report.space_pictures import draw_normals, draw_overlap  # drawing libraries are slow to import
 
-    for name, file, draw in (
-        ("normals", normals, lambda: draw_normals(assembly.surfaces)),
-        ("overlap", overlap, lambda: draw_overlap(assembly.surfaces, assembly.contacts)),
+    for name, file, draw, shown in (
+        ("normals", normals, draw_normals, (assembly.surfaces,)),
+        ("overlap", overlap, draw_overlap, (assembly.surfaces, assembly.contacts)),
     ):
         if file is not None:
             with replacing(file) as temporary:
-                temporary.write_bytes(draw().data)
+                temporary.write_bytes(draw(*shown).data)
             console.say_files(**{name: file})
 
 
@@ -145,14 +138,6 @@ def _print_process(console, assembly, plans):
         console.say(f"{name}: {opening(plan, len(assembly.contacts) > 0)}")
         for number_, sentence in enumerate(sentences(assembly.scene, plan), 1):
             console.say(f"  {number_}. {sentence}")
-
-
-def _optimisation(assembly) -> list[str]:
-    """Description of the scene's table ``[optimise]``; empty without one."""
-    if assembly.scene.optimise is None:
-        return []
-    check_places(Space(assembly), assembly)
-    return optimisation_sentences(assembly)
 
 
 def _all_cached(assembly) -> bool:
@@ -200,7 +185,7 @@ def _one_sigma(assembly, item, largest) -> str:
     return ""
 
 
-def _print_thicknesses(console, assembly, model, report_step):
+def _print_thicknesses(console, assembly, model):
     """Print the error of interpolating between thicknesses."""
     varied = [item.name for item in assembly.scene.deviations if item.kind == "thickness"]
     if not varied:
@@ -211,7 +196,7 @@ def _print_thicknesses(console, assembly, model, report_step):
         )
         return
     try:
-        results = interpolation_errors(assembly, model, cache_folder(), report_step)
+        results = interpolation_errors(assembly, model, cache_folder(), console.say_step)
     except MissingProvider as problem:
         console.warn("thickness not checked", problem)
         return
@@ -243,26 +228,17 @@ def _print_doubts(console, assembly, model):
 
 def _print_parts(console, scene, assembly):
     """Print the parts, and how their mesh files were read."""
-    rows = [
-        (
-            part.name,
-            len(part.surface.points),
-            len(part.surface.triangles),
-            f"{part.thickness:g}",
-            f"{part.young:g}",
-            f"{part.poisson:g}",
-            len(part.functionals),
-            _coefficients(part),
-        )
-        for part in assembly.parts
-    ]
+    rows = []
+    for part in assembly.parts:
+        sheet = [f"{value:g}" for value in (part.thickness, part.young, part.poisson)]
+        size = len(part.surface.points), len(part.surface.triangles)
+        rows.append((part.name, *size, *sheet, len(part.functionals), _coefficients(part)))
     heads = ("part", "nodes", "triangles", "t, mm", "E, MPa", "ν", "functionals", "influence coefficients")
     console.table("Parts", heads, rows)
     for part, stated, completed in zip(assembly.parts, scene.parts, assembly.scene.parts):
         deck = assembly.decks.get(part.name)
         if deck is not None:
-            for sentence in mesh_summary(stated, completed, deck, assembly.surfaces[part.name]):
-                console.say(sentence)
+            console.say_each(mesh_summary(stated, completed, deck, assembly.surfaces[part.name]))
 
 
 def _print_normals(console, assembly):
@@ -274,16 +250,14 @@ def _print_normals(console, assembly):
         rows.append((part.name, origin if counts[Rule.GIVEN] else "none", *(counts[rule] for rule in Rule)))
     heads = ("part", "given by", "given", "estimated", "flat", "refused")
     console.table("Normals at the corners of triangles", heads, rows)
+    coarse = f"with a bend of more than {COARSE:g}°, too coarse for its curvature: refine the mesh"
+    single = (
+        "between a bend and a single wide row of triangles, which may be flat or curved: mesh it with two rows, or "
+        "give normals"
+    )
     for part in assembly.parts:
         curvature = assembly.surfaces[part.name].curvature
-        for points, text in (
-            (curvature.coarse, f"with a bend of more than {COARSE:g}°, too coarse for its curvature: refine the mesh"),
-            (
-                curvature.single,
-                "between a bend and a single wide row of triangles, which may be flat or curved: mesh it with two "
-                "rows, or give normals",
-            ),
-        ):
+        for points, text in ((curvature.coarse, coarse), (curvature.single, single)):
             if len(points):
                 place = ", ".join(f"{x:.1f}" for x in points[0])
                 console.say(f"{part.name}: {len(points)} edges {text}; one is at ({place})", style="yellow")
@@ -402,9 +376,9 @@ def _stiffness(assembly) -> str:
     return text.format(f"up to {list_sources(names)}", f"at most {count} further sets of influence coefficients")
 
 
-def _print_accuracy(console, assembly, report_step):
+def _print_accuracy(console, assembly):
     """Print the estimated errors of the meshes, and the cost of finer ones."""
-    found = estimate_accuracy(assembly, cache_folder(), report_step)
+    found = estimate_accuracy(assembly, cache_folder(), console.say_step)
     rows = [
         (
             part.part,
@@ -430,9 +404,9 @@ def _print_accuracy(console, assembly, report_step):
     console.print("Time and memory: measured on this machine for the compared functionals, and extrapolated from them.")
 
 
-def _check_convergence(console, scene, assembly, report_step):
+def _check_convergence(console, scene, assembly):
     """Print key characteristics with denser contact pairs; store them in the results folder of this scene."""
-    found = pair_convergence.converge(assembly, cache_folder(), scene.report.laws[0], report_step)
+    found = pair_convergence.converge(assembly, cache_folder(), scene.report.laws[0], console.say_step)
     _print_convergence(console, assembly, found)
     folder = Path("results") / scene.name
     if _belongs(folder, assembly):

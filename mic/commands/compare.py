@@ -6,7 +6,7 @@ import re
 from pathlib import Path
 
 from mic.commands.invocation import available_cores, first_rank_only, load_model
-from mic.commands.output import CommandConsole
+from mic.commands.output import CommandConsole, interval
 from mic.process.model import ReducedModel
 from mic.report.style import number
 from mic.results.field_changes import field_changes, write_field_changes
@@ -42,8 +42,7 @@ def compare(before, after, samples, seed, law, out):
     write_field_changes(folder, fields)
     page = write_comparison(folder / "comparison.html", found, fields)
     _print_changes(console, found)
-    for sentence in sentences(found):
-        console.say(sentence)
+    console.say_each(sentences(found))
     console.say_files(page=page, table=folder / COMPARISON.place)
 
 
@@ -73,8 +72,7 @@ def _print_changes(console, found):
             continue
         cells = [row["quantity"]]
         for figure in ("mean", "six_sigma"):
-            change, low, high = (number(1e3 * row[f"{figure}_change{end}"], 2) for end in ("", "_low", "_high"))
-            cells += [number(1e3 * row[f"{figure}_a"]), f"{change} ({low} … {high})"]
+            cells += [number(1e3 * row[f"{figure}_a"]), interval(row, f"{figure}_change")]
         rows.append((*cells, number(row["cpk_a"]), number(row["cpk_b"])))
     heads = ("", "mean before, µm", "change (95 %)", "6σ before, µm", "change (95 %)", "Cpk before", "Cpk after")
     console.table("Before and after", heads, rows)

@@ -7,8 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from mic.commands.invocation import available_cores, choose_law, choose_seed, first_rank_only, load_model
-from mic.commands.output import CommandConsole
+from mic.commands.invocation import available_cores, first_rank_only, open_model
 from mic.errors import SceneError
 from mic.report.style import number, percent
 from mic.results.schema import EXPLANATION, FURTHER
@@ -26,9 +25,8 @@ def explain(source, measured, gauge, friction, seed, law, out):
     """``mic explain``, with the values of its options (:mod:`mic.options`)."""
     from mic.report.explanation_page import sentences, write_explanation  # drawing libraries are slow to import
 
-    console = CommandConsole()
     values, gauges = read_measured(measured, gauge)
-    model, _ = load_model(console, source)
+    console, model, _, law, seed = open_model(source, law, seed)
     unknown = [name for name in values if name not in {item.name for item in model.scene.measurements}]
     if unknown:
         names = ", ".join(item.name for item in model.scene.measurements) or "none"
@@ -36,7 +34,6 @@ def explain(source, measured, gauge, friction, seed, law, out):
             f"{measured}: scene {model.scene.name!r} has no key characteristic {unknown[0]!r}; it has: {names}; "
             "correct the name, or use the file of this scene"
         )
-    law, seed = choose_law(model, law), choose_seed(model.scene, seed)
     with console.progress_bar(f"evaluations under {law}", None) as advance:
         found = infer_sources(model, values, gauges, law, friction, seed, available_cores(), advance)
     folder = out or Path("results") / re.sub(r"[^\w.+-]+", "-", f"{model.scene.name}_{measured.stem}")
@@ -44,8 +41,7 @@ def explain(source, measured, gauge, friction, seed, law, out):
     FURTHER.write(folder, found.further)
     page = write_explanation(folder / "explanation.html", found)
     _print_sources(console, found)
-    for sentence in sentences(found):
-        console.say(sentence)
+    console.say_each(sentences(found))
     console.say_files(page=page, table=folder / EXPLANATION.place)
 
 

@@ -8,7 +8,8 @@ from functools import wraps
 
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
-from mic.errors import RunError, Stopped
+from mic.commands.output import CommandConsole
+from mic.errors import RunError
 from mic.execution.ranks import communicator
 from mic.model.assembly import assemble
 from mic.process.model import ReducedModel
@@ -26,10 +27,9 @@ __all__ = [
     "ConsoleProgress",
     "available_cores",
     "choose_law",
-    "choose_seed",
-    "exit_status",
     "first_rank_only",
     "load_model",
+    "open_model",
     "reduce_source",
     "store_study",
     "with_options",
@@ -107,15 +107,17 @@ def reduce_source(console, source):
     return ReducedModel.build(assembly, influence), assembly.parts
 
 
+def open_model(source, law, seed=None):
+    """Console, reduced model, its results folder or None, law and seed; from the command line, else from the scene."""
+    console = CommandConsole()
+    model, folder = load_model(console, source)
+    seed = model.scene.monte_carlo.seed if seed is None else seed
+    return console, model, folder, choose_law(model, law), seed
+
+
 def choose_law(model, law):
     """The law of the command line, else the first law of the scene with friction, else its first."""
-    laws = model.scene.report.laws
-    return law.value if law else first_frictional(laws)
-
-
-def choose_seed(scene, seed):
-    """The seed of the command line, else that of the scene."""
-    return scene.monte_carlo.seed if seed is None else seed
+    return law.value if law else first_frictional(model.scene.report.laws)
 
 
 def available_cores():
@@ -134,8 +136,3 @@ def store_study(console, folder, tables):
             table.write(folder, frame)
         page = write_report(folder)
     console.say_files(report=page, tables=", ".join(str(folder / table.place) for table in tables))
-
-
-def exit_status(interrupt):
-    """Exit status after an interrupt."""
-    return interrupt.status if isinstance(interrupt, Stopped) else 130

@@ -7,15 +7,8 @@ from pathlib import Path
 import pandas as pd
 from rich.progress import Progress
 
-from mic.commands.invocation import (
-    available_cores,
-    choose_law,
-    choose_seed,
-    first_rank_only,
-    load_model,
-    store_study,
-)
-from mic.commands.output import CommandConsole
+from mic.commands.invocation import available_cores, first_rank_only, open_model, store_study
+from mic.commands.output import interval
 from mic.errors import SceneError, Stopped
 from mic.report.style import number, percent
 from mic.results.schema import COMPARISON, OPTIMA, OPTIMUM_CHANGES, OPTIMUM_MATCHES
@@ -34,10 +27,9 @@ MAX_ASSEMBLIES = 12  # assemblies of matched parts that are printed
 @first_rank_only
 def optimise(source, samples, fresh, budget, seed, law, save, out):
     """``mic optimise``, with the values of its options (:mod:`mic.options`)."""
-    console = CommandConsole()
     scene_file = _scene_file(source, save)
-    model, run = load_model(console, source)
-    scene, law = model.scene, choose_law(model, law)
+    console, model, run, law, seed = open_model(source, law, seed)
+    scene = model.scene
     if scene.optimise is None:
         raise SceneError(f"{source}: the scene has no table [optimise], which states what may be changed; add it")
     folder = out or run or Path("results") / f"{scene.name}_optimised"
@@ -52,7 +44,7 @@ def optimise(source, samples, fresh, budget, seed, law, save, out):
                 progress.update(task, description=f"{objective} so far {value:.4g}")
 
             found = search_optimum(
-                model, law, samples, fresh, budget, choose_seed(scene, seed), available_cores(), log,
+                model, law, samples, fresh, budget, seed, available_cores(), log,
                 say=console.say_step,
                 progress=lambda count: progress.advance(task, count), better=show_improvement,
             )  # fmt: skip
@@ -136,9 +128,8 @@ def _print_changes(console, table: pd.DataFrame) -> None:
             if not row["quantity"]:
                 cells += ["", ""]
                 continue
-            change, low, high = (number(scale * row[f"{figure}_change{end}"], 2) for end in ("", "_low", "_high"))
             cells.append(" → ".join(number(scale * row[f"{figure}_{side}"], 3) for side in "ab"))
-            cells.append(f"{change} ({low} … {high})")
+            cells.append(interval(row, f"{figure}_change", scale))
         rows.append((*cells, f"{percent(row['outside_a'], 1)} → {percent(row['outside_b'], 1)}"))
     heads = ("", "mean, µm", "change", "6σ, µm", "change", "Cpk", "change", "outside limits")
     console.table("Effect of the changes", heads, rows)

@@ -5,17 +5,19 @@ Text from scenes and files is printed without markup, see :func:`mic.system.cons
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 from rich.console import Console
 from rich.progress import Progress
 from rich.table import Column, Table
 
+from mic.report.style import number
 from mic.system.console import plain
 
-__all__ = ["CommandConsole"]
+__all__ = ["CommandConsole", "interval"]
 
 
 class CommandConsole(Console):
@@ -24,6 +26,11 @@ class CommandConsole(Console):
     def say(self, sentence: object, style: str | None = None) -> None:
         """Print one line of text."""
         self.print(plain(sentence), style=style, highlight=False, soft_wrap=True)
+
+    def say_each(self, sentences: Iterable[object]) -> None:
+        """Print lines of text."""
+        for sentence in sentences:
+            self.say(sentence)
 
     def say_step(self, step: str) -> None:
         """Print the name of a step that begins: ``influence coefficients of lower …``."""
@@ -55,3 +62,9 @@ class CommandConsole(Console):
         with Progress(console=self) as progress:
             task = progress.add_task(description, total=total)
             yield lambda count: progress.advance(task, count)
+
+
+def interval(row: Mapping[Any, Any], name: str, scale: float = 1e3, digits: int = 2) -> str:
+    """A value of a table with its interval: ``1.2 (0.9 … 1.5)``; mm in µm unless `scale` is given."""
+    value, low, high = (number(scale * row[f"{name}{end}"], digits) for end in ("", "_low", "_high"))
+    return f"{value} ({low} … {high})"

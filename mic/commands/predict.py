@@ -11,8 +11,7 @@ import numpy as np
 import pandas as pd
 from rich.progress import Progress, TextColumn
 
-from mic.commands.invocation import choose_law, first_rank_only, load_model
-from mic.commands.output import CommandConsole
+from mic.commands.invocation import first_rank_only, open_model
 from mic.errors import FormatError, SceneError, Stopped
 from mic.results.run_identity import identity
 from mic.results.schema import PREDICTIONS
@@ -32,17 +31,16 @@ STYLES = {"accepted": "green", "rejected": "red", "open": "yellow", "refused": "
 @first_rank_only
 def predict(source, parts, watch, log, adjust, shim, force, error, exact, law):
     """``mic predict``, with the values of its options (:mod:`mic.options`)."""
-    console = CommandConsole()
     if (parts is None) == (watch is None):
         raise SceneError("predict: give either --parts FILE with measured parts, or --watch FOLDER for such files")
     if watch is not None and not watch.is_dir():
         raise SceneError(f"--watch {watch}: there is no such folder; create it, or give another")
-    model, _ = load_model(console, source)
+    console, model, _, law, _ = open_model(source, law)
     predictions = PredictionLog(log, identity(model, 0)[:12])
     if parts is not None:
         list(read_parts(parts, model.parameters))  # reports errors before the training
     try:
-        predictor = _predictor(console, model, choose_law(model, law), adjust or (), shim, force, error, exact)
+        predictor = _predictor(console, model, law, adjust or (), shim, force, error, exact)
     except ValueError as problem:
         raise SceneError(f"predict: {problem}") from None
     if parts is not None:

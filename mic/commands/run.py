@@ -8,7 +8,7 @@ from pathlib import Path
 
 import typer
 
-from mic.commands.invocation import ConsoleProgress, exit_status, first_rank_only, with_options
+from mic.commands.invocation import ConsoleProgress, first_rank_only, with_options
 from mic.commands.output import CommandConsole
 from mic.errors import RunError, Stopped
 from mic.execution.ranks import communicator, on_first
@@ -63,7 +63,7 @@ def run(scene, samples, seed, law, backend, out, replace, strict):
             f"Interrupted: {finished(folder, laws, count)} of {len(laws) * count} samples are finished and saved in "
             f"{folder}. To complete the run, run the same command again: {shlex.join(['mic', *sys.argv[1:]])}"
         )
-        raise typer.Exit(exit_status(interrupt)) from None
+        raise typer.Exit(getattr(interrupt, "status", 130)) from None
     finally:
         progress.stop()
 
@@ -81,7 +81,7 @@ def report(folder, excel):
                 console.say_files(Excel=write_excel(folder, folder / EXCEL))
     except (KeyboardInterrupt, Stopped) as interrupt:
         console.say(f"Interrupted: the samples in {folder} are unchanged. Run mic report again.")
-        raise typer.Exit(exit_status(interrupt)) from None
+        raise typer.Exit(getattr(interrupt, "status", 130)) from None
     finally:
         progress.stop()
 
@@ -98,8 +98,7 @@ def _report(console, outcome, pictures):
     for name, law in laws.items():
         _print_validity(console, name, law)
     found = verdict(outcome)
-    for sentence in found.sentences if found else ():
-        console.say(sentence)
+    console.say_each(found.sentences if found else ())
     console.say_files(report=page, tables=outcome.folder / "summary.json")
 
 

@@ -5,15 +5,8 @@ from __future__ import annotations
 import json
 import math
 
-from mic.commands.invocation import (
-    available_cores,
-    choose_law,
-    choose_seed,
-    first_rank_only,
-    load_model,
-    store_study,
-)
-from mic.commands.output import CommandConsole
+from mic.commands.invocation import available_cores, first_rank_only, open_model, store_study
+from mic.commands.output import interval
 from mic.contact.laws import LAWS
 from mic.errors import SceneError
 from mic.report.driver_sentences import design_words, friction_words, linear_words, named, remedy_words
@@ -52,16 +45,13 @@ FAR = 100.0  # steps: contact changes farther away are not printed
 @first_rank_only
 def order(source, samples, seed, law, permutations, variants, table):
     """``mic order``, with the values of its options (:mod:`mic.options`)."""
-    console = CommandConsole()
-    model, folder = load_model(console, source)
-    scene, law = model.scene, choose_law(model, law)
+    console, model, folder, law, seed = open_model(source, law, seed)
     random = PERMUTATIONS if permutations is None else permutations
-    others = read_variants(scene, variants) if variants else orders(scene, random)
+    others = read_variants(model.scene, variants) if variants else orders(model.scene, random)
     if len(others) == 1:
         console.print("The process has one order only: nothing to compare.")
         return
     with console.progress_bar(f"{samples} samples under {law}", len(others)) as advance:
-        seed = choose_seed(scene, seed)
         found = compare(model, others, law, samples, seed, available_cores(), lambda name: advance(1))
     _print_orders(console, others, found)
     if table:
@@ -72,30 +62,28 @@ def order(source, samples, seed, law, permutations, variants, table):
 
 def _print_orders(console, others, found):
     """For each order the quantity that changes most; for each quantity the order that changes it most."""
-    figures = ("mean_change", "six_sigma_change")
 
-    def change(row, figure):
-        share = f" ({100 * abs(row[figure]) / row['tolerance']:.1f} %)" if row["tolerance"] > 0 else ""
-        error = row[figure.replace("change", "error")]
-        return f"{1000 * row[figure]:+.1f} ± {1000 * error:.1f}{share}".replace("-", "−")
-
-    def largest(rows, figure):
-        return rows.loc[rows[figure].abs().idxmax()]
+    def largest(rows, figure, of):
+        """The largest change of a figure, and the quantity or the order with it."""
+        row = rows.loc[rows[f"{figure}_change"].abs().idxmax()]
+        value, error = row[f"{figure}_change"], row[f"{figure}_error"]
+        share = f" ({100 * abs(value) / row['tolerance']:.1f} %)" if row["tolerance"] > 0 else ""
+        return f"{1000 * value:+.1f} ± {1000 * error:.1f}{share}".replace("-", "−"), row[of]
 
     rest = found[found["order"] != STATED]
     for rows, title in (
         (rest[rest["tolerance"] > 0], "Key characteristics: largest change (share of the tolerance)"),
         (rest[rest["tolerance"].isna()], "Slip under load: largest change"),
     ):
-        cells = []
-        for name, own in rows.groupby("order", sort=False):
-            changes = [(change(row, figure), row["quantity"]) for figure in figures for row in [largest(own, figure)]]
-            cells.append((name, *changes[0], *changes[1]))
+        cells = [
+            (name, *largest(own, "mean", "quantity"), *largest(own, "six_sigma", "quantity"))
+            for name, own in rows.groupby("order", sort=False)
+        ]
         console.table(title, ("order", "mean, µm", "quantity", "6σ, µm", "quantity"), cells)
     cells = []
     for stated in found[found["order"] == STATED].to_dict("records"):
         own = rest[rest["quantity"] == stated["quantity"]]
-        changes = [f"{change(row, figure)}: {row['order']}" for figure in figures for row in [largest(own, figure)]]
+        changes = [": ".join(largest(own, figure, "order")) for figure in ("mean", "six_sigma")]
         cells.append((stated["quantity"], f"{stated['mean']:.4f}", f"{stated['six_sigma']:.4f}", *changes))
     heads = ("quantity", "mean, mm", "6σ, mm", "largest change of mean, µm", "largest change of 6σ, µm")
     console.table("Stated order, and the order that changes each quantity most", heads, cells)
@@ -108,9 +96,8 @@ def _print_orders(console, others, found):
 @first_rank_only
 def contributors(source, samples, seed, law):
     """``mic contributors``, with the values of its options (:mod:`mic.options`)."""
-    console = CommandConsole()
-    model, folder = load_model(console, source)
-    scene, law = model.scene, choose_law(model, law)
+    console, model, folder, law, seed = open_model(source, law, seed)
+    scene = model.scene
     if not scene.measurements or not scene.deviations:
         what = "deviations: nothing varies" if scene.measurements else "measurements"
         raise SceneError(f"scene {scene.name!r} has no {what}; add some")
@@ -123,7 +110,6 @@ def contributors(source, samples, seed, law):
     varying = sum(item.sigma > 0 for item in scene.deviations)
     count = samples * (groups + 2) + 2 * varying if groups <= MANY else None
     with console.progress_bar(f"evaluations under {law}", count) as advance:
-        seed = choose_seed(scene, seed)
         found = contributor_study.contributors(model, law, samples, seed, available_cores(), advance)
     _print_contributors(console, scene, found)
     store_study(console, folder, {CONTRIBUTORS: found.table, LINEARITY: found.linearity})
@@ -135,8 +121,9 @@ def _print_contributors(console, scene, found):
     for row in found.linearity.to_dict("records"):
         own = found.table[found.table["measurement"] == row["measurement"]].sort_values("total", ascending=False)
         total = "\n".join(
-            f"{item['contributor']} {percent(item['total'])} "
-            f"({percent(item['total_low'])} … {percent(item['total_high'])})"
+            "{} {} ({} … {})".format(
+                item["contributor"], *(percent(item[f"total{end}"]) for end in ("", "_low", "_high"))
+            )
             for item in own.head(3).to_dict("records")
         )
         linear = "\n".join(
@@ -148,8 +135,7 @@ def _print_contributors(console, scene, found):
     console.table("Contributors", heads, rows)
     ranked = contributor_study.joint_ranking(found.table, found.linearity, scene)
     console.say(f"All key characteristics together: {named(ranked, 'total')}")
-    for sentence in linear_words(found.table, found.linearity):
-        console.say(sentence)
+    console.say_each(linear_words(found.table, found.linearity))
     counts = found.linearity.iloc[0]
     total = counts["samples"] + counts["failed"]
     console.say(f"{counts['evaluations']} evaluations; {counts['failed']} of {total} samples failed and are excluded")
@@ -158,9 +144,8 @@ def _print_contributors(console, scene, found):
 @first_rank_only
 def friction(source, samples, seed, law):
     """``mic friction``, with the values of its options (:mod:`mic.options`)."""
-    console = CommandConsole()
-    model, folder = load_model(console, source)
-    scene, law = model.scene, choose_law(model, law)
+    console, model, folder, law, seed = open_model(source, law, seed)
+    scene = model.scene
     frictional = LAWS[law].frictional and model.contacts.dimension == 3 and model.contacts.frictional
     if not (scene.measurements and frictional):
         why = "it has no measurements" if not scene.measurements else "its zones or its contact law have no friction"
@@ -168,7 +153,6 @@ def friction(source, samples, seed, law):
     zones = sum(zone.frictional for zone in scene.zones)
     count = samples * (1 + len(friction_study.FACTORS) + (zones > 1) * 2 * zones)
     with console.progress_bar(f"evaluations under {law}", count) as advance:
-        seed = choose_seed(scene, seed)
         found = friction_study.friction_effects(model, law, samples, seed, available_cores(), advance)
     _print_friction(console, found)
     store_study(console, folder, {FRICTION_EFFECTS: found})
@@ -180,26 +164,21 @@ def _print_friction(console, found):
     for figure, text in (("mean_change", "mean"), ("six_sigma_change", "6σ")):
         rows = []
         for name, own in all_zones.groupby("measurement", sort=False):
-            cells = [
-                "{} ({} … {})".format(*(number(1e3 * row[f"{figure}{end}"], 2) for end in ("", "_low", "_high")))
-                for row in own.to_dict("records")
-            ]
+            cells = [interval(row, figure) for row in own.to_dict("records")]
             rows.append((name, number(1e3 * own["six_sigma"].iloc[0]), *cells))
         console.table(f"Change of {text} with the friction of all zones multiplied, µm", heads, rows)
-    for sentence in friction_words(found, friction_study.friction_needed(found)):
-        console.say(sentence)
+    console.say_each(friction_words(found, friction_study.friction_needed(found)))
 
 
 @first_rank_only
 def sensitivity(source, samples, seed, law):
     """``mic sensitivity``, with the values of its options (:mod:`mic.options`)."""
-    console = CommandConsole()
-    model, folder = load_model(console, source)
-    scene, law = model.scene, choose_law(model, law)
+    console, model, folder, law, seed = open_model(source, law, seed)
+    scene = model.scene
     if not scene.measurements:
         raise SceneError(f"scene {scene.name!r} has no measurements; add some")
     with console.progress_bar(f"assemblies with derivatives under {law}", 1 + samples) as advance:
-        found = effects(model, law, samples, choose_seed(scene, seed), advance)
+        found = effects(model, law, samples, seed, advance)
     _print_effects(console, found)
     _print_sensitivity(console, found)
     store_study(console, folder, {SENSITIVITIES: found.table, SPREADS: found.spread})
@@ -240,22 +219,18 @@ def _print_sensitivity(console, found):
     if found.failed:
         console.say(f"{found.failed} samples failed and are excluded.")
     for row in found.spread[found.spread["kind"] != "plain"].to_dict("records"):
-        with_derivatives, plain = (
-            f"{number(1e3 * row[name])} µm ({number(1e3 * row[f'{name}_low'])} … {number(1e3 * row[f'{name}_high'])})"
-            for name in ("six_sigma", "plain_six_sigma")
-        )
+        with_derivatives, plain = (interval(row, name, digits=3) for name in ("six_sigma", "plain_six_sigma"))
         console.say(
-            f"6σ of {row['measurement']}: {with_derivatives} from {row['samples']} samples with derivatives; {plain} "
-            "from the same samples alone."
+            f"6σ of {row['measurement']}, µm: {with_derivatives} from {row['samples']} samples with derivatives; "
+            f"{plain} from the same samples alone."
         )
 
 
 @first_rank_only
 def rare(source, measurement, samples, seed, law):
     """``mic rare``, with the values of its options (:mod:`mic.options`)."""
-    console = CommandConsole()
-    model, folder = load_model(console, source)
-    scene, law, names = model.scene, choose_law(model, law), measurement or []
+    console, model, folder, law, seed = open_model(source, law, seed)
+    scene, names = model.scene, measurement or []
     known = [item.name for item in scene.measurements]
     unknown = [name for name in names if name not in known]
     if unknown or not known:
@@ -265,7 +240,6 @@ def rare(source, measurement, samples, seed, law):
         why = "its samples are given in a table; remove monte_carlo.table" if scene.deviations else "nothing varies"
         raise SceneError(f"scene {scene.name!r}: rare samples cannot be drawn: {why}")
     with console.progress_bar(f"evaluations under {law}", None) as advance:
-        seed = choose_seed(scene, seed)
         found = estimate_rare(model, law, names, samples - samples % 10, seed, available_cores(), advance)
     for row in found.table.to_dict("records"):
         share = probability(row["outside"], row["outside_low"], row["outside_high"])
@@ -276,8 +250,7 @@ def rare(source, measurement, samples, seed, law):
             + f", {row['failed']} of which failed and are excluded" * bool(row["failed"])
             + f"; first-order estimate {probability(row['first_order'])}" * math.isfinite(row["first_order"])
         )
-    for sentence in design_words(found.table, found.points):
-        console.say(sentence)
+    console.say_each(design_words(found.table, found.points))
     if found.why_not:
         console.say(f"Most likely miss: not computed; {found.why_not}.")
     store_study(console, folder, {RARE: found.table, DESIGN_POINTS: found.points})
@@ -286,21 +259,18 @@ def rare(source, measurement, samples, seed, law):
 @first_rank_only
 def remedy(source, adjust, shim, force, capability, samples, seed, law, save):
     """``mic remedy``, with the values of its options (:mod:`mic.options`)."""
-    console = CommandConsole()
     if save is not None and (not source.is_file() or source.suffix != ".toml"):
         raise SceneError(f"{source}: --save writes a changed copy of a scene file; give a scene file, or omit --save")
-    model, folder = load_model(console, source)
-    law, seed = choose_law(model, law), choose_seed(model.scene, seed)
+    console, model, folder, law, seed = open_model(source, law, seed)
     try:
         with console.progress_bar(f"assemblies under {law}", None) as advance:
             found = remedies(
-                model, law, samples, seed, shim, force, adjust, capability, available_cores(), advance
+                model, law, samples, seed, shim, force, adjust or [], capability, available_cores(), advance
             )  # fmt: skip
     except ValueError as problem:
         raise SceneError(str(problem)) from problem
     _print_remedies(console, found)
-    for sentence in remedy_words(found.table, found.effects, model.scene):
-        console.say(sentence)
+    console.say_each(remedy_words(found.table, found.effects, model.scene))
     successful = [own for own in found.found if own.reached]
     if successful:
         tables = adjustment_tables(model.scene, successful[-1].changes)
@@ -328,8 +298,7 @@ def _print_remedies(console, found):
                 for name, scale in (("mean", 1e3), ("six_sigma", 1e3), ("cpk", 1.0))
             ]
             share = f"{percent(row['outside_before'], 1)} → {percent(row['outside'], 1)}"
-            gain = "{} ({} … {})".format(*(number(1e3 * row[f"gain{end}"], 2) for end in ("", "_low", "_high")))
-            rows.append(("" if i else moves, row["measurement"], *pairs, share, gain))
+            rows.append(("" if i else moves, row["measurement"], *pairs, share, interval(row, "gain")))
         rows.append(())
     heads = ("remedy", "characteristic", "mean, µm", "6σ, µm", "Cpk", "outside limits", "gain of margin, µm")
     console.table("Remedies", heads, rows)

@@ -1,20 +1,24 @@
-"""Checks between the tables of a scene: names that exist, parts that are held."""
+"""Checks between the tables of a scene: names that exist, parts that are held.
+
+Each check yields one line per error, with the key, the name of the item and the remedy.
+"""
 
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Iterator
+from typing import Any
 
 import numpy as np
 from scipy.linalg import null_space
 
 from mic.contact.laws import LAWS
 from mic.scene.optimisation import check_optimisation
-from mic.scene.stages import check_known, check_stages, error_lines, moves_assembly, placing_stages, raise_errors
+from mic.scene.stages import CLOSING, check_stages, moves_assembly, placing_stages, unknown
 
 __all__ = ["entry", "find_errors"]
 
-MOVING = ("welds", "locators", "clamps")  # tables of items whose position in the sheet may be an input
-NAMED = ("locators", "clamps", "welds", "zones", "deviations", "measurements", "stages")  # tables of items with names
+NAMED = (*CLOSING, "zones", "deviations", "measurements", "stages")  # tables of items with names
 
 
 def find_errors(scene, complete: bool = True) -> list[str]:
@@ -34,7 +38,9 @@ def find_errors(scene, complete: bool = True) -> list[str]:
     errors: list[str] = []
     for check in (
         check_names,
-        check_references,
+        check_parts,
+        check_characteristics,
+        check_targets,
         check_stages,
         check_friction,
         check_correlations,
@@ -45,179 +51,161 @@ def find_errors(scene, complete: bool = True) -> list[str]:
         *(check_held,) * complete,
     ):
         try:
-            errors += error_lines(check, scene)
+            errors += [*check(scene)]
         except (AttributeError, KeyError, TypeError, IndexError):  # caused by invalid items
             if complete:
                 raise
     return errors
 
 
-def check_names(scene) -> None:
-    """Names are unique in their table.
-
-    Raises
-    ------
-    ValueError
-        Here as below, one line per error, with the key and the remedy.
-    """
-    raise_errors(
-        f"{key}: the name {name!r} is used more than once; give each item its own"
-        for key, items in (
-            ("parts", [*scene.parts, *scene.fixtures]),
-            *((key, getattr(scene, key)) for key in NAMED),
-        )
-        for name, count in Counter(item.name for item in items).items()
-        if count > 1
-    )
+def check_names(scene) -> Iterator[str]:
+    """Names are unique in their table."""
+    tables = {"parts": [*scene.parts, *scene.fixtures], **{key: getattr(scene, key) for key in NAMED}}
+    for key, items in tables.items():
+        for name, count in Counter(item.name for item in items).items():
+            if count > 1:
+                yield f"{key}: the name {name!r} is used more than once; give each item its own"
 
 
-def check_references(scene) -> None:
-    """Referenced parts, locators, clamps and measurements exist, and joints connect two bodies."""
+def _items(scene, *keys: str) -> Iterator[tuple[str, int, Any]]:
+    """The items of tables, each with the key of its table and its index."""
+    return ((key, i, item) for key in keys for i, item in enumerate(getattr(scene, key)))
+
+
+def check_parts(scene) -> Iterator[str]:
+    """Referenced parts exist, and joints connect two bodies."""
     bodies = {part.name for part in scene.parts}
-    with_fixtures = bodies | {fixture.name for fixture in scene.fixtures}
-    errors = []
-    for key in ("fixtures", "locators", "clamps", "measurements", "deviations"):
-        for i, item in enumerate(getattr(scene, key)):
-            if getattr(item, "part", None) is not None:
-                errors += error_lines(check_known, entry(key, i, item, "part"), item.part, bodies, "part")
-    for key, allowed in (("welds", bodies), ("clamps", bodies), ("zones", with_fixtures)):
-        for i, item in enumerate(getattr(scene, key)):
-            if getattr(item, "parts", None) is None:
-                continue  # a clamp that is no tong
-            at = entry(key, i, item, "parts")
-            errors += [line for name in item.parts for line in error_lines(check_known, at, name, allowed, "part")]
-            if item.parts[0] == item.parts[1]:
-                errors.append(f"{at}: a part cannot be joined to itself, name two different parts")
-            elif set(item.parts) <= with_fixtures - bodies:
-                errors.append(f"{at}: at least one of the two must be a part, not a fixture")
-    if scene.monte_carlo.accuracy is not None and not (scene.measurements and scene.deviations):
-        errors.append("monte_carlo.accuracy: it needs measurements and deviations; add them, or remove it")
-    measured = {item.name for item in scene.measurements}
-    for i, item in enumerate(scene.measurements):
+    fixtures = {fixture.name for fixture in scene.fixtures}
+    for key, i, item in _items(scene, "fixtures", "locators", "clamps", "measurements", "deviations"):
+        if getattr(item, "part", None) is not None:
+            yield from unknown(entry(key, i, item, "part"), item.part, bodies, "part")
+    for key, i, item in _items(scene, "welds", "clamps", "zones"):
+        if getattr(item, "parts", None) is None:
+            continue  # a clamp that is no tong
+        at = entry(key, i, item, "parts")
+        for name in item.parts:
+            yield from unknown(at, name, bodies | (fixtures if key == "zones" else set()), "part")
+        if item.parts[0] == item.parts[1]:
+            yield f"{at}: a part cannot be joined to itself, name two different parts"
+        elif set(item.parts) <= fixtures:
+            yield f"{at}: at least one of the two must be a part, not a fixture"
+    for key, i, item in _items(scene, "measurements"):
         if getattr(item, "to", None) is not None:
-            errors += error_lines(check_known, entry("measurements", i, item, "to.part"), item.to.part, bodies, "part")
+            yield from unknown(entry(key, i, item, "to.part"), item.to.part, bodies, "part")
+
+
+def check_characteristics(scene) -> Iterator[str]:
+    """Measurements of a best fit exist; an accuracy of 6σ has something to vary and to measure."""
+    if scene.monte_carlo.accuracy is not None and not (scene.measurements and scene.deviations):
+        yield "monte_carlo.accuracy: it needs measurements and deviations; add them, or remove it"
+    measured = {item.name for item in scene.measurements}
+    for key, i, item in _items(scene, "measurements"):
         for name in getattr(item, "best_fit", None) or ():
-            errors += error_lines(
-                check_known, entry("measurements", i, item, "best_fit"), name, measured, "measurement"
-            )
+            yield from unknown(entry(key, i, item, "best_fit"), name, measured, "measurement")
+
+
+def check_targets(scene) -> Iterator[str]:
+    """Targets of deviations exist, and no thickness is varied twice."""
     thickness_of: dict[str, str] = {}  # deviation by part
-    for i, item in enumerate(scene.deviations):
+    for key, i, item in _items(scene, "deviations"):
         if item.kind == "thickness" and thickness_of.setdefault(item.part, item.name) != item.name:
-            at, other = entry("deviations", i, item, "part"), thickness_of[item.part]
-            errors.append(f"{at}: the thickness of {item.part!r} is varied by {other!r} already; merge the two")
+            at, other = entry(key, i, item, "part"), thickness_of[item.part]
+            yield f"{at}: the thickness of {item.part!r} is varied by {other!r} already; merge the two"
         if getattr(item, "moves", None) is not None:
             targets = {target.name for target in getattr(scene, item.moves)}
-            at = entry("deviations", i, item, "target")
             for name in [item.target] if isinstance(item.target, str) else item.target:
-                errors += error_lines(check_known, at, name, targets, item.moves.removesuffix("s"))
-    raise_errors(errors)
+                yield from unknown(entry(key, i, item, "target"), name, targets, item.moves.removesuffix("s"))
 
 
 #: Keys of a zone that some laws need beyond a coefficient, by `mic.contact.laws.Law.reads`.
 LAW_KEYS = {"pressure": ("friction_table", "friction_power"), "compliance": ("tangential_stiffness",)}
 
 
-def check_friction(scene) -> None:
+def check_friction(scene) -> Iterator[str]:
     """Friction by stage names existing stages, and each law has the keys that it needs in some zone."""
-    stages = {stage.name for stage in scene.stages}
-    errors = []
-    for i, zone in enumerate(scene.zones):
+    stages = {"default", *(stage.name for stage in scene.stages)}
+    for key, i, zone in _items(scene, "zones"):
         for name in zone.friction if isinstance(zone.friction, dict) else ():
-            if name != "default":
-                errors += error_lines(check_known, entry("zones", i, zone, "friction"), name, stages, "stage")
+            yield from unknown(entry(key, i, zone, "friction"), name, stages, "stage")
     for law in scene.report.laws:
         keys = LAW_KEYS.get(LAWS[law].reads, ())
         if keys and all(getattr(zone, key) is None for zone in scene.zones for key in keys):
-            errors.append(
+            yield (
                 f"report.laws: no zone has {' or '.join(keys)}, without which {law} is Coulomb's law; add it to a "
                 'zone, or use "coulomb"'
             )
-    raise_errors(errors)
 
 
-def check_stations(scene) -> None:
+def check_stations(scene) -> Iterator[str]:
     """Gravity acts in stages that place parts or the assembly."""
     stations = [str(stage.name) for stage in scene.stages if stage is scene.stages[0] or moves_assembly(scene, stage)]
-    errors = []
-    for i, item in enumerate(scene.deviations):
+    for key, i, item in _items(scene, "deviations"):
         if item.kind == "gravity" and item.stage is not None and item.stage not in stations:
-            errors.append(
-                f"{entry('deviations', i, item, 'stage')}: no part is placed in {item.stage!r}; name one of "
-                f"{', '.join(stations)}"
-            )
-    raise_errors(errors)
+            at = entry(key, i, item, "stage")
+            yield f"{at}: no part is placed in {item.stage!r}; name one of {', '.join(stations)}"
 
 
-def check_correlations(scene) -> None:
+def check_correlations(scene) -> Iterator[str]:
     """Correlated deviations exist, are single variables, and are in one table of correlations."""
-    kinds = {item.name: item for item in scene.deviations}
-    errors, seen = [], set()
+    deviations = {item.name: item for item in scene.deviations}
+    seen = set()
     for i, table in enumerate(scene.correlations):
+        at = f"correlations[{i}].deviations"
         for name in table.deviations:
-            at = f"correlations[{i}].deviations"
-            errors += error_lines(check_known, at, name, kinds, "deviation")
-            item = kinds.get(name)
+            yield from unknown(at, name, deviations, "deviation")
+            item = deviations.get(name)
             if item is not None and (item.several or getattr(item, "scores", None) is not None):
-                errors.append(f"{at}: {name!r} stands for several modes, which are uncorrelated; remove it")
+                yield f"{at}: {name!r} stands for several modes, which are uncorrelated; remove it"
             if name in seen:
-                errors.append(
-                    f"{at}: {name!r} is given twice; put all deviations that correlate with it into one matrix"
-                )
+                yield f"{at}: {name!r} is given twice; put all deviations that correlate with it into one matrix"
             seen.add(name)
-    raise_errors(errors)
 
 
-def check_stiffness(scene) -> None:
+def check_stiffness(scene) -> Iterator[str]:
     """The stiffness of other shapes needs parts of finite elements with constant thickness."""
     if scene.stiffness == "nominal":
         return
-    errors = []
-    for i, part in enumerate(scene.parts):
+    for table, i, part in _items(scene, "parts"):
         for key in ("stiffness", "compliance"):
             if getattr(part, key) is not None:
-                at = entry("parts", i, part, key)
-                errors.append(
-                    f'{at}: a given matrix does not depend on the shape; set stiffness = "nominal" for the scene'
-                )
-    for i, item in enumerate(scene.deviations):
+                at = entry(table, i, part, key)
+                yield f'{at}: a given matrix does not depend on the shape; set stiffness = "nominal" for the scene'
+    needs = 'stiffness = "nominal"'
+    for key, i, item in _items(scene, "deviations"):
         if item.kind == "thickness":
-            at = entry("deviations", i, item)
-            errors.append(f'{at}: it needs stiffness = "nominal" for the scene; remove one of them')
+            yield f"{entry(key, i, item)}: it needs {needs} for the scene; remove one of them"
     if scene.report.fields:
-        errors.append('report.fields: fields need stiffness = "nominal"; remove one of them')
+        yield f"report.fields: fields need {needs}; remove one of them"
     if scene.optimise is not None:
-        errors.append('optimise: it needs stiffness = "nominal"; remove one of them')
-    raise_errors(errors)
+        yield f"optimise: it needs {needs}; remove one of them"
 
 
-def check_positions(scene) -> None:
+def check_positions(scene) -> Iterator[str]:
     """Items of `report.positions` exist, and are not in holes."""
-    errors = []
     for i, position in enumerate(scene.report.positions):
         kind, dot, name = position.partition(".")
-        items = {item.name: item for item in getattr(scene, kind)} if kind in MOVING else {}
+        items = {item.name: item for item in getattr(scene, kind)} if kind in CLOSING else {}
         # Jaws of a tong: NAME-PART.
         jaws = {f"{item.name}-{part}" for item in items.values() for part in getattr(item, "parts", None) or ()}
-        if kind not in MOVING or (dot and name not in items and name not in jaws):
-            known = [f"{table}.{item.name}" for table in MOVING for item in getattr(scene, table)]
-            errors.append(f"report.positions[{i}]: there is no {position!r}; known: {', '.join([*MOVING, *known])}")
+        if kind not in CLOSING or (dot and name not in items and name not in jaws):
+            known = [*CLOSING, *(f"{table}.{item.name}" for table, _, item in _items(scene, *CLOSING))]
+            yield f"report.positions[{i}]: there is no {position!r}; known: {', '.join(known)}"
         elif dot and getattr(items.get(name), "hole", None) is not None:
-            errors.append(f"report.positions[{i}]: {position!r} is in a hole and cannot move by itself; remove it")
-    raise_errors(errors)
+            yield f"report.positions[{i}]: {position!r} is in a hole and cannot move by itself; remove it"
 
 
-def check_held(scene) -> None:
+def check_held(scene) -> Iterator[str]:
     """Every part has six independent locators when it is placed, or rests in a zone.
 
     Parts whose locators have no coordinates yet are checked after placement; :mod:`mic.process.free_motions` checks
     whether contact can hold a part that rests.
     """
-    errors, stations = [], placing_stages(scene)
+    stations = placing_stages(scene)
     touching = {name for zone in scene.zones for name in zone.parts}
     for i, part in enumerate(scene.parts):
         if part.rests:
             if part.name not in touching:
-                errors.append(f"parts[{i}].rests ({part.name}): it is in no zone, so nothing supports it; add a zone")
+                yield f"parts[{i}].rests ({part.name}): it is in no zone, so nothing supports it; add a zone"
             continue
         stage = stations[part.name]
         locators = [locator for locator in scene.locators if locator.part == part.name and locator.stage == stage]
@@ -227,18 +215,15 @@ def check_held(scene) -> None:
         if locators:
             points = np.array([locator.point for locator in locators])
             arms = (points - points.mean(0)) / max(1.0, float(np.ptp(points, axis=0).max()))
-            rows = np.array(
-                [[*locator.direction, *np.cross(arm, locator.direction)] for locator, arm in zip(locators, arms)]
-            )
-            free = null_space(rows, rcond=1e-6)
+            directions = np.array([locator.direction for locator in locators])
+            free = null_space(np.hstack([directions, np.cross(arms, directions)]), rcond=1e-6)
         held = 6 - free.shape[1]
         if held < 6:
-            errors.append(
+            yield (
                 f"parts[{i}] ({part.name}): its {len(locators)} locators of the locate stage hold {held} of its 6 "
                 f"rigid-body motions{_named(free)}; add locators (at least a 3-2-1 scheme) until all six are held; "
                 "if it rests on another part, set rests = true and add a zone between the two"
             )
-    raise_errors(errors)
 
 
 def entry(key: str, i: int, item, field: str = "") -> str:

@@ -42,20 +42,24 @@ __all__ = [
 class DeviationKeys(Table):
     """Keys of every kind of deviation."""
 
-    name: Name = Field(description="name of the deviation in results and in `model.evaluate`")
-    mean: FiniteFloat = Field(0.0, description="N or mm")
-    sigma: NonNegative = Field(description="standard deviation, N or mm")
-    distribution: Annotated[str, Field(min_length=1)] = Field(
-        "normal",
-        description="`normal`, `uniform`, or a continuous distribution of `scipy.stats` with mean and standard "
-        "deviation, scaled to `mean` and `sigma`",
-    )
-    parameters: dict[str, FiniteFloat] = Field(
-        {}, description="shape parameters by SciPy's names, such as `{ a = 4 }` with `skewnorm`"
-    )
-    truncated: tuple[FiniteFloat, FiniteFloat] | None = Field(
-        None, description="smallest and largest value, N or mm; `mean` and `sigma` are those before truncation"
-    )
+    name: Name
+    """name of the deviation in results and in `model.evaluate`"""
+
+    mean: FiniteFloat = 0.0
+    """N or mm"""
+
+    sigma: NonNegative
+    """standard deviation, N or mm"""
+
+    distribution: Annotated[str, Field(min_length=1)] = "normal"
+    """`normal`, `uniform`, or a continuous distribution of `scipy.stats` with mean and standard deviation, scaled
+    to `mean` and `sigma`"""
+
+    parameters: dict[str, FiniteFloat] = {}
+    """shape parameters by SciPy's names, such as `{ a = 4 }` with `skewnorm`"""
+
+    truncated: tuple[FiniteFloat, FiniteFloat] | None = None
+    """smallest and largest value, N or mm; `mean` and `sigma` are those before truncation"""
 
     #: The scene's table of `target`, for deviations that move an item.
     moves: ClassVar[str | None] = None
@@ -77,28 +81,35 @@ class ForceDeviation(OnPart, DeviationKeys):
     The part is held by a statically determinate choice of its first locators.
     """
 
-    kind: Literal["force"] = Field(description='`"force"`')
-    name: Name = Field(description="name of the deviation in results and in `model.evaluate`")
-    part: Name = Field(description="the part that it shapes")
-    direction: Direction = Field(NORMAL, description="of the force")
-    radius: NonNegative = Field(8.0, description="of the disc that it is spread over, mm")
+    kind: Literal["force"]
+
+    name: Name
+    """name of the deviation in results and in `model.evaluate`"""
+
+    part: Name
+    """the part that it shapes"""
+
+    direction: Direction = NORMAL
+    """of the force"""
+
+    radius: NonNegative = 8.0
+    """of the disc that it is spread over, mm"""
 
 
 class LocatorDeviation(DeviationKeys):
     """``kind = "locator"``: moves a locator along its direction, mm; or a pin or hole that several locators read."""
 
-    kind: Literal["locator"] = Field(description='`"locator"`')
-    target: Name | Annotated[list[Name], Field(min_length=1)] = Field(
-        description="the locator; or those of one pin, with its `direction`"
-    )
-    direction: Annotated[Vector | None, AfterValidator(unit_vector)] = Field(
-        None,
-        description="motion of the pin: each locator moves by the component along its own direction; default: "
-        "that of the locator",
-    )
-    where: Literal["fixture", "part"] = Field(
-        "fixture", description="whether the pin is displaced in its fixture, or the hole in its part"
-    )
+    kind: Literal["locator"]
+
+    target: Name | Annotated[list[Name], Field(min_length=1)]
+    """the locator; or those of one pin, with its `direction`"""
+
+    direction: Annotated[Vector | None, AfterValidator(unit_vector)] = None
+    """motion of the pin: each locator moves by the component along its own direction; default: that of the locator"""
+
+    where: Literal["fixture", "part"] = "fixture"
+    """whether the pin is displaced in its fixture, or the hole in its part"""
+
     moves: ClassVar[str | None] = "locators"
 
     @model_validator(mode="after")
@@ -111,10 +122,11 @@ class LocatorDeviation(DeviationKeys):
 class ClampDeviation(DeviationKeys):
     """``kind = "clamp"``: moves a clamp along its direction, mm; for a clamp with a force, adds to it, N."""
 
-    kind: Literal["clamp"] = Field(description='`"clamp"`')
-    target: Name | Annotated[list[Name], Field(min_length=1)] = Field(
-        description="the clamp (both jaws of a tong), or several that move alike"
-    )
+    kind: Literal["clamp"]
+
+    target: Name | Annotated[list[Name], Field(min_length=1)]
+    """the clamp (both jaws of a tong), or several that move alike"""
+
     moves: ClassVar[str | None] = "clamps"
 
 
@@ -124,15 +136,19 @@ class GravityDeviation(DeviationKeys):
     Each later station needs a deviation of its own.
     """
 
-    kind: Literal["gravity"] = Field(description='`"gravity"`')
-    direction: Annotated[Vector, AfterValidator(unit_vector)] = Field(
-        (0.0, 0.0, -1.0), description="of gravity, in the coordinates of the drawing"
-    )
-    mean: FiniteFloat = Field(1.0, description="multiples of the earth's gravity, 9.80665 m/s²")
-    sigma: NonNegative = Field(0.0, description="standard deviation, in the same multiples")
-    stage: Name | None = Field(
-        None, description="the locate or measure stage in whose station it acts; default: the first"
-    )
+    kind: Literal["gravity"]
+
+    direction: Annotated[Vector, AfterValidator(unit_vector)] = (0.0, 0.0, -1.0)
+    """of gravity, in the coordinates of the drawing"""
+
+    mean: FiniteFloat = 1.0
+    """multiples of the earth's gravity, 9.80665 m/s²"""
+
+    sigma: NonNegative = 0.0
+    """standard deviation, in the same multiples"""
+
+    stage: Name | None = None
+    """the locate or measure stage in whose station it acts; default: the first"""
 
 
 class TemperatureDeviation(DeviationKeys):
@@ -141,10 +157,16 @@ class TemperatureDeviation(DeviationKeys):
     It is measured warm. Fixtures and thicknesses do not expand.
     """
 
-    kind: Literal["temperature"] = Field(description='`"temperature"`')
-    part: Name | None = Field(None, description="the part; default: all")
-    mean: FiniteFloat = Field(0.0, description="K")
-    sigma: NonNegative = Field(description="standard deviation, K")
+    kind: Literal["temperature"]
+
+    part: Name | None = None
+    """the part; default: all"""
+
+    mean: FiniteFloat = 0.0
+    """K"""
+
+    sigma: NonNegative
+    """standard deviation, K"""
 
 
 class FrictionDeviation(DeviationKeys):
@@ -153,12 +175,17 @@ class FrictionDeviation(DeviationKeys):
     Samples are solved one by one. A negative coefficient counts as a failed sample: give `truncated`.
     """
 
-    kind: Literal["friction"] = Field(description='`"friction"`')
-    target: Name | Annotated[list[Name], Field(min_length=1)] = Field(
-        description="the zone, or several that vary alike; each with a constant `friction`"
-    )
-    mean: FiniteFloat = Field(0.0, description="added to the coefficient")
-    sigma: NonNegative = Field(description="standard deviation of the coefficient")
+    kind: Literal["friction"]
+
+    target: Name | Annotated[list[Name], Field(min_length=1)]
+    """the zone, or several that vary alike; each with a constant `friction`"""
+
+    mean: FiniteFloat = 0.0
+    """added to the coefficient"""
+
+    sigma: NonNegative
+    """standard deviation of the coefficient"""
+
     moves: ClassVar[str | None] = "zones"
 
 
@@ -169,15 +196,20 @@ class ThicknessDeviation(DeviationKeys):
     are solved one by one. One beyond six σ counts as failed.
     """
 
-    kind: Literal["thickness"] = Field(description='`"thickness"`')
-    part: Name = Field(description="the part whose thickness varies")
-    mean: FiniteFloat = Field(0.0, description="mm, added to the part's `thickness`")
-    sigma: NonNegative = Field(description="standard deviation, mm")
-    skin: Literal[-1, 0, 1] = Field(
-        0,
-        description="surface that stays in place and is located, clamped and measured: 0 mid-surface, 1 skin on "
-        "the side of the mesh's normals, -1 the other; gaps change accordingly",
-    )
+    kind: Literal["thickness"]
+
+    part: Name
+    """the part whose thickness varies"""
+
+    mean: FiniteFloat = 0.0
+    """mm, added to the part's `thickness`"""
+
+    sigma: NonNegative
+    """standard deviation, mm"""
+
+    skin: Literal[-1, 0, 1] = 0
+    """surface that stays in place and is located, clamped and measured: 0 mid-surface, 1 skin on the side of the
+    mesh's normals, -1 the other; gaps change accordingly"""
 
 
 class ShapeDeviation(DeviationKeys):
@@ -186,33 +218,35 @@ class ShapeDeviation(DeviationKeys):
     The deviation's value multiplies `values`. Between the points the sheet takes the shape of least bending energy.
     """
 
-    kind: Literal["shape"] = Field(description='`"shape"`')
-    part: Name = Field(description="the part whose shape varies")
-    points: Annotated[list[Vector], Field(min_length=1)] = Field(description="mm, at most 5 mm from the part")
-    values: Annotated[list[FiniteFloat], Field(min_length=1)] | None = Field(
-        None, description="deviation at each point, mm; default: 1 everywhere"
-    )
-    radius: NonNegative = Field(0.0, description="of the discs over which the values are means, mm; 0: single nodes")
-    loose: Flag = Field(
-        False,
-        description="whether the values hold for the part in any position (measured shapes), not on its "
-        "locators; needs more than six points",
-    )
-    noise: NonNegative | Annotated[list[Positive], Field(min_length=1)] = Field(
-        0.0,
-        description="standard uncertainty of all values, or of each, mm: the shape is a smoothed fit",
-    )
-    batch: Name | None = Field(
-        None, description="deviations of one batch have the same part and points, and `scores` of the same pieces"
-    )
-    scores: Annotated[list[FiniteFloat], Field(min_length=2)] | None = Field(
-        None,
-        description="of the measured pieces, in standard deviations: each sample is a random piece, in place of "
-        "the distribution",
-    )
-    pieces: Annotated[list[Name], Field(min_length=2)] | None = Field(
-        None, description="with `scores`: names of the pieces, for use in a table of samples"
-    )
+    kind: Literal["shape"]
+
+    part: Name
+    """the part whose shape varies"""
+
+    points: Annotated[list[Vector], Field(min_length=1)]
+    """mm, at most 5 mm from the part"""
+
+    values: Annotated[list[FiniteFloat], Field(min_length=1)] | None = None
+    """deviation at each point, mm; default: 1 everywhere"""
+
+    radius: NonNegative = 0.0
+    """of the discs over which the values are means, mm; 0: single nodes"""
+
+    loose: Flag = False
+    """whether the values hold for the part in any position (measured shapes), not on its locators; needs more than
+    six points"""
+
+    noise: NonNegative | Annotated[list[Positive], Field(min_length=1)] = 0.0
+    """standard uncertainty of all values, or of each, mm: the shape is a smoothed fit"""
+
+    batch: Name | None = None
+    """deviations of one batch have the same part and points, and `scores` of the same pieces"""
+
+    scores: Annotated[list[FiniteFloat], Field(min_length=2)] | None = None
+    """of the measured pieces, in standard deviations: each sample is a random piece, in place of the distribution"""
+
+    pieces: Annotated[list[Name], Field(min_length=2)] | None = None
+    """with `scores`: names of the pieces, for use in a table of samples"""
 
     @model_validator(mode="after")
     def _one_value_each(self):
@@ -241,37 +275,48 @@ class MeasuredDeviation(DeviationKeys):
     ``NAME.mean``, ``NAME.1``, ``NAME.2`` …, each of standard deviation 1.
     """
 
-    kind: Literal["measured"] = Field(description='`"measured"`')
+    kind: Literal["measured"]
+
     several: ClassVar[bool] = True
-    part: Name = Field(description="the part that was measured")
-    files: str = Field(
-        description="a file per piece, as a name or a pattern such as `measured/outer-*.csv`: CSV with columns "
-        "x, y, z (points, mm), or x, y, z, deviation (nominal points, mm along the normals), or "
-        "node, deviation; or a point cloud (PLY, STL, VTK, …)"
-    )
-    unit: Literal["mm", "cm", "m", "um", "in", "ft"] = Field("mm", description="unit of length of the files")
-    mean: FiniteFloat = Field(1.0, description="factor of the mean shape")
-    sigma: NonNegative = Field(1.0, description="factor of the modes: 1 is the measured spread")
-    pieces: Flag = Field(
-        False, description="whether each sample is a random measured piece, not a combination of modes"
-    )
-    skin: Literal[-1, 0, 1] = Field(
-        0,
-        description="surface of the points: 1 skin on the side of the mesh's normals, -1 the other, 0 "
-        "mid-surface; ignored with a deviation",
-    )
-    align: Flag = Field(True, description="whether points are first aligned to the nominal part by a rigid best fit")
-    within: Positive = Field(5.0, description="points farther from the part, mm, are omitted and counted")
-    spacing: Positive | None = Field(
-        None,
-        description="distance of the points of the shape, each fitted to the measured points around it, mm; "
-        "default: the measured points if all pieces have the same few, else about 200 points, or as "
-        "many as the data allow",
-    )
-    noise: NonNegative = Field(0.0, description="standard uncertainty of a measured point, mm")
-    share: Annotated[FiniteFloat, Field(gt=0, le=1)] = Field(
-        0.99, description="of the variance that the modes represent; all of it with `pieces`"
-    )
+    part: Name
+    """the part that was measured"""
+
+    files: str
+    """a file per piece, as a name or a pattern such as `measured/outer-*.csv`: CSV with columns x, y, z (points,
+    mm), or x, y, z, deviation (nominal points, mm along the normals), or node, deviation; or a point cloud (PLY,
+    STL, VTK, …)"""
+
+    unit: Literal["mm", "cm", "m", "um", "in", "ft"] = "mm"
+    """unit of length of the files"""
+
+    mean: FiniteFloat = 1.0
+    """factor of the mean shape"""
+
+    sigma: NonNegative = 1.0
+    """factor of the modes: 1 is the measured spread"""
+
+    pieces: Flag = False
+    """whether each sample is a random measured piece, not a combination of modes"""
+
+    skin: Literal[-1, 0, 1] = 0
+    """surface of the points: 1 skin on the side of the mesh's normals, -1 the other, 0 mid-surface; ignored with a
+    deviation"""
+
+    align: Flag = True
+    """whether points are first aligned to the nominal part by a rigid best fit"""
+
+    within: Positive = 5.0
+    """points farther from the part, mm, are omitted and counted"""
+
+    spacing: Positive | None = None
+    """distance of the points of the shape, each fitted to the measured points around it, mm; default: the measured
+    points if all pieces have the same few, else about 200 points, or as many as the data allow"""
+
+    noise: NonNegative = 0.0
+    """standard uncertainty of a measured point, mm"""
+
+    share: Annotated[FiniteFloat, Field(gt=0, le=1)] = 0.99
+    """of the variance that the modes represent; all of it with `pieces`"""
 
 
 class FieldDeviation(DeviationKeys):
@@ -282,30 +327,35 @@ class FieldDeviation(DeviationKeys):
     on its locators; between them the sheet takes the shape of least bending energy.
     """
 
-    kind: Literal["field"] = Field(description='`"field"`')
+    kind: Literal["field"]
+
     several: ClassVar[bool] = True
-    part: Name = Field(description="the part whose shape varies")
-    mean: Annotated[FiniteFloat, Field(ge=0, le=0)] = Field(0.0, description="0: give a mean shape as `shape`")
-    sigma: Positive = Field(
-        description="standard deviation at every point, mm, before the part is placed on its locators"
-    )
-    length: Positive = Field(description="correlation length, mm, at which the correlation is 0.14")
-    direction: Annotated[Vector | None, AfterValidator(unit_vector)] = Field(
-        None, description="along which the correlation length differs, such as a bend; projected into the sheet"
-    )
-    stretch: Annotated[FiniteFloat, Field(ge=0.1, le=10)] = Field(
-        1.0, description="with `direction`: correlation length along it, as a multiple of `length`"
-    )
-    points: Annotated[list[Vector], Field(min_length=1)] | None = Field(
-        None,
-        description="control points, mm, at most 5 mm from the part, where `sigma` is that of the part on its locators",
-    )
-    values: Annotated[list[Positive], Field(min_length=1)] | None = Field(
-        None, description="with `points`: factor of `sigma` at each point; default: 1"
-    )
-    share: Annotated[FiniteFloat, Field(gt=0, lt=1)] = Field(
-        0.95, description="of the variance that the modes represent at every point; the rest is distributed over them"
-    )
+    part: Name
+    """the part whose shape varies"""
+
+    mean: Annotated[FiniteFloat, Field(ge=0, le=0)] = 0.0
+    """0: give a mean shape as `shape`"""
+
+    sigma: Positive
+    """standard deviation at every point, mm, before the part is placed on its locators"""
+
+    length: Positive
+    """correlation length, mm, at which the correlation is 0.14"""
+
+    direction: Annotated[Vector | None, AfterValidator(unit_vector)] = None
+    """along which the correlation length differs, such as a bend; projected into the sheet"""
+
+    stretch: Annotated[FiniteFloat, Field(ge=0.1, le=10)] = 1.0
+    """with `direction`: correlation length along it, as a multiple of `length`"""
+
+    points: Annotated[list[Vector], Field(min_length=1)] | None = None
+    """control points, mm, at most 5 mm from the part, where `sigma` is that of the part on its locators"""
+
+    values: Annotated[list[Positive], Field(min_length=1)] | None = None
+    """with `points`: factor of `sigma` at each point; default: 1"""
+
+    share: Annotated[FiniteFloat, Field(gt=0, lt=1)] = 0.95
+    """of the variance that the modes represent at every point; the rest is distributed over them"""
 
     @model_validator(mode="after")
     def _one_value_each(self):
@@ -340,13 +390,12 @@ class Correlation(Table):
     distribution at ``Φ(z)``. For normal deviations the matrix is their correlation.
     """
 
-    deviations: Annotated[list[Name], Field(min_length=2)] = Field(
-        description="names; a deviation may be in one such table only, and not of kind `measured` or `field`, "
-        "whose modes are uncorrelated"
-    )
-    matrix: list[list[FiniteFloat]] = Field(
-        description="correlation matrix: symmetric, 1 on the diagonal, positive semidefinite"
-    )
+    deviations: Annotated[list[Name], Field(min_length=2)]
+    """names; a deviation may be in one such table only, and not of kind `measured` or `field`, whose modes are
+    uncorrelated"""
+
+    matrix: list[list[FiniteFloat]]
+    """correlation matrix: symmetric, 1 on the diagonal, positive semidefinite"""
 
     @model_validator(mode="after")
     def _is_a_correlation(self):

@@ -21,11 +21,7 @@ from mic.scene.keys import (
     Vector,
 )
 
-__all__ = [
-    "Clamp",
-    "Fixture",
-    "Locator",
-]
+__all__ = ["Clamp", "Fixture", "Locator"]
 
 
 class Fixture(Table):
@@ -34,21 +30,35 @@ class Fixture(Table):
     A pad with `part` is placed on the skin of that part as drawn.
     """
 
-    name: Name = Field(description="name of the fixture in `[[zones]]`")
-    mesh: str | None = Field(None, description="mesh file, relative to the scene file")
-    point: Vector | None = Field(
-        None, description="or the centre of a flat round pad, mm; with `part` at most 5 mm from the part"
-    )
-    part: Name | None = Field(None, description="the part that the pad touches")
-    node: Count | None = Field(None, description="with `part`: or the number of a node")
-    set: Annotated[str, Field(min_length=1)] | None = Field(None, description="or the name of a node set: its centre")
-    hole: Vector | None = Field(None, description="or a point near the centre of a hole that the pad covers")
-    normal: Direction | None = Field(
-        None,
-        description="the pad's outward normal; with `part` also `normal` (default) or `-normal`, the side of the sheet",
-    )
-    radius: Positive | None = Field(None, description="radius of the pad, mm")
-    stage: Name | None = Field(None, description="the locate stage whose station has the fixture; default: the first")
+    name: Name
+    """name of the fixture in `[[zones]]`"""
+
+    mesh: str | None = None
+    """mesh file, relative to the scene file"""
+
+    point: Vector | None = None
+    """or the centre of a flat round pad, mm; with `part` at most 5 mm from the part"""
+
+    part: Name | None = None
+    """the part that the pad touches"""
+
+    node: Count | None = None
+    """with `part`: or the number of a node"""
+
+    set: Annotated[str, Field(min_length=1)] | None = None
+    """or the name of a node set: its centre"""
+
+    hole: Vector | None = None
+    """or a point near the centre of a hole that the pad covers"""
+
+    normal: Direction | None = None
+    """the pad's outward normal; with `part` also `normal` (default) or `-normal`, the side of the sheet"""
+
+    radius: Positive | None = None
+    """radius of the pad, mm"""
+
+    stage: Name | None = None
+    """the locate stage whose station has the fixture; default: the first"""
 
     @model_validator(mode="after")
     def _one_shape(self):
@@ -90,18 +100,23 @@ class Locator(OnPart):
     where all earlier locators and clamps are open.
     """
 
-    name: Name = Field(description="name of the locator in `keep` and in deviations")
-    part: Name = Field(description="the part that it supports")
-    direction: Direction = Field(NORMAL, description="of the support")
-    radius: NonNegative = Field(4.0, description="of the pad, mm; 0: a single node")
-    stage: Name = Field(
-        "locate",
-        description="the stage in which it closes; those of the locate stage must hold all six rigid-body motions",
-    )
-    stiffness: Positive | None = Field(
-        None,
-        description="N/mm; default: rigid. A soft locator carries a part until clamps press it onto another",
-    )
+    name: Name
+    """name of the locator in `keep` and in deviations"""
+
+    part: Name
+    """the part that it supports"""
+
+    direction: Direction = NORMAL
+    """of the support"""
+
+    radius: NonNegative = 4.0
+    """of the pad, mm; 0: a single node"""
+
+    stage: Name = "locate"
+    """the stage in which it closes; those of the locate stage must hold all six rigid-body motions"""
+
+    stiffness: Positive | None = None
+    """N/mm; default: rigid. A soft locator carries a part until clamps press it onto another"""
 
 
 class Clamp(OnPart):
@@ -111,23 +126,33 @@ class Clamp(OnPart):
     deviations may name the tong or a jaw.
     """
 
-    name: Name = Field(description="name of the clamp in deviations")
-    part: Owner = Field(UNPLACED, description="the part that it pushes")
-    parts: tuple[Name, Name] | None = Field(None, description="or the two parts that it presses together as a tong")
-    direction: Direction = Field(
-        NORMAL, description="of the push, for a tong on its first part; default for a tong: together"
-    )
-    force: FiniteFloat | None = Field(None, description="N along `direction`")
-    stroke: FiniteFloat | None = Field(
-        None, description="or the prescribed position along `direction`, mm from nominal"
-    )
-    limit: Positive | None = Field(
-        None,
-        description="with `stroke`: the largest force, N. If more is needed, the clamp stops short, the assembly "
-        "counts as not built, and the required force is reported",
-    )
-    radius: NonNegative = Field(5.0, description="of the pad, mm; 0: a single node")
-    stage: Name = Field("clamp", description="the clamp stage that closes it; a release opens it")
+    name: Name
+    """name of the clamp in deviations"""
+
+    part: Owner = UNPLACED
+    """the part that it pushes"""
+
+    parts: tuple[Name, Name] | None = None
+    """or the two parts that it presses together as a tong"""
+
+    direction: Direction = NORMAL
+    """of the push, for a tong on its first part; default for a tong: together"""
+
+    force: FiniteFloat | None = None
+    """N along `direction`"""
+
+    stroke: FiniteFloat | None = None
+    """or the prescribed position along `direction`, mm from nominal"""
+
+    limit: Positive | None = None
+    """with `stroke`: the largest force, N. If more is needed, the clamp stops short, the assembly counts as not
+    built, and the required force is reported"""
+
+    radius: NonNegative = 5.0
+    """of the pad, mm; 0: a single node"""
+
+    stage: Name = "clamp"
+    """the clamp stage that closes it; a release opens it"""
 
     @model_validator(mode="after")
     def _force_or_stroke(self):

@@ -103,12 +103,17 @@ def check_single_place(item: Any) -> Any:
 class OnSheet(Table):
     """An item on a part, at a point, at a node or at the centre of a node set."""
 
-    name: Name = Field(description="name of the item")
-    point: Place = Field(UNPLACED, description="a point, mm, at most 5 mm from the part")
-    node: Count | None = Field(None, description="or the number of a node in the part's mesh file")
-    set: Annotated[str, Field(min_length=1)] | None = Field(
-        None, description="or the name of a node set in the part's mesh file: its centre"
-    )
+    name: Name
+    """name of the item"""
+
+    point: Place = UNPLACED
+    """a point, mm, at most 5 mm from the part"""
+
+    node: Count | None = None
+    """or the number of a node in the part's mesh file"""
+
+    set: Annotated[str, Field(min_length=1)] | None = None
+    """or the name of a node set in the part's mesh file: its centre"""
 
     @model_validator(mode="after")
     def _one_place(self):
@@ -118,7 +123,5 @@ class OnSheet(Table):
 class OnPart(OnSheet):
     """An item on a part, or in a hole of it."""
 
-    hole: Vector | None = Field(
-        None,
-        description="or a point near the centre of a hole: the item is at its centre and reads its rim, as a pin",
-    )
+    hole: Vector | None = None
+    """or a point near the centre of a hole: the item is at its centre and reads its rim, as a pin"""

@@ -64,13 +64,14 @@ def read_table(table: dict[str, Any], path: Path) -> Scene:
     try:
         return Scene(**table, folder=path.parent.resolve())
     except ValidationError as error:
-        try:
-            table = expand_tables(table | {"folder": path.parent.resolve()}, TABLES)
-        except SceneError:  # it is among the errors already
-            lines = [line for item in _merge_alternatives(error.errors()) for line in _explain({}, item)]
-        else:
-            lines = [line for item in _merge_alternatives(error.errors()) for line in _explain(table, item)]
-            lines += [line for line in _between_tables(table) if line not in lines]
+        found = _merge_alternatives(error.errors())
+    try:
+        table = expand_tables(table | {"folder": path.parent.resolve()}, TABLES)
+        between = _between_tables(table)
+    except SceneError:  # it is among the errors already
+        table, between = {}, []
+    lines = [line for item in found for line in _explain(table, item)]
+    lines += [line for line in between if line not in lines]
     raise SceneError("\n".join(f"{path}: {line}" for line in lines))
 
 
@@ -78,13 +79,12 @@ def _between_tables(table: dict[str, Any]) -> list[str]:
     """Errors between the tables of a scene that has errors within tables, too, as far as they can be checked."""
     items: dict[str, Any] = {}
     for key, field in Scene.model_fields.items():
-        kinds = [kind for kind in get_args(field.annotation) if "mic.scene." in str(kind)]
-        given = table.get(key)
-        if not kinds or not isinstance(given, list):
-            continue
-        items[key] = [_unchecked_item(kinds[0], item) for item in given if isinstance(item, dict)]
-    scene = Scene.model_construct(**items)
-    return find_errors(scene, complete=False) if "parts" in items and "stages" in items else []
+        kinds, given = get_args(field.annotation), table.get(key)
+        if isinstance(given, list) and kinds and "mic.scene." in str(kinds[0]):
+            items[key] = [_unchecked_item(kinds[0], item) for item in given if isinstance(item, dict)]
+    if not items.keys() >= {"parts", "stages"}:
+        return []
+    return find_errors(Scene.model_construct(**items), complete=False)
 
 
 def _unchecked_item(kind: Any, item: dict[str, Any]) -> Any:

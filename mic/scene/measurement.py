@@ -23,23 +23,29 @@ from mic.scene.keys import (
     check_single_place,
 )
 
-__all__ = [
-    "Measurement",
-    "OtherPoint",
-]
+__all__ = ["Measurement", "OtherPoint"]
 
 
 class OtherPoint(Table):
     """The second point of a characteristic between two points."""
 
-    part: Name = Field(description="the part that it is on")
-    point: Place = Field(UNPLACED, description="a point, mm, at most 5 mm from the part")
-    node: Count | None = Field(None, description="or the number of a node in the part's mesh file")
-    set: Annotated[str, Field(min_length=1)] | None = Field(
-        None, description="or the name of a node set in the part's mesh file: its centre"
-    )
-    hole: Vector | None = Field(None, description="or a point near the centre of a hole: its rim is read")
-    radius: NonNegative = Field(2.5, description="of the probe, mm; 0: a single node")
+    part: Name
+    """the part that it is on"""
+
+    point: Place = UNPLACED
+    """a point, mm, at most 5 mm from the part"""
+
+    node: Count | None = None
+    """or the number of a node in the part's mesh file"""
+
+    set: Annotated[str, Field(min_length=1)] | None = None
+    """or the name of a node set in the part's mesh file: its centre"""
+
+    hole: Vector | None = None
+    """or a point near the centre of a hole: its rim is read"""
+
+    radius: NonNegative = 2.5
+    """of the probe, mm; 0: a single node"""
 
     @model_validator(mode="after")
     def _one_place(self):
@@ -55,35 +61,42 @@ class Measurement(OnPart):
     value; `profile` is twice the largest deviation of any point along its normal; both follow ISO 1101.
     """
 
-    name: Name = Field(description="name of the key characteristic in results")
-    kind: Literal["point", "flush", "gap", "distance", "parallelism", "profile"] = Field(
-        "point", description="quantity that is measured"
-    )
-    part: Name = Field(description="the part that is measured")
-    direction: Direction = Field(
-        NORMAL,
-        description="in which a deviation is positive; omitted for `gap`, not allowed for `distance` and `profile`",
-    )
-    radius: NonNegative = Field(2.5, description="of the probe, mm; 0: a single node")
-    to: OtherPoint | None = Field(
-        None, description="`flush`, `gap`, `distance`: the second point, `{ part = NAME, point = [x, y, z] }`"
-    )
-    points: Annotated[list[Vector], Field(min_length=2)] | None = Field(
-        None, description="`parallelism`, `profile`: the points, mm, at most 5 mm from the part"
-    )
-    spacing: Positive | None = Field(None, description="or points all over the part, at most this far apart, mm")
-    box: tuple[Vector, Vector] | None = Field(
-        None, description="with `spacing`: only within `[[xmin, ymin, zmin], [xmax, ymax, zmax]]`, mm"
-    )
-    best_fit: Annotated[list[Name], Field(min_length=1)] | None = Field(
-        None,
-        description="measurements to which the assembly is first aligned as a rigid body by least squares; "
-        "`parallelism` and `profile` may name themselves",
-    )
-    lower: FiniteFloat = Field(
-        description="lower tolerance limit, mm from nominal; omitted for `parallelism` and `profile`: 0"
-    )
-    upper: FiniteFloat = Field(description="upper tolerance limit, mm from nominal")
+    name: Name
+    """name of the key characteristic in results"""
+
+    kind: Literal["point", "flush", "gap", "distance", "parallelism", "profile"] = "point"
+    """quantity that is measured"""
+
+    part: Name
+    """the part that is measured"""
+
+    direction: Direction = NORMAL
+    """in which a deviation is positive; omitted for `gap`, not allowed for `distance` and `profile`"""
+
+    radius: NonNegative = 2.5
+    """of the probe, mm; 0: a single node"""
+
+    to: OtherPoint | None = None
+    """`flush`, `gap`, `distance`: the second point, `{ part = NAME, point = [x, y, z] }`"""
+
+    points: Annotated[list[Vector], Field(min_length=2)] | None = None
+    """`parallelism`, `profile`: the points, mm, at most 5 mm from the part"""
+
+    spacing: Positive | None = None
+    """or points all over the part, at most this far apart, mm"""
+
+    box: tuple[Vector, Vector] | None = None
+    """with `spacing`: only within `[[xmin, ymin, zmin], [xmax, ymax, zmax]]`, mm"""
+
+    best_fit: Annotated[list[Name], Field(min_length=1)] | None = None
+    """measurements to which the assembly is first aligned as a rigid body by least squares; `parallelism` and
+    `profile` may name themselves"""
+
+    lower: FiniteFloat
+    """lower tolerance limit, mm from nominal; omitted for `parallelism` and `profile`: 0"""
+
+    upper: FiniteFloat
+    """upper tolerance limit, mm from nominal"""
 
     #: Kinds with two points, and with any number of points.
     BETWEEN: ClassVar[tuple[str, ...]] = ("flush", "gap", "distance")

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections import Counter
+from collections.abc import Iterator
 from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, Field, model_validator
 
 from mic.scene.keys import FiniteFloat, Name, NonNegative, Positive, Table, Vector
-from mic.scene.stages import CLOSING, check_known, error_lines, raise_errors
+from mic.scene.stages import CLOSING, unknown
 
 __all__ = [
     "Constraint",
@@ -27,7 +28,6 @@ __all__ = [
 ]
 
 ORDERED = ("clamp", "weld", "release")  # kinds of stages with an order
-MOVED = ("locators", "clamps", "welds")  # tables of items with alternative points
 
 
 def _ordered(between: tuple[float, float]) -> tuple[float, float]:
@@ -43,17 +43,27 @@ Between = Annotated[tuple[FiniteFloat, FiniteFloat], AfterValidator(_ordered)]
 class ForceChoice(Table):
     """A force that may change: that of one clamp, or of several with equal forces, such as the jaws of a tong."""
 
-    clamps: Annotated[list[Name], Field(min_length=1)] = Field(description="clamps with a `force`, the same for all")
-    between: Between = Field(description="least and largest force, N, around that of the scene")
-    cost: NonNegative = Field(0.0, description="per N of change, for the objective `cost`")
+    clamps: Annotated[list[Name], Field(min_length=1)]
+    """clamps with a `force`, the same for all"""
+
+    between: Between
+    """least and largest force, N, around that of the scene"""
+
+    cost: NonNegative = 0.0
+    """per N of change, for the objective `cost`"""
 
 
 class ShimChoice(Table):
     """Locators, or clamps with a stroke, that may move along their direction, all by the same distance."""
 
-    of: Annotated[list[Name], Field(min_length=1)] = Field(description="locators, or clamps with a `stroke`")
-    between: Between = Field(description="least and largest change, mm, around 0")
-    cost: NonNegative = Field(0.0, description="per mm of change, for the objective `cost`")
+    of: Annotated[list[Name], Field(min_length=1)]
+    """locators, or clamps with a `stroke`"""
+
+    between: Between
+    """least and largest change, mm, around 0"""
+
+    cost: NonNegative = 0.0
+    """per mm of change, for the objective `cost`"""
 
     @model_validator(mode="after")
     def _around_zero(self):
@@ -65,41 +75,48 @@ class ShimChoice(Table):
 class OrderChoice(Table):
     """A stage whose order may change: of its clamps and further locators, of its welds, or of its release."""
 
-    stage: Name = Field(description="of kind clamp, weld or release")
-    groups: Annotated[list[Annotated[list[Name], Field(min_length=1)]], Field(min_length=2)] | None = Field(
-        None,
-        description="names that close or open together, all of the stage's. Default: the groups of the stage's "
-        "`order`, else each item or tong alone",
-    )
+    stage: Name
+    """of kind clamp, weld or release"""
+
+    groups: Annotated[list[Annotated[list[Name], Field(min_length=1)]], Field(min_length=2)] | None = None
+    """names that close or open together, all of the stage's. Default: the groups of the stage's `order`, else each
+    item or tong alone"""
 
 
 class PlaceChoice(Table):
     """Alternative points of an item, at most 5 mm from its part."""
 
-    item: str = Field(description="`locators.NAME`, `clamps.NAME` or `welds.NAME`")
-    points: Annotated[list[Vector], Field(min_length=1)] = Field(
-        description="candidates besides the point of the scene, mm"
-    )
+    item: str
+    """`locators.NAME`, `clamps.NAME` or `welds.NAME`"""
+
+    points: Annotated[list[Vector], Field(min_length=1)]
+    """candidates besides the point of the scene, mm"""
 
 
 class Matching(Table):
     """Measured parts of one kind, to be matched with those of others (selective assembly)."""
 
-    name: Name = Field(description="of the kind of part")
-    file: Annotated[str, Field(min_length=1)] = Field(
-        description="CSV file: a row per part, a column per measured deviation; others vary as stated"
-    )
+    name: Name
+    """of the kind of part"""
+
+    file: Annotated[str, Field(min_length=1)]
+    """CSV file: a row per part, a column per measured deviation; others vary as stated"""
 
 
 class Constraint(Table):
     """A bound for each of the measurements, or for the sum of some clamps' forces."""
 
-    quantity: Literal["cpk", "six-sigma", "mean", "force"] = Field(
-        description="Cpk; 6σ, mm; mean, mm from nominal; or the sum of forces, N"
-    )
-    of: list[Name] = Field([], description="measurements, or clamps; default: all")
-    at_least: FiniteFloat | None = Field(None, description="lower bound")
-    at_most: FiniteFloat | None = Field(None, description="upper bound")
+    quantity: Literal["cpk", "six-sigma", "mean", "force"]
+    """Cpk; 6σ, mm; mean, mm from nominal; or the sum of forces, N"""
+
+    of: list[Name] = []
+    """measurements, or clamps; default: all"""
+
+    at_least: FiniteFloat | None = None
+    """lower bound"""
+
+    at_most: FiniteFloat | None = None
+    """upper bound"""
 
     @model_validator(mode="after")
     def _bounds(self):
@@ -115,20 +132,36 @@ class Constraint(Table):
 class Optimisation(Table):
     """Objective and variables of `mic optimise`, evaluated over the variation of the inputs."""
 
-    objective: Literal["cpk", "yield", "largest-six-sigma", "six-sigma", "cost"] = Field(
-        "cpk",
-        description="maximise the smallest Cpk (`cpk`) or the share of assemblies within all limits (`yield`); "
-        "minimise the largest weighted 6σ, their sum, or the cost of changes and rejects",
-    )
-    of: list[Name] = Field([], description="measurements of the objective; default: all")
-    weights: dict[Name, Positive] = Field({}, description="of the 6σ of measurements by name; default: 1")
-    reject: NonNegative = Field(0.0, description="cost of an assembly outside its limits")
-    forces: list[ForceChoice] = Field([], description="forces that may change")
-    shims: list[ShimChoice] = Field([], description="positions that may change along their direction")
-    orders: list[OrderChoice] = Field([], description="stages whose order may change")
-    places: list[PlaceChoice] = Field([], description="items whose point may change")
-    matching: list[Matching] = Field([], description="measured parts to be matched, at least two kinds")
-    constraints: list[Constraint] = Field([], description="bounds that must be met")
+    objective: Literal["cpk", "yield", "largest-six-sigma", "six-sigma", "cost"] = "cpk"
+    """maximise the smallest Cpk (`cpk`) or the share of assemblies within all limits (`yield`); minimise the
+    largest weighted 6σ, their sum, or the cost of changes and rejects"""
+
+    of: list[Name] = []
+    """measurements of the objective; default: all"""
+
+    weights: dict[Name, Positive] = {}
+    """of the 6σ of measurements by name; default: 1"""
+
+    reject: NonNegative = 0.0
+    """cost of an assembly outside its limits"""
+
+    forces: list[ForceChoice] = []
+    """forces that may change"""
+
+    shims: list[ShimChoice] = []
+    """positions that may change along their direction"""
+
+    orders: list[OrderChoice] = []
+    """stages whose order may change"""
+
+    places: list[PlaceChoice] = []
+    """items whose point may change"""
+
+    matching: list[Matching] = []
+    """measured parts to be matched, at least two kinds"""
+
+    constraints: list[Constraint] = []
+    """bounds that must be met"""
 
     @model_validator(mode="after")
     def _something(self):
@@ -165,176 +198,150 @@ def named_items(scene, item: str) -> list[Any]:
     table, _, name = item.partition(".")
     if table == "clamps":
         return jaws(scene, name)
-    return [entry for entry in getattr(scene, table) if entry.name == name] if table in MOVED else []
+    return [entry for entry in getattr(scene, table) if entry.name == name] if table in CLOSING else []
 
 
-def check_optimisation(scene) -> None:
+def check_optimisation(scene) -> Iterator[str]:
     """Items of the optimisation exist, and can change as requested.
 
-    Raises
+    Yields
     ------
-    ValueError
+    str
         One line per error, with the key and the remedy.
     """
-    settings = scene.optimise
-    if settings is None:
-        return
-    raise_errors(
-        line
-        for check in (_measured, _forces, _shims, _orders, _places, _constraints)
-        for line in error_lines(check, scene, settings)
-    )
+    if scene.optimise is not None:
+        for check in (_measured, _forces, _shims, _orders, _places, _constraints):
+            yield from check(scene, scene.optimise)
 
 
-def _measured(scene, settings) -> None:
+def _measured(scene, settings) -> Iterator[str]:
     names = [item.name for item in scene.measurements]
     if not names:
-        raise ValueError(
+        yield (
             f"optimise.objective: {settings.objective} needs measurements with a tolerance, and there are none; "
             "add [[measurements]]"
         )
-    raise_errors(
-        line
-        for key, given in (("of", settings.of), ("weights", settings.weights))
-        for name in given
-        for line in error_lines(check_known, f"optimise.{key}", name, names, "measurement")
-    )
+        return
+    for key, given in (("of", settings.of), ("weights", settings.weights)):
+        for name in given:
+            yield from unknown(f"optimise.{key}", name, names, "measurement")
 
 
-def _forces(scene, settings) -> None:
-    names, errors, seen = [clamp.name for clamp in scene.clamps], [], set()
+def _forces(scene, settings) -> Iterator[str]:
+    names, seen = [clamp.name for clamp in scene.clamps], set[str]()
     for i, choice in enumerate(settings.forces):
-        at, stated, repeated = f"optimise.forces[{i}]", set(), ""
+        at, clamps = f"optimise.forces[{i}]", []
         for name in choice.clamps:
-            clamps = jaws(scene, name)
-            if not clamps:
-                errors += error_lines(check_known, f"{at}.clamps", name, names, "clamp")
-            for clamp in clamps:
-                if clamp.force is None:
-                    errors.append(f"{at}.clamps: {clamp.name!r} has a stroke and no force; name it in optimise.shims")
-                    continue
-                stated.add(clamp.force)
-                repeated = repeated or (clamp.name if clamp.name in seen else "")
-                seen.add(clamp.name)
+            clamps += jaws(scene, name)
+            if not jaws(scene, name):
+                yield from unknown(f"{at}.clamps", name, names, "clamp")
+        for clamp in clamps:
+            if clamp.force is None:
+                yield f"{at}.clamps: {clamp.name!r} has a stroke and no force; name it in optimise.shims"
+        given = Counter(clamp.name for clamp in clamps)
+        repeated = [name for name, count in given.items() if count > 1 or name in seen]
         if repeated:
-            errors.append(f"{at}.clamps: {repeated!r} is given twice; name it once")
+            yield f"{at}.clamps: {repeated[0]!r} is given twice; name it once"
+        seen |= given.keys()
+        stated = {clamp.force for clamp in clamps if clamp.force is not None}
         if len(stated) > 1:
-            errors.append(f"{at}.clamps: their forces differ in this scene; give each clamp a table of its own")
+            yield f"{at}.clamps: their forces differ in this scene; give each clamp a table of its own"
         low, high = choice.between
-        errors += [
-            f"{at}.between: the scene states {force:g} N, which is outside {low:g} to {high:g}; correct either"
-            for force in stated
-            if not low <= force <= high
-        ]
-    raise_errors(errors)
+        for force in stated:
+            if not low <= force <= high:
+                bounds = f"{low:g} to {high:g}"
+                yield f"{at}.between: the scene states {force:g} N, which is outside {bounds}; correct either"
 
 
-def _shims(scene, settings) -> None:
+def _shims(scene, settings) -> Iterator[str]:
     names = [item.name for item in (*scene.locators, *scene.clamps)]
-    errors, seen = [], set()
+    seen = set()
     for i, choice in enumerate(settings.shims):
         at, kinds = f"optimise.shims[{i}].of", set()
         for name in choice.of:
             item = locator_or_clamp(scene, name)
             if item is None:
-                errors += error_lines(check_known, at, name, names, "locator or clamp")
+                yield from unknown(at, name, names, "locator or clamp")
                 continue
-            kinds.add(type(item).__name__)
+            kinds.add(type(item))
             if getattr(item, "force", None) is not None:
-                errors.append(f"{at}: {name!r} pushes with a force and has no position; name it in optimise.forces")
+                yield f"{at}: {name!r} pushes with a force and has no position; name it in optimise.forces"
             if getattr(item, "parts", None) is not None:
-                errors.append(f"{at}: {name!r} is a tong, whose jaws would move alike; remove it")
+                yield f"{at}: {name!r} is a tong, whose jaws would move alike; remove it"
             if name in seen:
-                errors.append(f"{at}: {name!r} is given twice; name it once")
+                yield f"{at}: {name!r} is given twice; name it once"
             seen.add(name)
         if len(kinds) > 1:
-            errors.append(f"{at}: locators and clamps cannot share a table; give each a table of its own")
-    raise_errors(errors)
+            yield f"{at}: locators and clamps cannot share a table; give each a table of its own"
 
 
-def _orders(scene, settings) -> None:
-    stages = {str(stage.name): stage for stage in scene.stages}
-    errors, seen = [], set()
+def _orders(scene, settings) -> Iterator[str]:
+    stages = {str(stage.name): stage for stage in scene.stages if stage.kind in ORDERED}
+    seen = set()
     for i, choice in enumerate(settings.orders):
         at = f"optimise.orders[{i}]"
-        stage = stages.get(choice.stage)
-        if stage is None or stage.kind not in ORDERED:
-            ordered = [name for name, stage in stages.items() if stage.kind in ORDERED]
-            errors += error_lines(
-                check_known, f"{at}.stage", choice.stage, ordered, "stage that closes or opens anything"
-            )
-            continue
+        yield from unknown(f"{at}.stage", choice.stage, stages, "stage that closes or opens anything")
         if choice.stage in seen:
-            errors.append(f"{at}.stage: {choice.stage!r} is given twice; name it once")
+            yield f"{at}.stage: {choice.stage!r} is given twice; name it once"
         seen.add(choice.stage)
-        if choice.groups is not None and stage.kind != "release":
-            errors += error_lines(_grouped, scene, f"{at}.groups", stage, choice.groups)
-    raise_errors(errors)
+        stage = stages.get(choice.stage)
+        if stage is not None and choice.groups is not None and stage.kind != "release":
+            yield from _grouped(scene, f"{at}.groups", stage, choice.groups)
 
 
-def _grouped(scene, key: str, stage, groups) -> None:
+def _grouped(scene, at: str, stage, groups) -> list[str]:
+    """Groups name the items of a stage, or tongs for their jaws, once each: the first error."""
     names = [item.name for table in CLOSING for item in getattr(scene, table) if item.stage == stage.name]
-    given = [item for group in groups for name in group for item in _called(scene, name)]
-    unknown = [name for name in given if name not in names]
-    repeated = [name for name in given if given.count(name) > 1]
+    given: list[str] = []
+    for name in (name for group in groups for name in group):
+        given += [clamp.name for clamp in jaws(scene, name)] or [name]
+    for name in given:
+        if found := unknown(at, name, names, f"item of stage {stage.name!r}"):
+            return found
+        if given.count(name) > 1:
+            return [f"{at}: {name!r} is given twice; name it in one group"]
     missing = [name for name in names if name not in given]
-    if unknown:
-        check_known(key, unknown[0], names, f"item of stage {stage.name!r}")
-    if repeated:
-        raise ValueError(f"{key}: {repeated[0]!r} is given twice; name it in one group")
-    if missing:
-        raise ValueError(f"{key}: the stage closes {missing[0]!r} too; add it to a group")
+    return [f"{at}: the stage closes {missing[0]!r} too; add it to a group"] if missing else []
 
 
-def _called(scene, name: str) -> list[str]:
-    """The names of the items of a name: itself, or the jaws of a tong."""
-    return [clamp.name for clamp in jaws(scene, name)] or [name]
-
-
-def _places(scene, settings) -> None:
-    errors, seen = [], set()
+def _places(scene, settings) -> Iterator[str]:
+    seen = set()
     for i, choice in enumerate(settings.places):
         at = f"optimise.places[{i}].item"
         items = named_items(scene, choice.item)
         if not items:
-            names = [f"{key}.{item.name}" for key in MOVED for item in getattr(scene, key)]
-            errors += error_lines(check_known, at, choice.item, names, "item")
+            names = [f"{key}.{item.name}" for key in CLOSING for item in getattr(scene, key)]
+            yield from unknown(at, choice.item, names, "item")
         elif any(getattr(item, "hole", None) is not None for item in items):
-            errors.append(f"{at}: {choice.item!r} is in a hole and cannot move by itself; remove it")
+            yield f"{at}: {choice.item!r} is in a hole and cannot move by itself; remove it"
         if choice.item in seen:
-            errors.append(f"{at}: {choice.item!r} is given twice; put all its points into one table")
+            yield f"{at}: {choice.item!r} is given twice; put all its points into one table"
         seen.add(choice.item)
-    raise_errors(errors)
 
 
-def _constraints(scene, settings) -> None:
-    errors: list[str] = []
+def _constraints(scene, settings) -> Iterator[str]:
+    names = [item.name for item in scene.measurements]
     for i, constraint in enumerate(settings.constraints):
         at = f"optimise.constraints[{i}]"
         if constraint.quantity != "force":
-            names = [item.name for item in scene.measurements]
-            errors += [
-                line
-                for name in constraint.of
-                for line in error_lines(check_known, f"{at}.of", name, names, "measurement")
-            ]
+            for name in constraint.of:
+                yield from unknown(f"{at}.of", name, names, "measurement")
             continue
-        unknown = [name for name in constraint.of if not any(clamp.force is not None for clamp in jaws(scene, name))]
-        if unknown:
-            errors += error_lines(check_known, f"{at}.of", unknown[0], [], "clamp with a force") or [at]
+        lost = [name for name in constraint.of if not any(clamp.force is not None for clamp in jaws(scene, name))]
+        if lost:
+            yield from unknown(f"{at}.of", lost[0], [], "clamp with a force")
             continue
         low, high = reachable_force(scene, settings, constraint)
         if constraint.at_least is not None and high < constraint.at_least:
-            errors.append(
+            yield (
                 f"{at}: the forces cannot reach {constraint.at_least:g} N together, {constraint.at_least - high:g} N "
                 f"are missing at their largest; widen their bounds, or require {high:g} N"
             )
         if constraint.at_most is not None and low > constraint.at_most:
-            errors.append(
+            yield (
                 f"{at}: the forces cannot stay below {constraint.at_most:g} N together, they are "
                 f"{low - constraint.at_most:g} N above at their least; widen their bounds, or allow {low:g} N"
             )
-    raise_errors(errors)
 
 
 def clamps_with_force(scene, constraint: Constraint) -> list[Any]:
@@ -345,10 +352,11 @@ def clamps_with_force(scene, constraint: Constraint) -> list[Any]:
 
 def reachable_force(scene, settings, constraint: Constraint) -> tuple[float, float]:
     """The least and the largest sum of the forces of a constraint, N."""
-    bounds = {clamp.name: choice.between for choice in settings.forces for clamp in _every_jaw(scene, choice.clamps)}
+    bounds = {
+        clamp.name: choice.between
+        for choice in settings.forces
+        for name in choice.clamps
+        for clamp in jaws(scene, name)
+    }
     ends = [bounds.get(clamp.name, (clamp.force, clamp.force)) for clamp in clamps_with_force(scene, constraint)]
     return sum(low for low, _ in ends), sum(high for _, high in ends)
-
-
-def _every_jaw(scene, names: Iterable[str]) -> Iterator[Any]:
-    return (clamp for name in names for clamp in jaws(scene, name))

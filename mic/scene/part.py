@@ -8,11 +8,7 @@ from pydantic import Field, model_validator
 
 from mic.scene.keys import FiniteFloat, Flag, Name, Positive, Table
 
-__all__ = [
-    "CAD",
-    "Part",
-    "USUAL",
-]
+__all__ = ["CAD", "Part", "USUAL"]
 
 #: Suffixes of CAD files.
 CAD = (".step", ".stp", ".iges", ".igs", ".brep")
@@ -23,65 +19,60 @@ USUAL = {"offset": 0.0, "young": 210e3, "poisson": 0.3}
 class Part(Table):
     """A sheet-metal part."""
 
-    name: Name = Field(description="name of the part in all other tables")
-    mesh: str | None = Field(
-        None,
-        description="mesh file of the sheet, triangles or quadrilaterals (gmsh, Abaqus, Nastran, LS-DYNA, STL, "
-        "VTK, …), or CAD file of its mid-surface (STEP, IGES)",
-    )
-    set: str | Annotated[list[str], Field(min_length=1)] | None = Field(
-        None,
-        description="with `mesh`: element sets, properties or physical groups that form the part; default: the "
-        "whole file",
-    )
-    unit: Literal["mm", "cm", "m", "um", "in", "ft"] = Field(
-        "mm", description="with `mesh`: its unit of length; stresses are in the corresponding unit"
-    )
-    geometry: str | None = Field(
-        None,
-        description="or a Python file with `build(part, size) -> (points (n, 3), triangles (k, 3))`, optionally "
-        "also corner normals (k, 3, 3); it is executed",
-    )
-    size: str | Positive | None = Field(
-        None, description="element size, mm, with `geometry` or a CAD file; or a name from `SIZES` of the geometry"
-    )
-    accuracy: Annotated[FiniteFloat, Field(gt=0, le=0.5)] | None = Field(
-        None,
-        description="or the tolerated relative error of influence coefficients, such as 0.01; the mesh is "
-        "refined until it is reached",
-    )
-    thickness: Positive | None = Field(None, description="mm; optional if the mesh file has it")
-    offset: Annotated[FiniteFloat, Field(ge=-5, le=5)] | None = Field(
-        None,
-        description="from the drawn surface to the mid-surface along the mesh's normals, as a share of the "
-        "thickness: ±0.5 if drawn on a skin; default: that of the mesh file, else 0",
-    )
-    young: Positive | None = Field(
-        None, description="Young's modulus, MPa; default: that of the mesh file, else 210 000"
-    )
-    poisson: Annotated[FiniteFloat, Field(gt=-1, lt=0.5)] | None = Field(
-        None, description="Poisson's ratio; default: that of the mesh file, else 0.3"
-    )
-    density: Positive | None = Field(None, description="kg/m³, such as 7850; required with gravity")
-    expansion: Positive | None = Field(
-        None,
-        description="coefficient of thermal expansion, 1/K, such as 1.2e-5; required with deviations of temperature",
-    )
-    rests: Flag = Field(
-        False,
-        description="whether contact and friction hold what its locators leave free; it is placed as drawn, or "
-        "as near as possible without overlap",
-    )
+    name: Name
+    """name of the part in all other tables"""
 
-    stiffness: str | None = Field(
-        None,
-        description="with `mesh`: the part's reduced stiffness on named nodes, without supports, in place of "
-        "finite elements: Matrix Market or Nastran `OUTPUT4` with a node table (`a.mtx` or `a.op4`, "
-        "`a.csv` with node, x, y, z), Nastran `DMIG`, Abaqus `*MATRIX GENERATE`",
-    )
-    compliance: str | None = Field(
-        None, description="or its reduced compliance on any statically determinate support, same formats"
-    )
+    mesh: str | None = None
+    """mesh file of the sheet, triangles or quadrilaterals (gmsh, Abaqus, Nastran, LS-DYNA, STL, VTK, …), or CAD
+    file of its mid-surface (STEP, IGES)"""
+
+    set: str | Annotated[list[str], Field(min_length=1)] | None = None
+    """with `mesh`: element sets, properties or physical groups that form the part; default: the whole file"""
+
+    unit: Literal["mm", "cm", "m", "um", "in", "ft"] = "mm"
+    """with `mesh`: its unit of length; stresses are in the corresponding unit"""
+
+    geometry: str | None = None
+    """or a Python file with `build(part, size) -> (points (n, 3), triangles (k, 3))`, optionally also corner
+    normals (k, 3, 3); it is executed"""
+
+    size: str | Positive | None = None
+    """element size, mm, with `geometry` or a CAD file; or a name from `SIZES` of the geometry"""
+
+    accuracy: Annotated[FiniteFloat, Field(gt=0, le=0.5)] | None = None
+    """or the tolerated relative error of influence coefficients, such as 0.01; the mesh is refined until it is
+    reached"""
+
+    thickness: Positive | None = None
+    """mm; optional if the mesh file has it"""
+
+    offset: Annotated[FiniteFloat, Field(ge=-5, le=5)] | None = None
+    """from the drawn surface to the mid-surface along the mesh's normals, as a share of the thickness: ±0.5 if
+    drawn on a skin; default: that of the mesh file, else 0"""
+
+    young: Positive | None = None
+    """Young's modulus, MPa; default: that of the mesh file, else 210 000"""
+
+    poisson: Annotated[FiniteFloat, Field(gt=-1, lt=0.5)] | None = None
+    """Poisson's ratio; default: that of the mesh file, else 0.3"""
+
+    density: Positive | None = None
+    """kg/m³, such as 7850; required with gravity"""
+
+    expansion: Positive | None = None
+    """coefficient of thermal expansion, 1/K, such as 1.2e-5; required with deviations of temperature"""
+
+    rests: Flag = False
+    """whether contact and friction hold what its locators leave free; it is placed as drawn, or as near as possible
+    without overlap"""
+
+    stiffness: str | None = None
+    """with `mesh`: the part's reduced stiffness on named nodes, without supports, in place of finite elements:
+    Matrix Market or Nastran `OUTPUT4` with a node table (`a.mtx` or `a.op4`, `a.csv` with node, x, y, z), Nastran
+    `DMIG`, Abaqus `*MATRIX GENERATE`"""
+
+    compliance: str | None = None
+    """or its reduced compliance on any statically determinate support, same formats"""
 
     @model_validator(mode="after")
     def _one_source(self):

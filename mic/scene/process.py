@@ -9,12 +9,7 @@ from pydantic import Field, model_validator
 from mic.contact.path import Followed
 from mic.scene.keys import Count, FiniteFloat, Flag, Name, Table
 
-__all__ = [
-    "COARSEST",
-    "FINEST",
-    "FollowedPath",
-    "Stage",
-]
+__all__ = ["COARSEST", "FINEST", "FollowedPath", "Stage"]
 
 # Tolerances of a followed path: contact problems are solved to 1e-5.
 FINEST, COARSEST = 1e-5, 0.1
@@ -29,32 +24,33 @@ class Stage(Table):
     the measurements, on the locators that name it if there are any. `mic check` prints the steps of each stage.
     """
 
-    kind: Literal["locate", "clamp", "weld", "release", "measure"] = Field(description="what the stage does")
-    name: Name | None = Field(None, description="name of the stage in `stage` keys; default: the kind")
-    keep: list[Name] | None = Field(
-        None, description="release only: locators and clamps that stay closed; default: all locators"
-    )
-    order: Annotated[list[list[Name]], Field(min_length=1)] | None = Field(
-        None,
-        description="clamp, weld, release: groups of names that close or open one after the other. Default: "
-        "further locators together, then each clamp (neighbours that press parts together as one); "
-        "all welds together; a release in reverse order of closing",
-    )
-    sequence: Flag = Field(False, description="weld only: one weld after the other, in the order of the file")
-    settle: Flag = Field(
-        True,
-        description="locate only: separate overlapping parts before anything closes; `false`: while the first "
-        "item closes",
-    )
-    path: Literal["followed", "increments", "one-step"] | None = Field(
-        None,
-        description="how friction is followed while items close or open: `followed` (default), in steps of "
-        "controlled error; `increments`, a number per step of the stage, shorter at both ends; "
-        "`one-step`, all at once, overlaps included, as in the paper",
-    )
-    increments: Annotated[Count, Field(ge=1)] | None = Field(
-        None, description='number per step of the stage; implies path = "increments"'
-    )
+    kind: Literal["locate", "clamp", "weld", "release", "measure"]
+    """what the stage does"""
+
+    name: Name | None = None
+    """name of the stage in `stage` keys; default: the kind"""
+
+    keep: list[Name] | None = None
+    """release only: locators and clamps that stay closed; default: all locators"""
+
+    order: Annotated[list[list[Name]], Field(min_length=1)] | None = None
+    """clamp, weld, release: groups of names that close or open one after the other. Default: further locators
+    together, then each clamp (neighbours that press parts together as one); all welds together; a release in
+    reverse order of closing"""
+
+    sequence: Flag = False
+    """weld only: one weld after the other, in the order of the file"""
+
+    settle: Flag = True
+    """locate only: separate overlapping parts before anything closes; `false`: while the first item closes"""
+
+    path: Literal["followed", "increments", "one-step"] | None = None
+    """how friction is followed while items close or open: `followed` (default), in steps of controlled error;
+    `increments`, a number per step of the stage, shorter at both ends; `one-step`, all at once, overlaps included,
+    as in the paper"""
+
+    increments: Annotated[Count, Field(ge=1)] | None = None
+    """number per step of the stage; it implies `path = "increments"`"""
 
     #: Kinds of stages to which a key applies.
     applies: ClassVar[dict[str, tuple[str, ...]]] = {
@@ -94,6 +90,5 @@ class FollowedPath(Table):
     relative to the motion of the contacts in this step of the process (root mean squares over the contacts).
     """
 
-    tolerance: Annotated[FiniteFloat, Field(ge=FINEST, le=COARSEST)] = Field(
-        Followed.tolerance, description="relative; below the lower bound rounding errors dominate"
-    )
+    tolerance: Annotated[FiniteFloat, Field(ge=FINEST, le=COARSEST)] = Followed.tolerance
+    """relative; below the lower bound rounding errors dominate"""

@@ -1,64 +1,33 @@
-"""The scene reference, generated from the schema: ``python -m mic.scene.reference`` prints the page docs/scene.md."""
+"""The scene reference, generated from the schema: ``python -m mic.scene.reference`` prints the page docs/scene.md.
+
+Its text is in ``reference.md``; the meaning of each key is the docstring below it in the schema.
+"""
 
 from __future__ import annotations
 
+import ast
+import inspect
 import json
 import types
 from collections.abc import Iterable
+from functools import cache
+from itertools import pairwise
+from pathlib import Path
+from textwrap import dedent
 from typing import Annotated, Any, Literal, Union, get_args, get_origin
 
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
 from mic.scene.deviation import DeviationKeys
-from mic.scene.keys import OnPart, OnSheet, Vector
+from mic.scene.keys import OnPart, OnSheet, Table, Vector
 from mic.scene.measurement import OtherPoint
 from mic.scene.schema import Scene
 from mic.scene.settings import SETTINGS
 
 __all__ = ["reference"]
 
-OPENING = """# Scene reference
-
-A scene is one TOML file, or a folder that contains `scene.toml`. Units are mm, N, MPa. Unknown keys are errors. File
-names are relative to the scene. `mic check SCENE` validates it and shows what will be modelled. `mic init MESH…` writes
-a first scene for your meshes.
-
-**Directions.** A vector `[x, y, z]` of any length but zero; or `"normal"`, the normal of the sheet; or `"in-plane x"`
-(y, z), the axis projected into the sheet. A minus reverses it: `"-normal"`.
-
-**Places.** Items on a part have one of these keys:
-
-{places}
-**Many items in one table.** A table of `[[locators]]`, `[[clamps]]`, `[[welds]]` or `[[measurements]]` with
-`file = "NAME.csv"` stands for one item per row of that file. Its other keys apply to every row:
-
-```toml
-[[welds]]
-file = "welds.csv"
-parts = ["inner", "outer"]
-radius = 3
-```
-
-Columns are keys and override those of the table; `x`, `y` and `z` form `point`; members of a list are separated by
-spaces (`inner outer`, `0 0 1`); an empty cell omits the key. Cells are separated by commas, semicolons or tabs. Without
-a column `name`, rows are numbered after the table's `name`, or the file. A table of `[[welds]]` with
-`points = [[x, y, z], …]` stands for a weld at each point, called `NAME-1`, `NAME-2`, ….
-"""
-SETTING = """`setting` gives defaults where the scene states nothing: the named element size of parts with a `geometry`,
-the `tolerance` of the friction path, the `spacing_factor` of zones without `pairs`, `spacing` and `points`, and
-`samples`.
-
-| `setting` | `size` | `tolerance` of the path | `spacing_factor` | `samples` |
-|---|---|---|---|---|
-{rows}
-
-`python -m verification run trade` measures their accuracy and cost; `python -m verification scene SCENE --to 2%`
-chooses among them for your scene.
-"""
-DEVIATIONS = """Keys of every kind; a kind may state its own default or unit:
-
-"""
+PLACES = [name for name in OnPart.model_fields if name != "name"]  # keys that give the place of an item
 TYPE_NAMES: dict[Any, str] = {float: "number", int: "whole number", str: "text", bool: "true or false"}
 
 
@@ -67,55 +36,60 @@ def reference() -> str:
     plain, tables = [], []
     for key, field in Scene.model_fields.items():
         kinds = [kind for kind in _classes(field.annotation) if issubclass(kind, BaseModel)]
-        if not kinds:
-            plain += [] if field.exclude else [(key, field)]
-            continue
-        several = "list" in str(field.annotation)
-        tables.append(_table(f"[[{key}]]" if several else f"[{key}]", kinds))
-    rows = "\n".join(
+        if kinds:
+            tables.append(_table(f"[[{key}]]" if "list" in str(field.annotation) else f"[{key}]", kinds))
+        elif not field.exclude:
+            plain.append(key)
+    settings = "\n".join(
         f'| `"{name}"` | `"{setting["size"]}"` | {setting["tolerance"]:g} | {setting["spacing_factor"]:g} | '
         f"{setting['samples']} |"
         for name, setting in SETTINGS.items()
     )
-    places = _keys([(name, field) for name, field in OnPart.model_fields.items() if name != "name"])
-    top = "## Top level\n\n" + _keys(plain)
-    return "\n".join([OPENING.format(places=places), top, SETTING.format(rows=rows), *tables]).rstrip() + "\n"
+    page = Path(__file__).with_suffix(".md").read_text(encoding="utf-8")
+    places, top = _keys(OnPart, PLACES), _keys(Scene, plain)
+    return page.format(places=places, top=top, rows=settings, tables="\n".join(tables)).rstrip() + "\n"
 
 
 def _table(title: str, kinds: list[type[BaseModel]]) -> str:
     sections, below = [f"## `{title}`\n"], []
     if issubclass(kinds[0], DeviationKeys):
-        sections.append(DEVIATIONS + _keys(DeviationKeys.model_fields.items()))
+        keys = _keys(DeviationKeys, DeviationKeys.model_fields)
+        sections.append("Keys of every kind; a kind may state its own default or unit:\n\n" + keys)
     for kind in kinds:
-        sections += [_prose(kind) + "\n", _keys(_own_fields(kind), _place(kind))]
-        below += [
-            _table(f"[[{title.strip('[]')}.{name}]]", _tables(field))
-            for name, field in kind.model_fields.items()
-            if _tables(field)
-        ]
+        sections += [inspect.cleandoc(kind.__doc__ or "").replace("``", "`") + "\n", _own_keys(kind)]
+        for name, field in kind.model_fields.items():
+            if inner := _tables(field):
+                below.append(_table(f"[[{title.strip('[]')}.{name}]]", inner))
     return "\n".join([*sections, *below])
 
 
-def _own_fields(kind: type[BaseModel]) -> list[tuple[str, FieldInfo]]:
+def _own_keys(kind: type[BaseModel]) -> str:
     """Keys of a table that neither a table of their own nor a common section of the page describes."""
-    common: set[str] = set()
-    if issubclass(kind, OnSheet | OtherPoint):
-        common |= OnPart.model_fields.keys() - {"name"}
+    placed = issubclass(kind, OnSheet | OtherPoint)
+    common = {name for name, field in kind.model_fields.items() if _tables(field)} | {*(PLACES if placed else ())}
     if issubclass(kind, DeviationKeys):
-        common |= {"kind", *(name for name, field in DeviationKeys.model_fields.items() if _same(kind, name, field))}
-    return [(name, field) for name, field in kind.model_fields.items() if name not in common and not _tables(field)]
+        own, meaning = meanings(kind), meanings(DeviationKeys)
+        common |= {"kind", *(name for name in meaning if own[name] == meaning[name])}
+    text = _keys(kind, [name for name in kind.model_fields if name not in common])
+    if not placed:
+        return text
+    place = " or ".join(f"`{name}`" for name in PLACES if name in kind.model_fields)
+    lines = text.split("\n")
+    return "\n".join([*lines[:3], f"| {place} |  |  | see Places |", *lines[3:]])
 
 
-def _same(kind: type[BaseModel], name: str, field: FieldInfo) -> bool:
-    return kind.model_fields[name].description == field.description
-
-
-def _place(kind: type[BaseModel]) -> str:
-    """The row for the place of an item on a part."""
-    if not issubclass(kind, OnSheet | OtherPoint):
-        return ""
-    keys = [f"`{name}`" for name in OnPart.model_fields if name != "name" and name in kind.model_fields]
-    return f"| {' or '.join(keys)} |  |  | see Places |"
+@cache
+def meanings(kind: type[BaseModel]) -> dict[str, str]:
+    """The meaning of the keys of a table: the docstrings below them, or descriptions that the program composes."""
+    found = {}
+    for base in reversed([base for base in kind.__mro__ if issubclass(base, Table) and base is not Table]):
+        (definition,) = ast.parse(dedent(inspect.getsource(base))).body
+        for key, text in pairwise(ast.iter_child_nodes(definition)):
+            match key, text:
+                case ast.AnnAssign(target=ast.Name(id=name)), ast.Expr(value=ast.Constant(value=str(words))):
+                    found[name] = " ".join(words.split())
+    composed = {name: field.description for name, field in kind.model_fields.items() if field.description}
+    return found | composed
 
 
 def _tables(field: FieldInfo) -> list[type[BaseModel]]:
@@ -124,19 +98,14 @@ def _tables(field: FieldInfo) -> list[type[BaseModel]]:
     return [kind for kind in inner if isinstance(kind, type) and issubclass(kind, BaseModel)]
 
 
-def _prose(kind: type[BaseModel]) -> str:
-    lines = [line.strip() for line in (kind.__doc__ or "").strip().splitlines()]
-    return "\n".join(lines).replace("``", "`")
-
-
-def _keys(fields: Iterable[tuple[str, FieldInfo]], *more: str) -> str:
-    """A table of keys, with further rows after the first."""
-    rows = [
-        f"| `{name}` | {_type_name(field.annotation, field.metadata)} | {_default(field)} | {field.description} |"
-        for name, field in fields
-    ]
-    rows[1:1] = [row for row in more if row]
-    return "\n".join(["| key | value | default | meaning |", "|---|---|---|---|", *rows, ""])
+def _keys(kind: type[BaseModel], names: Iterable[str]) -> str:
+    """A table of keys."""
+    rows = ["| key | value | default | meaning |", "|---|---|---|---|"]
+    for name in names:
+        field = kind.model_fields[name]
+        value = _type_name(field.annotation, field.metadata)
+        rows.append(f"| `{name}` | {value} | {_default(field)} | {meanings(kind)[name]} |")
+    return "\n".join([*rows, ""])
 
 
 def _default(field: FieldInfo) -> str:

@@ -6,6 +6,7 @@ import json
 import re
 import tomllib
 from collections.abc import Iterator, Mapping
+from itertools import takewhile
 from typing import Any
 
 from mic.errors import SceneError
@@ -33,37 +34,28 @@ def revised(text: str, table: str, index: int, keys: Mapping[str, Any]) -> str:
         If the item has no ``[[table]]`` of its number, such as a row of a CSV file.
     """
     lines = text.splitlines()
-    number = -1
-    last = None  # line behind the item's last statement
-    removed: set[int] = set()
-    replaced: dict[int, str] = {}
-    remaining = dict(keys)
-    inside = False
-    for first, end, header, key in _statements(lines):
-        if header is not None:
-            number += header == f"[[{table}]]"
-            inside = header == f"[[{table}]]" and number == index
-            last = end if inside else last
-        elif inside:
-            last = end
-            if key in keys:
-                removed |= set(range(first, end))
-                value = remaining.pop(key)
-                if value is not None:
-                    replaced[first] = f"{key} = {_toml(value)}"
-    if last is None:
+    statements = list(_statements(lines))
+    headers = [i for i, statement in enumerate(statements) if statement[2] == f"[[{table}]]"]
+    if index >= len(headers):
         raise SceneError(f"{table}[{index}]: it has no [[{table}]] of its number in the scene file; change it by hand")
-    added = [f"{key} = {_toml(value)}" for key, value in remaining.items() if value is not None]
-    result = []
-    for i, line in enumerate(lines):
-        if i == last:
-            result += added
-        if i in replaced:
-            result.append(replaced[i])
-        elif i not in removed:
-            result.append(line)
-    result += added if last >= len(lines) else []
-    return "\n".join(result) + "\n"
+    head, *rest = statements[headers[index] :]
+    own = [head, *takewhile(lambda statement: statement[2] is None, rest)]
+    present = [key for _, _, _, key in own]
+    behind = own[-1][1]
+    lines[behind:behind] = [
+        _line(key, value) for key, value in keys.items() if key not in present and value is not None
+    ]
+    for first, end, _, key in reversed(own):
+        if key in keys:
+            lines[first:end] = [] if keys[key] is None else [_line(key, keys[key])]
+    return "\n".join(lines) + "\n"
+
+
+def _line(key: str, value: Any) -> str:
+    """The statement of a key, with lists of lists on several lines."""
+    if isinstance(value, list) and value and isinstance(value[0], list):
+        return f"{key} = [\n" + "".join(f"    {json.dumps(row)},\n" for row in value) + "]"
+    return f"{key} = {json.dumps(value)}"
 
 
 def _statements(lines: list[str]) -> Iterator[tuple[int, int, str | None, str]]:
@@ -91,10 +83,3 @@ def _is_complete(text: str) -> bool:
     except tomllib.TOMLDecodeError:
         return False
     return True
-
-
-def _toml(value: Any) -> str:
-    """A value in TOML, with lists of lists on several lines."""
-    if isinstance(value, list) and value and isinstance(value[0], list):
-        return "[\n" + "".join(f"    {json.dumps(row)},\n" for row in value) + "]"
-    return json.dumps(value)

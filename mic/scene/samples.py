@@ -11,8 +11,8 @@ from mic.errors import SceneError
 from mic.scene.checks import entry
 from mic.scene.deviation import ShapeDeviation
 from mic.scene.schema import DESIGNS, Scene
-from mic.scene.stages import check_known, error_lines
-from mic.scene.tables import DECIMAL, read_cells, read_number
+from mic.scene.stages import unknown
+from mic.scene.tables import read_cells, read_number
 from mic.system.files import fingerprint
 
 __all__ = ["DESIGNS", "take_samples"]
@@ -47,7 +47,7 @@ def take_samples(scene: Scene) -> tuple[Scene, dict[str, str | None]]:
         path = scene.folder / settings.table
         at, where = f"monte_carlo.table: {path}", str(path)
         try:
-            values = _parquet(path, scene) if path.suffix == ".parquet" else _text(path, scene)
+            values = _read_values(path, scene)
         except SceneError as error:
             raise SceneError("\n".join(f"monte_carlo.table: {line}" for line in str(error).splitlines())) from None
         inputs[settings.table] = fingerprint(path.read_bytes())
@@ -73,7 +73,7 @@ def _columns(path: Path, given, scene: Scene) -> list[str]:
     for column in given:
         if column not in names:
             batches = sorted({item.batch for item in _scored(scene) if item.batch is not None})
-            errors += error_lines(check_known, f"{path}: row 1", str(column), [*names, *batches], "deviation")
+            errors += unknown(f"{path}: row 1", str(column), [*names, *batches], "deviation")
     missing = [repr(name) for name in names if name not in given]
     if len(missing) == 1:
         errors.append(f"{path}: row 1: there is no column {missing[0]}; add it, with a value in each row")
@@ -114,46 +114,37 @@ def _scored(scene: Scene) -> list[ShapeDeviation]:
     return [item for item in scene.deviations if isinstance(item, ShapeDeviation) and item.scores is not None]
 
 
-def _text(path: Path, scene: Scene) -> np.ndarray:
-    """(n, p) values of a CSV file."""
-    cells, separator = read_cells(path)
+def _read_values(path: Path, scene: Scene) -> np.ndarray:
+    """(n, p) values of a CSV or Parquet file."""
+    parquet, separator = path.suffix == ".parquet", ","
+    if parquet:
+        cells = _read_parquet(path)
+    else:
+        cells, separator = read_cells(path)
     cells = _expand_pieces(path, cells, scene)
     names = _columns(path, cells.columns, scene)
-    cells = cells[names].apply(lambda column: column.str.strip())
-    if separator != ",":
-        cells = cells.apply(lambda column: column.str.replace(DECIMAL, ".", regex=True))
-    cells = cells[(cells != "").any(axis=1)]
-    values = np.array([[read_number(cell) for cell in row] for row in cells.to_numpy()]).reshape(len(cells), len(names))
+    cells = cells[names]
+    if parquet:
+        values = cells.apply(pd.to_numeric, errors="coerce").to_numpy(dtype=float)
+    else:
+        cells = cells[(cells.apply(lambda column: column.str.strip()) != "").any(axis=1)]
+        values = np.array([[read_number(cell, separator) for cell in row] for row in cells.to_numpy()])
+    if not len(cells):
+        raise SceneError(f"{path}: there is no row below the header; add rows, or remove the table")
     for row, column in np.argwhere(~np.isfinite(values)):
-        raise SceneError(
-            f"{path}: row {cells.index[row] + 2}, column {names[column]}: {cells.iloc[row, column]!r} is not a finite "
-            "number; correct it, or remove the row"
-        )
-    return _check_not_empty(path, values)
+        number, cell = row if parquet else cells.index[row] + 2, cells.iloc[row, column]
+        what = f"is {cell}, not a finite number" if parquet else f"{str(cell).strip()!r} is not a finite number"
+        raise SceneError(f"{path}: row {number}, column {names[column]}: {what}; correct it, or remove the row")
+    return values
 
 
-def _parquet(path: Path, scene: Scene) -> np.ndarray:
-    """(n, p) values of a Parquet file."""
+def _read_parquet(path: Path) -> pd.DataFrame:
     try:
-        frame = pd.read_parquet(path)
+        return pd.read_parquet(path)
     except FileNotFoundError:
         raise SceneError(f"there is no file {path}; correct the name (it is relative to the scene file)") from None
     except (OSError, ValueError) as error:
         raise SceneError(f"{path}: cannot be read as Parquet ({error}); write it again, or give CSV") from None
-    frame = _expand_pieces(path, frame, scene)
-    names = _columns(path, frame.columns, scene)
-    values = frame[names].apply(pd.to_numeric, errors="coerce").to_numpy(dtype=float)
-    for row, column in np.argwhere(~np.isfinite(values)):
-        raise SceneError(
-            f"{path}: row {row}, column {names[column]}: is not a finite number; correct it, or remove the row"
-        )
-    return _check_not_empty(path, values)
-
-
-def _check_not_empty(path: Path, values: np.ndarray) -> np.ndarray:
-    if not len(values):
-        raise SceneError(f"{path}: there is no row below the header; add rows, or remove the table")
-    return values
 
 
 def _check_units(at: str, scene: Scene, values: np.ndarray) -> None:

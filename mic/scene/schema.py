@@ -48,26 +48,22 @@ class Report(Table):
         description="contact laws: "
         + ", ".join(f"`{law.name}` ({law.title.removesuffix('.')})" for law in LAWS.values()),
     )
-    slip: Flag = Field(
-        False,
-        description="report tangential motion without friction, too; otherwise a third of the contact readings "
-        "suffices",
-    )
-    accuracy: Flag = Field(
-        False,
-        description="estimate the mesh error: each part is solved once more at half the element size",
-    )
-    fields: Flag = Field(False, description="mean and 6σ displacement fields, for the report and ParaView")
-    contacts: Annotated[Count, Field(ge=0)] = Field(
-        2000,
-        description="number of samples per law with stored contact pairs (`contacts/`: forces, gaps, states), in "
-        "whole blocks, at least one; statistics use all samples",
-    )
-    positions: list[str] = Field(
-        [],
-        description="`welds.NAME`, `locators.NAME`, `clamps.NAME`, or all of a kind (`welds`): their positions "
-        "become inputs of `mic sensitivity` (`welds.NAME.x` …), at the cost of additional readings",
-    )
+    slip: Flag = False
+    """report tangential motion without friction, too; otherwise a third of the contact readings suffices"""
+
+    accuracy: Flag = False
+    """estimate the mesh error: each part is solved once more at half the element size"""
+
+    fields: Flag = False
+    """mean and 6σ displacement fields, for the report and ParaView"""
+
+    contacts: Annotated[Count, Field(ge=0)] = 2000
+    """number of samples per law with stored contact pairs (`contacts/`: forces, gaps, states), in whole blocks, at
+    least one; statistics use all samples"""
+
+    positions: list[str] = []
+    """`welds.NAME`, `locators.NAME`, `clamps.NAME`, or all of a kind (`welds`): their positions become inputs of
+    `mic sensitivity` (`welds.NAME.x` …), at the cost of additional readings"""
 
     @field_validator("laws")
     @classmethod
@@ -83,29 +79,29 @@ class Report(Table):
 class MonteCarlo(Table):
     """Size and seed of the Monte Carlo, and the contact solver."""
 
-    samples: Annotated[Count, Field(ge=1)] = Field(500, description="number of assemblies")
-    accuracy: Annotated[float, Field(gt=0, lt=1)] | None = Field(
-        None,
-        description="required relative accuracy of each 6σ: half of its 95 % interval. Samples are added until "
-        "it is reached, `samples` at most",
-    )
-    seed: Annotated[Count, Field(ge=0, lt=2**63)] = Field(1, description="of the random numbers")
-    design: DesignName = Field(
-        "independent",
-        description="independent samples; pairs of opposite deviations; Latin hypercubes of 50 samples; "
-        "scrambled Sobol' sequences of 64. `samples` is a multiple of 2, 50 or 64",
-    )
-    table: Annotated[str, Field(min_length=1)] | None = Field(
-        None,
-        description="file of samples, CSV or Parquet, in place of random numbers: a row per assembly, a column "
-        "per deviation, N or mm (modes `NAME.1` …)",
-    )
-    values: list[list[FiniteFloat]] | None = Field(
-        None, description="or the samples, each with a value per deviation in their order"
-    )
-    backend: Literal["native", "paper"] = Field(
-        "native", description="`paper`: OSQP for (12) and ECOS for (13) through CVXPY, as in the paper"
-    )
+    samples: Annotated[Count, Field(ge=1)] = 500
+    """number of assemblies"""
+
+    accuracy: Annotated[float, Field(gt=0, lt=1)] | None = None
+    """required relative accuracy of each 6σ: half of its 95 % interval. Samples are added until it is reached,
+    `samples` at most"""
+
+    seed: Annotated[Count, Field(ge=0, lt=2**63)] = 1
+    """of the random numbers"""
+
+    design: DesignName = "independent"
+    """independent samples; pairs of opposite deviations; Latin hypercubes of 50 samples; scrambled Sobol' sequences
+    of 64. `samples` is a multiple of 2, 50 or 64"""
+
+    table: Annotated[str, Field(min_length=1)] | None = None
+    """file of samples, CSV or Parquet, in place of random numbers: a row per assembly, a column per deviation, N or
+    mm (modes `NAME.1` …)"""
+
+    values: list[list[FiniteFloat]] | None = None
+    """or the samples, each with a value per deviation in their order"""
+
+    backend: Literal["native", "paper"] = "native"
+    """`paper`: OSQP for (12) and ECOS for (13) through CVXPY, as in the paper"""
 
     @model_validator(mode="after")
     def _drawn_or_given(self):
@@ -122,20 +118,24 @@ class MonteCarlo(Table):
 class Scene(Table):
     """A whole scene: one TOML file, or a folder that holds ``scene.toml``."""
 
-    name: Name = Field(description="name of the results folder; letters, digits, `_ . + -`")
-    description: str = Field("", description="one sentence for the report")
-    setting: SettingName | None = Field(None, description="defaults for accuracy, see below")
-    element: Name = Field(
-        "dkt-opt-curved",
-        description="shell element: `dkt-opt-curved`, the production shell; `dkt-opt`, the same on flat "
-        "triangles; `p2-cr`, an independent check; or another of the installed compliance provider",
-    )
-    stiffness: Literal["nominal", "mean", "first-order"] = Field(
-        "nominal",
-        description="shape for which the stiffness is computed: nominal; mean, with gaps and normals (a second "
-        "set of influence coefficients per part); or each sample's to first order (two more sets per "
-        "relevant source, more work per sample)",
-    )
+    name: Name
+    """name of the results folder; letters, digits, `_ . + -`"""
+
+    description: str = ""
+    """one sentence for the report"""
+
+    setting: SettingName | None = None
+    """defaults for accuracy, see below"""
+
+    element: Name = "dkt-opt-curved"
+    """shell element: `dkt-opt-curved`, the production shell; `dkt-opt`, the same on flat triangles; `p2-cr`, an
+    independent check; or another of the installed compliance provider"""
+
+    stiffness: Literal["nominal", "mean", "first-order"] = "nominal"
+    """shape for which the stiffness is computed: nominal; mean, with gaps and normals (a second set of influence
+    coefficients per part); or each sample's to first order (two more sets per relevant source, more work per
+    sample)"""
+
     parts: Annotated[list[Part], Field(min_length=1)]
     fixtures: list[Fixture] = []
     locators: list[Locator] = []
@@ -150,7 +150,8 @@ class Scene(Table):
     monte_carlo: MonteCarlo = MonteCarlo()
     report: Report = Report()
     optimise: Optimisation | None = None
-    folder: Path = Field(Path("."), exclude=True, description="set by load_scene: where relative file names start")
+    folder: Path = Field(Path("."), exclude=True)
+    """set by load_scene: where relative file names start"""
 
     @model_validator(mode="before")
     @classmethod

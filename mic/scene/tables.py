@@ -17,8 +17,9 @@ import pandas as pd
 from pydantic import BaseModel, ValidationError
 
 from mic.errors import SceneError
+from mic.scene.stages import unknown
 
-__all__ = ["DECIMAL", "read_cells", "read_number", "read_rows", "expand_tables"]
+__all__ = ["read_cells", "read_number", "read_rows", "expand_tables"]
 
 AXES = ("x", "y", "z")
 #: A decimal comma.
@@ -51,28 +52,20 @@ def expand_tables(table: Any, kinds: Mapping[str, type[BaseModel]]) -> Any:
     problems: list[str] = []
     changed: dict[str, list[Any]] = {}
     for key, kind in kinds.items():
-        items = table.get(key)
-        if not isinstance(items, list) or not any(isinstance(item, dict) and _shorthand(key, item) for item in items):
+        if not isinstance(table.get(key), list):
             continue
         changed[key] = []
-        for i, item in enumerate(items):
-            shorthand = _shorthand(key, item) if isinstance(item, dict) else None
-            if shorthand == "file":
+        for i, item in enumerate(table[key]):
+            if isinstance(item, dict) and "file" in item:
                 location = f"{key}[{i}].file"
                 changed[key] += _from_file(location, item, kind, Path(table.get("folder") or "."), names, problems)
-            elif shorthand == "points":
+            elif isinstance(item, dict) and key == "welds" and isinstance(item.get("points"), list):
                 changed[key] += _from_points(f"{key}[{i}]", item, problems)
             else:
                 changed[key].append(item)
     if problems:
         raise SceneError("\n".join(problems))
-    return table | changed if changed else table
-
-
-def _shorthand(key: str, item: dict[str, Any]) -> str | None:
-    if "file" in item:
-        return "file"
-    return "points" if key == "welds" and isinstance(item.get("points"), list) else None
+    return table | changed
 
 
 def _from_points(key, item: dict[str, Any], problems) -> Iterator[dict[str, Any]]:
@@ -105,19 +98,17 @@ def _from_file(key, item, kind, folder, names, problems) -> list[dict[str, Any]]
         if {"node", "set", "hole"} & row.keys():
             merged = {name: value for name, value in merged.items() if name != "point" or name in row}
         items.append(merged)
-        errors = [(_column(error["loc"], merged), error["msg"], error["input"]) for error in _errors(kind, merged)]
-        for column, message, given in errors:
-            text = message.removeprefix("Value error, ")
-            where = f", column {column}" if column else ""
-            got = f"; got {given!r}, correct it" if column and "Field required" not in text else ""
-            text = "is required; fill it in" if text == "Field required" else text
-            problems.append(f"{path}: row {number}{where}: {text}{got}")
+        for wrong in _errors(kind, merged):
+            column, text = _column(wrong["loc"]), wrong["msg"].removeprefix("Value error, ")
+            if text == "Field required":
+                text = "is required; fill it in"
+            elif column:
+                text += f"; got {wrong['input']!r}, correct it"
+            problems.append(f"{path}: row {number}{column and f', column {column}'}: {text}")
         for column in ("part", "parts"):
-            given_names = merged.get(column) or []
-            for name in [given_names] if isinstance(given_names, str) else given_names:
-                if name not in names and column in row:
-                    known = ", ".join(sorted(names))
-                    problems.append(f"{path}: row {number}, column {column}: there is no part {name!r}; known: {known}")
+            given = row.get(column) or []
+            for name in [given] if isinstance(given, str) else given:
+                problems += unknown(f"{path}: row {number}, column {column}", name, names, "part")
     return items
 
 
@@ -129,7 +120,7 @@ def _errors(kind: type[BaseModel], row: dict[str, Any]) -> list[Any]:
     return []
 
 
-def _column(location: tuple[Any, ...], row: dict[str, Any]) -> str:
+def _column(location: tuple[Any, ...]) -> str:
     """The column of an error's location."""
     if not location:
         return ""
@@ -222,43 +213,35 @@ def read_rows(path: Path, kind: type[BaseModel]) -> list[tuple[int, dict[str, An
         )
     rows = []
     for number, record in enumerate(frame.to_dict("records"), 2):
-        cells = {str(column): str(cell).strip() for column, cell in record.items()}
-        if separator != ",":
-            cells = {column: _with_points(cell, kind, column) for column, cell in cells.items()}
-        if any(cells.values()):
-            rows.append((number, _row(cells, kind)))
+        cells = {str(column): text for column, cell in record.items() if (text := str(cell).strip())}
+        if cells:
+            rows.append((number, _row(cells, kind, separator)))
     if not rows:
         raise SceneError(f"{path}: there is no row below the header; add rows, or remove the table")
     return rows
 
 
-def _row(cells: dict[str, str], kind: type[BaseModel]) -> dict[str, Any]:
-    given = {column: cell for column, cell in cells.items() if cell}
-    row = {column: _value(cell, kind, column) for column, cell in given.items() if column not in AXES}
-    if any(axis in given for axis in AXES):
-        row["point"] = [_number(given.get(axis, "")) for axis in AXES]
+def _row(cells: dict[str, str], kind: type[BaseModel], separator: str) -> dict[str, Any]:
+    """The keys of a row; unless commas separate the cells, numbers may have decimal commas."""
+    number = lambda text: _number(text if separator == "," else DECIMAL.sub(".", text))
+    row: dict[str, Any] = {}
+    for column, cell in cells.items():
+        words = [number(word) for word in cell.split()]
+        if column == "parts":
+            row[column] = cell.split()
+        elif column == "hole" or column == "direction" and not any(isinstance(word, str) for word in words):
+            row[column] = words
+        elif column == "direction" or column not in AXES and _is_text(kind.model_fields[column].annotation):
+            row[column] = cell
+        elif column not in AXES:  # a text if it cannot be converted, which the schema rejects
+            row[column] = {"true": True, "false": False}.get(cell.lower(), number(cell))
+    if any(axis in cells for axis in AXES):
+        row["point"] = [number(cells.get(axis, "")) for axis in AXES]
     return row
 
 
-def _value(cell: str, kind: type[BaseModel], column: str) -> Any:
-    """The value of a cell for its key; a text if it cannot be converted, which the schema rejects."""
-    if column == "parts":
-        return cell.split()
-    if column in ("direction", "hole"):
-        words = [_number(word) for word in cell.split()]
-        return cell if column == "direction" and any(isinstance(word, str) for word in words) else words
-    if _is_text(kind.model_fields[column].annotation):
-        return cell
-    return {"true": True, "false": False}.get(cell.lower(), _number(cell))
-
-
-def _with_points(cell: str, kind: type[BaseModel], column: str) -> str:
-    """A cell with decimal points in place of decimal commas."""
-    text = column not in AXES and column != "direction" and _is_text(kind.model_fields[column].annotation)
-    return cell if text else DECIMAL.sub(".", cell)
-
-
 def _number(cell: str) -> Any:
+    """The number in a cell; the cell if it holds none."""
     for read in (int, float):
         try:
             return read(cell)

@@ -10,20 +10,26 @@ from pydantic import Discriminator, Field, Tag, model_validator
 from mic.contact.laws import pressure_dependent
 from mic.scene.keys import Count, FiniteFloat, Flag, Name, NonNegative, Positive, Table, Vector
 
-__all__ = [
-    "PressurePower",
-    "Zone",
-]
+__all__ = ["PressurePower", "Zone"]
 
 
 class PressurePower(Table):
     """A coefficient of friction as a bounded power of pressure."""
 
-    mu0: Positive = Field(description="μ at p0")
-    p0: Positive = Field(description="MPa")
-    n: FiniteFloat = Field(description="exponent, at most 1")
-    mu_min: NonNegative = Field(description="smallest μ")
-    mu_max: Positive = Field(description="largest μ")
+    mu0: Positive
+    """μ at p0"""
+
+    p0: Positive
+    """MPa"""
+
+    n: FiniteFloat
+    """exponent, at most 1"""
+
+    mu_min: NonNegative
+    """smallest μ"""
+
+    mu_max: Positive
+    """largest μ"""
 
 
 def _number_or_table(value: Any) -> str:
@@ -37,68 +43,69 @@ class Zone(Table):
     radius `within` about the polyline `path`; without either, everywhere.
     """
 
-    name: Name = Field(description="name of the zone in results")
-    parts: tuple[Name, Name] = Field(
-        description="two parts, or a part and a fixture; normals point from the first to the second"
-    )
+    name: Name
+    """name of the zone in results"""
+
+    parts: tuple[Name, Name]
+    """two parts, or a part and a fixture; normals point from the first to the second"""
+
     friction: Annotated[
         Annotated[NonNegative, Tag("friction-number")] | Annotated[dict[Name, NonNegative], Tag("friction-table")],
         Discriminator(_number_or_table),
-    ] = Field(
-        0.0,
-        description="coefficient μ; or one per stage, `{ clamp = 0.12, default = 0.2 }`, with `default` for the others",
-    )
-    friction_table: Annotated[list[tuple[NonNegative, NonNegative]], Field(min_length=1)] | None = Field(
-        None,
-        description="law `pressure-dependent`: points `[pressure in MPa, μ]` in place of `friction`, "
-        "interpolated linearly, constant outside; μ p must not decrease",
-    )
-    friction_power: PressurePower | None = Field(
-        None,
-        description="or the power law μ = mu0 (p/p0)^(−n), p and p0 in MPa, bounded by `mu_min` and `mu_max`; n ≤ 1",
-    )
-    tangential_stiffness: Positive | None = Field(
-        None,
-        description="law `micro-slip`: tangential contact stiffness per area, N/mm³; default: rigid",
-    )
-    box: tuple[Vector, Vector] | None = Field(None, description="region `[[xmin, ymin, zmin], [xmax, ymax, zmax]]`, mm")
-    path: Annotated[list[Vector], Field(min_length=1)] | None = Field(None, description="or the polyline of a tube, mm")
-    within: Positive | None = Field(None, description="radius of the tube about `path`, mm")
-    spacing: Positive | None = Field(
-        None,
-        description="distance between contact candidates, mm, which act where sheets would penetrate. Default: "
-        "one element, or if larger the smaller of four thicknesses and 1.5 clamp radii; on bends 1.3 "
-        "√(radius · thickness), at least 0.85 elements; under a clamp 2/3 of its radius",
-    )
-    spacing_factor: Positive = Field(
-        1.0,
-        description="multiplies these distances: 0.7 doubles the candidates, costs more, and reduces the error of slip",
-    )
-    pairs: Annotated[Count, Field(gt=0)] | None = Field(
-        None, description="or a fixed number of contact pairs; between them the sheets may penetrate"
-    )
-    points: Annotated[list[Vector], Field(min_length=1)] | None = Field(
-        None, description="or the points of the contact pairs, mm"
-    )
-    max_gap: Positive = Field(2.0, description="largest nominal gap between the facing surfaces, mm")
-    gap: NonNegative | None = Field(
-        None, description="nominal gap between the facing surfaces, mm, in place of that of the meshes"
-    )
-    max_angle_deg: Annotated[FiniteFloat, Field(gt=0, lt=90)] = Field(
-        30.0, description="largest angle between the two surfaces"
-    )
-    nominal_overlap: Literal["close", "keep"] | Positive = Field(
-        "close",
-        description="nominal overlaps: `close` counts them as touching, at pairs and welds, up to half of the "
-        "thinner sheet, or up to a number, mm; larger ones are errors. `keep` keeps them",
-    )
-    patch: Literal["tributary"] | NonNegative = Field(
-        "tributary", description="area over which a pair averages: its tributary area, or a disc of this radius, mm"
-    )
-    mid_surface: Flag = Field(
-        False,
-        description="read the mid-surfaces, not the facing surfaces: sticking sheets then do not act as one",
-    )
+    ] = 0.0
+    """coefficient μ; or one per stage, `{ clamp = 0.12, default = 0.2 }`, with `default` for the others"""
+
+    friction_table: Annotated[list[tuple[NonNegative, NonNegative]], Field(min_length=1)] | None = None
+    """law `pressure-dependent`: points `[pressure in MPa, μ]` in place of `friction`, interpolated linearly,
+    constant outside; μ p must not decrease"""
+
+    friction_power: PressurePower | None = None
+    """or the power law μ = mu0 (p/p0)^(−n), p and p0 in MPa, bounded by `mu_min` and `mu_max`; n ≤ 1"""
+
+    tangential_stiffness: Positive | None = None
+    """law `micro-slip`: tangential contact stiffness per area, N/mm³; default: rigid"""
+
+    box: tuple[Vector, Vector] | None = None
+    """region `[[xmin, ymin, zmin], [xmax, ymax, zmax]]`, mm"""
+
+    path: Annotated[list[Vector], Field(min_length=1)] | None = None
+    """or the polyline of a tube, mm"""
+
+    within: Positive | None = None
+    """radius of the tube about `path`, mm"""
+
+    spacing: Positive | None = None
+    """distance between contact candidates, mm, which act where sheets would penetrate. Default: one element, or if
+    larger the smaller of four thicknesses and 1.5 clamp radii; on bends 1.3 √(radius · thickness), at least 0.85
+    elements; under a clamp 2/3 of its radius"""
+
+    spacing_factor: Positive = 1.0
+    """multiplies these distances: 0.7 doubles the candidates, costs more, and reduces the error of slip"""
+
+    pairs: Annotated[Count, Field(gt=0)] | None = None
+    """or a fixed number of contact pairs; between them the sheets may penetrate"""
+
+    points: Annotated[list[Vector], Field(min_length=1)] | None = None
+    """or the points of the contact pairs, mm"""
+
+    max_gap: Positive = 2.0
+    """largest nominal gap between the facing surfaces, mm"""
+
+    gap: NonNegative | None = None
+    """nominal gap between the facing surfaces, mm, in place of that of the meshes"""
+
+    max_angle_deg: Annotated[FiniteFloat, Field(gt=0, lt=90)] = 30.0
+    """largest angle between the two surfaces"""
+
+    nominal_overlap: Literal["close", "keep"] | Positive = "close"
+    """nominal overlaps: `close` counts them as touching, at pairs and welds, up to half of the thinner sheet, or up
+    to a number, mm; larger ones are errors. `keep` keeps them"""
+
+    patch: Literal["tributary"] | NonNegative = "tributary"
+    """area over which a pair averages: its tributary area, or a disc of this radius, mm"""
+
+    mid_surface: Flag = False
+    """read the mid-surfaces, not the facing surfaces: sticking sheets then do not act as one"""
 
     @model_validator(mode="after")
     def _consistent(self):

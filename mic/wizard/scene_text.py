@@ -6,13 +6,12 @@ import json
 import os
 import textwrap
 import tomllib
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from mic.wizard.bodies import Body
 from mic.wizard.fixture import Support
 from mic.wizard.joints import force
 from mic.wizard.proposal import Proposal
@@ -21,7 +20,7 @@ __all__ = ["scene_text"]
 
 WIDTH = 118
 COMMENT_COLUMN = 44
-LIMIT = 0.5  # mm
+LIMITS = {"lower": -0.5, "upper": 0.5}  # mm, of measurements
 SAMPLES = 100
 FRICTION = 0.2
 NUGGET = 2.5  # mm, radius
@@ -44,20 +43,33 @@ class _SceneFile:
             text, WIDTH, initial_indent="# ", subsequent_indent="# ", break_long_words=False, break_on_hyphens=False
         )
 
-    def section(self, kind: str) -> None:
-        """Add the paragraph about a kind of table."""
-        self.comment(COMMENTS[kind]["_section"])
+    def tables(self, kind: str, entries: Iterable[str | dict[str, Any]]) -> None:
+        """Add tables after the paragraph about their kind; text among the entries becomes a paragraph of comment.
 
-    def table(self, kind: str, values: dict[str, Any], note: str = "", **details: Any) -> None:
-        """Add a table; `details` replace the names in braces of its comments."""
-        if kind != "scene":
+        Entries whose keys begin with an underscore are values for the names in braces of the comments; ``_note``
+        stands behind the head of the table.
+        """
+        for i, entry in enumerate(entries):
+            if i == 0:
+                self.comment(COMMENTS[kind]["_section"])
+            if isinstance(entry, str):
+                self.comment(entry)
+            else:
+                self._table(kind, entry)
+
+    def _table(self, kind: str, entry: dict[str, Any]) -> None:
+        if kind == "scene":
+            self.lines.append("")
+        else:
             head = f"[{kind}]" if kind in ("monte_carlo", "report") else f"[[{kind}]]"
-            self.lines.append(f"{head}  # {note}" if note else head)
-        for key, value in values.items():
+            self.lines.append(f"{head}  # {entry['_note']}" if "_note" in entry else head)
+        for key, value in entry.items():
+            if key.startswith("_"):
+                continue
             line = f"{key} = {_toml(value)}"
             if (kind, key) not in self.explained:
                 self.explained.add((kind, key))
-                comment = COMMENTS[kind][key].strip().format(**values | details)
+                comment = COMMENTS[kind][key].strip().format(**entry)
                 aligned = f"{line:<{COMMENT_COLUMN - 1}} # {comment}"
                 if len(aligned) <= WIDTH + 2 and "\n" not in line:
                     line = aligned
@@ -80,28 +92,26 @@ def scene_text(proposal: Proposal, name: str, folder: Path, welds: str | None = 
         CSV files in that folder with the welds and the points to measure.
     """
     file = _SceneFile()
-    file.section("scene")
-    file.lines.append("")
-    file.table("scene", {"name": name, "description": "Proposed from the meshes."})
+    file.tables("scene", [{"name": name, "description": "Proposed from the meshes."}])
     for sentence in proposal.sentences:
         file.comment(f"NOTE: {sentence}.")
-    _add_parts(file, proposal, folder)
-    _add_locators(file, proposal)
-    _add_zones(file, proposal)
-    _add_clamps(file, proposal)
-    _add_welds(file, proposal, welds)
-    _add_stages(file, proposal, welds)
-    _add_deviations(file, proposal)
-    _add_measurements(file, proposal, points)
-    file.section("monte_carlo")
-    file.table("monte_carlo", {"samples": SAMPLES, "seed": 1})
-    file.section("report")
-    file.table("report", {"laws": ["coulomb"], "fields": True})
+    for kind, entries in {
+        "parts": _parts(proposal, folder),
+        "locators": _locators(proposal),
+        "zones": _zones(proposal),
+        "clamps": _clamps(proposal),
+        "welds": _welds(proposal) if welds is None else [{"file": welds, "radius": NUGGET}],
+        "stages": _stages(proposal, welds is not None),
+        "deviations": _deviations(proposal),
+        "measurements": _measurements(proposal) if points is None else [{"file": points, **LIMITS}],
+        "monte_carlo": [{"samples": SAMPLES, "seed": 1}],
+        "report": [{"laws": ["coulomb"], "fields": True}],
+    }.items():
+        file.tables(kind, entries)
     return "\n".join(file.lines).rstrip() + "\n"
 
 
-def _add_parts(file: _SceneFile, proposal: Proposal, folder: Path) -> None:
-    file.section("parts")
+def _parts(proposal: Proposal, folder: Path) -> Iterator[dict[str, Any]]:
     for body in proposal.bodies:
         mesh = Path(os.path.relpath(body.file.resolve(), folder.resolve())).as_posix()
         values: dict[str, Any] = {"name": body.name, "mesh": mesh}
@@ -113,38 +123,28 @@ def _add_parts(file: _SceneFile, proposal: Proposal, folder: Path) -> None:
         offset = proposal.offsets[body.name]
         if offset:
             values["offset"] = round(offset, 4)
-        file.table(
-            "parts",
-            values,
-            f"{len(body.surface.points)} nodes, {_size(body)}",
-            thickness_from=body.thickness_from,
-            material_from=body.material_from,
-            reason=proposal.why.get(body.name, ""),
-        )
+        size = " × ".join(f"{size:.0f}" for size in np.ptp(body.surface.points, axis=0))
+        yield values | {
+            "_note": f"{len(body.surface.points)} nodes, {size} mm",
+            "_thickness": body.thickness_from,
+            "_material": body.material_from,
+            "_offset": proposal.why.get(body.name, ""),
+        }
 
 
-def _size(body: Body) -> str:
-    return " × ".join(f"{size:.0f}" for size in np.ptp(body.surface.points, axis=0)) + " mm"
-
-
-def _add_locators(file: _SceneFile, proposal: Proposal) -> None:
-    file.section("locators")
+def _locators(proposal: Proposal) -> Iterator[str | dict[str, Any]]:
     for name, supports in proposal.fixtures.items():
-        file.comment(
+        yield (
             f"{name}: conditioning of its six locators (ratio of the smallest to the largest singular value) is "
             f"{proposal.conditioned[name]:.2f}; 0 means a free motion."
         )
         for label, support in zip(_labels(supports), supports):
             place = "hole" if support.hole else "point"
-            values: dict[str, Any] = {
-                "name": f"{name}-{label}",
-                "part": name,
-                place: _point(support.point),
-                "direction": support.direction_text,
-            }
+            values: dict[str, Any] = {"name": f"{name}-{label}", "part": name, place: _point(support.point)}
+            values["direction"] = support.direction_text
             if not support.hole:
                 values["radius"] = 4
-            file.table("locators", values | {"stage": "clamp" if support.further else "locate"})
+            yield values | {"stage": "clamp" if support.further else "locate"}
 
 
 def _labels(supports: Sequence[Support]) -> list[str]:
@@ -162,9 +162,7 @@ def _labels(supports: Sequence[Support]) -> list[str]:
     return labels + [f"A{i}" for i in range(4, 4 + len(supports) - 6)]
 
 
-def _add_zones(file: _SceneFile, proposal: Proposal) -> None:
-    if proposal.laps:
-        file.section("zones")
+def _zones(proposal: Proposal) -> Iterator[dict[str, Any]]:
     for lap, overlap, reach in zip(proposal.laps, proposal.overlap, proposal.reach):
         gap = lap.gap(proposal.offsets)
         values: dict[str, Any] = {"name": "-".join(lap.names), "parts": lap.names, "friction": FRICTION}
@@ -175,85 +173,54 @@ def _add_zones(file: _SceneFile, proposal: Proposal) -> None:
         if proposal.spacing is not None:
             values["spacing"] = _number(proposal.spacing)
         note = f"{lap.area:.0f} mm², drawn gaps {gap.min() + 0.0:.2f} to {gap.max() + 0.0:.2f} mm"
-        file.table("zones", values, note, drawn=-gap.min())
+        yield values | {"_note": note, "_drawn": -gap.min()}
 
 
-def _add_clamps(file: _SceneFile, proposal: Proposal) -> None:
-    if proposal.tongs:
-        file.section("clamps")
+def _clamps(proposal: Proposal) -> Iterator[dict[str, Any]]:
     for number, tong in enumerate(proposal.tongs, 1):
-        values = {
-            "name": f"T{number}",
-            "parts": [tong.first.name, tong.second.name],
-            "point": _point(tong.point),
-            "force": _number(force(tong.first, tong.second)),
-        }
-        file.table("clamps", values)
+        names, strength = [tong.first.name, tong.second.name], _number(force(tong.first, tong.second))
+        yield {"name": f"T{number}", "parts": names, "point": _point(tong.point), "force": strength}
 
 
-def _add_welds(file: _SceneFile, proposal: Proposal, welds: str | None) -> None:
+def _welds(proposal: Proposal) -> Iterator[dict[str, Any]]:
     joined = [(lap, joints.welds) for lap, joints in zip(proposal.laps, proposal.joints) if len(joints.welds)]
-    if welds is not None or joined:
-        file.section("welds")
-    if welds is not None:
-        file.table("welds", {"file": welds, "radius": NUGGET})
-        return
     for number, (lap, points) in enumerate(joined, 1):
-        values = {
-            "name": f"W{number}",
-            "parts": lap.names,
-            "points": [_point(point) for point in points],
-            "radius": NUGGET,
-        }
-        file.table("welds", values)
+        places = [_point(point) for point in points]
+        yield {"name": f"W{number}", "parts": lap.names, "points": places, "radius": NUGGET}
 
 
-def _add_stages(file: _SceneFile, proposal: Proposal, welds: str | None) -> None:
-    file.section("stages")
-    file.table("stages", {"kind": "locate"})
+def _stages(proposal: Proposal, listed: bool) -> Iterator[dict[str, Any]]:
+    yield {"kind": "locate"}
     clamped = bool(proposal.tongs) or any(
         support.further for supports in proposal.fixtures.values() for support in supports
     )
-    welded = welds is not None or any(len(joints.welds) for joints in proposal.joints)
+    welded = listed or any(len(joints.welds) for joints in proposal.joints)
     if clamped:
-        file.table("stages", {"kind": "clamp"}, "further locators close, then one clamp after the other")
+        yield {"kind": "clamp", "_note": "further locators close, then one clamp after the other"}
     if welded:
-        file.table("stages", {"kind": "weld"}, "all welds at once; one by one with `sequence = true`")
+        yield {"kind": "weld", "_note": "all welds at once; one by one with `sequence = true`"}
     if clamped or welded:
         keep = [f"{name}-{label}" for name in proposal.base for label in _labels(proposal.fixtures[name])[:6]]
-        file.table("stages", {"kind": "release", "keep": keep}, "springback")
-    file.table("stages", {"kind": "measure"}, "reads the measurements")
+        yield {"kind": "release", "keep": keep, "_note": "springback"}
+    yield {"kind": "measure", "_note": "reads the measurements"}
 
 
-def _add_deviations(file: _SceneFile, proposal: Proposal) -> None:
-    file.section("deviations")
+def _deviations(proposal: Proposal) -> Iterator[dict[str, Any]]:
     for name, shaping in proposal.shaping.items():
-        values = {
-            "name": f"{name}-shape",
-            "kind": "force",
-            "part": name,
-            "point": _point(shaping.point),
-            "direction": "normal",
-            "sigma": _number(shaping.sigma),
-        }
-        file.table("deviations", values)
+        place = {"part": name, "point": _point(shaping.point), "direction": "normal"}
+        yield {"name": f"{name}-shape", "kind": "force", **place, "sigma": _number(shaping.sigma)}
         labels = _labels(proposal.fixtures[name])
         for label in (labels[0], labels[5]):
             target = f"{name}-{label}"
             values = {"name": f"{target}-off", "kind": "locator", "target": target, "sigma": 0.1}
-            file.table("deviations", values, "standard deviation in mm")
+            yield values | {"_note": "standard deviation in mm"}
 
 
-def _add_measurements(file: _SceneFile, proposal: Proposal, points: str | None) -> None:
-    limits = {"lower": -LIMIT, "upper": LIMIT}
-    file.section("measurements")
-    if points is not None:
-        file.table("measurements", {"file": points, **limits})
-        return
+def _measurements(proposal: Proposal) -> Iterator[dict[str, Any]]:
     for part, measured in proposal.measured.items():
         for number, point in enumerate(measured, 1):
-            values = {"name": f"{part}-M{number}", "part": part, "point": _point(point), "direction": "normal"}
-            file.table("measurements", values | limits)
+            place = {"part": part, "point": _point(point), "direction": "normal"}
+            yield {"name": f"{part}-M{number}", **place, **LIMITS}
 
 
 def _point(point: np.ndarray) -> list[float]:
