@@ -89,7 +89,7 @@ def test_measured_parts_are_counted_and_a_file_that_is_none_is_refused(tmp_path)
 def test_the_report_of_a_run_shows_its_optimum(tmp_path, monkeypatch):
     """Its tables go where the report is drawn from, with the run's folder held; elsewhere there is no page."""
     model, drawn = built({"forces": WHOLE["forces"], "of": ["M"]}), []
-    monkeypatch.setattr("mic.commands.optimise.load_model", lambda console, source: (model, source))
+    monkeypatch.setattr("mic.commands.invocation.load_model", lambda console, source: (model, source))
     monkeypatch.setattr("mic.report.page.write_report", lambda folder: drawn.append(folder) or folder / "report.html")
     short = ["--samples", "20", "--fresh", "20", "--budget", "60", "--law", "frictionless"]
     for place in ([], ["--out", str(tmp_path / "elsewhere")]):
