@@ -2,7 +2,6 @@
 
 import json
 import os
-import resource
 import shutil
 import subprocess
 import sys
@@ -50,20 +49,15 @@ def test_a_second_run_in_a_folder_is_refused_in_one_sentence(lap_model, tmp_path
     with subprocess.Popen([sys.executable, "-c", HOLD, str(tmp_path)], stdout=subprocess.PIPE, text=True) as holder:
         try:
             assert holder.stdout.readline() == "held\n"
-            for attempt in (
-                lambda: sample_into(tmp_path, lap_model, ["coulomb"], 10, 4),
-                lambda: locked(tmp_path).__enter__(),
-            ):
-                with pytest.raises(
-                    RunError, match=rf"in use by process {holder.pid} on .*wait until it has ended"
-                ) as caught:
-                    attempt()
-                assert "\n" not in str(caught.value)
+            words = rf"in use by process {holder.pid} on .*wait until it has ended"
+            with pytest.raises(RunError, match=words) as caught:
+                sample_into(tmp_path, lap_model, ["coulomb"], 10, 4)
+            assert "\n" not in str(caught.value)
             assert [path.name for path in tmp_path.iterdir()] == [LOCK]
         finally:
             holder.kill()
     with locked(tmp_path) as stale:
-        assert stale  # it was killed, and holds up nobody
+        assert stale  # its process was killed
     assert not (tmp_path / LOCK).exists()
 
 
@@ -113,7 +107,7 @@ def test_files_truncated_at_many_lengths_are_set_aside_and_computed_again(lap_mo
     expected = read_outcome(finished).measured("coulomb", "M1")
     path = Path(name) if name in WHOLE else sorted((finished / name).rglob("0*"))[0].relative_to(finished)
     whole = (finished / path).read_bytes()
-    for length in [0, 1, 4, 100, *np.linspace(0, len(whole) - 2, 4).astype(int)[1:]]:
+    for length in (0, 4, len(whole) // 2, len(whole) - 2):
         shutil.copytree(finished, run)
         (run / path).write_bytes(whole[:length])
         sample_into(run, lap_model, ["coulomb"], 60, 4)
@@ -163,7 +157,7 @@ for limit in map(int, sys.argv[3:]):
 @pytest.mark.slow
 def test_a_full_disk_gives_one_sentence_and_finished_samples_stay(lap_model, finished, tmp_path):
     lap_model.save(tmp_path / "model.npz")
-    limits = (0, 200, 5_000, 30_000)
+    limits = (0, 5_000, 30_000)
     done = in_python(FULL, tmp_path / "model.npz", tmp_path / "run", *limits)
     assert done.returncode == 0 and not done.stderr, done.stderr
     told = done.stdout.splitlines()
@@ -207,17 +201,20 @@ def test_without_a_home_the_cache_must_be_named(monkeypatch):
 # ---------------------------------------------- what a user writes
 
 
+def checked(folder):
+    """Output and exit status of ``mic check``."""
+    arguments = ["check", str(folder), "--page", str(folder / "check.html")]
+    return CliRunner().invoke(app, arguments, env={"COLUMNS": "200"})
+
+
 @pytest.mark.slow
 def test_text_of_a_user_reaches_the_terminal_as_text(tmp_path, cache, monkeypatch):
     monkeypatch.setenv("MIC_CACHE", str(cache))
-    for name in ("scene.toml", "geometry.py"):
-        shutil.copy(LAP / name, tmp_path / name)
-    text = (tmp_path / "scene.toml").read_text()
+    shutil.copy(LAP / "geometry.py", tmp_path)
     hostile = r"Gap [mm] [/red] [link=x] \u001b[2J \u0007 end"
-    (tmp_path / "scene.toml").write_text(text.replace("Two flat strips, clamped and welded in their overlap.", hostile))
-    found = CliRunner().invoke(
-        app, ["check", str(tmp_path), "--page", str(tmp_path / "check.html")], env={"COLUMNS": "200"}
-    )
+    text = (LAP / "scene.toml").read_text().replace("Two flat strips, clamped and welded in their overlap.", hostile)
+    (tmp_path / "scene.toml").write_text(text)
+    found = checked(tmp_path)
     assert found.exit_code == 0 and "Gap [mm] [/red] [link=x]" in found.output
     assert "\x1b[2J" not in found.output and "\x07" not in found.output
 
@@ -231,9 +228,7 @@ def test_a_scene_with_a_script_is_announced_as_a_program_before_it_runs(tmp_path
     monkeypatch.setenv("MIC_CACHE", str(cache))
     shutil.copy(LAP / "scene.toml", tmp_path / "scene.toml")
     (tmp_path / "geometry.py").write_text("raise SystemExit")
-    found = CliRunner().invoke(
-        app, ["check", str(tmp_path), "--page", str(tmp_path / "check.html")], env={"COLUMNS": "200"}
-    )
+    found = checked(tmp_path)
     assert "is executed" in found.output and str(tmp_path / "geometry.py") in found.output.replace("\n", "")
 
 
@@ -268,39 +263,32 @@ def test_a_seed_beyond_the_generator_is_refused_by_the_command():
     assert CliRunner().invoke(app, ["run", str(LAP), "--seed", str(2**63)]).exit_code == 2
 
 
-@pytest.mark.parametrize("samples, increments", [(10**12, 1), (10**30, 1), (LARGEST + 1, 1), (500, 10**9)])
+def expected_cost(scene, cache, samples, increments=1):
+    stages = [stage.model_copy(update={"increments": increments}) for stage in scene.stages]
+    assembly = assemble(scene.model_copy(update={"stages": stages}), cache)
+    return forecast(assembly, ["coulomb"], samples, cores=2)
+
+
+@pytest.mark.parametrize("samples, increments", [(10**30, 1), (LARGEST + 1, 1), (500, 10**9)])
 def test_a_run_that_would_never_end_is_refused_with_the_time_it_would_take(
     lap_scene, cache, tmp_path, samples, increments
 ):
-    stages = [stage.model_copy(update={"increments": increments}) for stage in lap_scene.stages]
-    assembly = assemble(lap_scene.model_copy(update={"stages": stages}), cache)
-    foretold = forecast(assembly, ["coulomb"], samples, cores=2)
-    with pytest.raises(RunError, match=f"{samples} samples would take at least .* (years|days|hours) and .* on disk"):
-        foretold.check(tmp_path / "run")
+    words = f"{samples} samples would take at least .* (years|days|hours) and .* on disk"
+    with pytest.raises(RunError, match=words):
+        expected_cost(lap_scene, cache, samples, increments).check(tmp_path / "run")
     assert not list(tmp_path.iterdir())
 
 
-def test_a_run_whose_results_do_not_fit_is_refused_with_the_room_there_is(lap_scene, cache, tmp_path, monkeypatch):
+def test_a_run_of_a_day_is_refused_only_if_its_results_do_not_fit(lap_scene, cache, tmp_path, monkeypatch):
+    cost = expected_cost(lap_scene, cache, 10**6)
+    cost.check(tmp_path)
+    assert 60 < cost.seconds < 86400 and 1e8 < cost.size < 1e11
     monkeypatch.setattr("shutil.disk_usage", lambda folder: SimpleNamespace(free=5 * 10**6))
-    foretold = forecast(assemble(lap_scene, cache), ["coulomb"], 10**5, cores=2)
-    with pytest.raises(RunError, match="100000 samples would take .* has 5 MB free"):
-        foretold.check(tmp_path)
-
-
-def test_a_run_of_a_day_is_announced_and_not_refused(lap_scene, cache, tmp_path):
-    foretold = forecast(assemble(lap_scene, cache), ["coulomb"], 10**6, cores=2)
-    foretold.check(tmp_path)
-    assert 60 < foretold.seconds < 86400 and 1e8 < foretold.size < 1e11
+    with pytest.raises(RunError, match="1000000 samples would take .* has 5 MB free"):
+        cost.check(tmp_path)
 
 
 def test_a_report_of_a_folder_without_a_run_does_not_change_it(tmp_path):
     with pytest.raises(RunError, match="holds no run"):
         conclude(tmp_path)
     assert not list(tmp_path.iterdir())
-
-
-def test_files_that_no_limit_stops_are_written(tmp_path):
-    assert resource.getrlimit(resource.RLIMIT_FSIZE)[0] != 0  # the limits above were of other processes
-    with replacing(tmp_path / "a" / "b") as new:
-        new.write_text("x")
-    assert (tmp_path / "a" / "b").read_text() == "x"

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from support.runs import Heard
 
 import mic
 from mic.errors import RunError
@@ -14,13 +15,13 @@ from mic.geometry.load import load_part
 from mic.model.assembly import assemble
 from mic.results.outcome import read_outcome
 from mic.results.run_identity import identity, inputs
-from mic.runs import Progress, conclude, read_run, sample_into
+from mic.runs import conclude, read_run, sample_into
 from mic.scene.part import Part
-from mic.system.files import save_json
+from mic.system.files import Format, save_json
 
 pytestmark = pytest.mark.robustness
 
-ROOT = Path(__file__).resolve().parents[1]
+LAP = Path(__file__).resolve().parents[1] / "meshes" / "lap_joint"
 LAWS = ["coulomb", "frictionless"]
 SCRIPT = """
 from pathlib import Path
@@ -30,93 +31,84 @@ def build(part, size):
     length = {read}
     return np.array([[0, 0, 0], [length, 0, 0], [length, 1, 0], [0, 1, 0.0]]), [[0, 1, 2], [0, 2, 3]]
 """
-#: Ways in which a script may read a file beside it.
+#: Ways in which a script may read a file beside it, and what follows in the script.
 READERS = {
-    "open": "float(open(HERE / 'length.txt').read())",
-    "pathlib": "float((HERE / 'length.txt').read_text())",
-    "numpy": "float(np.loadtxt(HERE / 'length.txt'))",
-    "optional": "float((HERE / 'better.txt').read_text() if (HERE / 'better.txt').exists() else 2) * "
-    "float((HERE / 'length.txt').read_text())",
-    "declared": "float(np.fromfile(HERE / 'length.txt', sep=' ')[0])\nDEPENDS = ['length.txt']\n",
+    "pathlib": ("float((HERE / 'length.txt').read_text())", ""),
+    "numpy": ("float(np.loadtxt(HERE / 'length.txt'))", ""),
+    "declared": ("float(np.fromfile(HERE / 'length.txt', sep=' ')[0])", "DEPENDS = ['length.txt']\n"),
 }
 
 
-class Heard(Progress):
-    def __init__(self):
-        self.sentences = []
-
-    def report(self, sentence):
-        self.sentences.append(sentence)
+def few_pairs(folder):
+    """A copy of the lap joint in a folder, with few contact pairs."""
+    copy = shutil.copytree(LAP, folder / "scene")
+    toml = copy / "scene.toml"
+    toml.write_text(toml.read_text().replace("friction = 0.27", "friction = 0.27\npairs = 6"))
+    return copy
 
 
 @pytest.fixture
 def scene(tmp_path):
-    """A copy of the lap joint with few contact pairs, to be changed."""
-    folder = shutil.copytree(ROOT / "meshes" / "lap_joint", tmp_path / "scene")
-    toml = folder / "scene.toml"
-    toml.write_text(toml.read_text().replace("friction = 0.27", "friction = 0.27\npairs = 6"))
-    return folder
+    """A copy of the lap joint, to be changed."""
+    return few_pairs(tmp_path)
 
 
-def part(**keys):
-    return Part(name="sheet", thickness=1.0, size=2.0, **keys)
+def write_script(folder, read, rest="", **files):
+    """A geometry script that reads its length, and text files by their stem."""
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / "geometry.py").write_text(SCRIPT.format(read=read) + rest)
+    for name, text in files.items():
+        (folder / f"{name}.txt").write_text(text)
 
 
 def built(folder, cache):
-    loaded = load_part(part(geometry="geometry.py"), folder, cache)
-    return loaded.surface, loaded.inputs
+    """Length of the sheet that the script of a folder builds, and the files that it read."""
+    loaded = load_part(Part(name="sheet", thickness=1.0, size=2.0, geometry="geometry.py"), folder, cache)
+    return loaded.surface.points[:, 0].max(), loaded.inputs
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("way", READERS)
 def test_a_mesh_is_made_again_when_a_file_read_by_its_script_changes(tmp_path, way):
-    text = SCRIPT.format(read=READERS[way])
-    if way == "declared":  # the last line of the text belongs to the script, not to build
-        text = SCRIPT.format(read=READERS[way].splitlines()[0]) + READERS[way].splitlines()[1] + "\n"
-    (tmp_path / "geometry.py").write_text(text)
-    (tmp_path / "length.txt").write_text("3")
+    write_script(tmp_path, *READERS[way], length="3")
     first, read = built(tmp_path, tmp_path / "cache")
-    assert "length.txt" in read and built(tmp_path, tmp_path / "cache")[1] == read
+    assert first == 3 and "length.txt" in read and built(tmp_path, tmp_path / "cache")[1] == read
     (tmp_path / "length.txt").write_text("5")
     second, changed = built(tmp_path, tmp_path / "cache")
-    assert second.points[:, 0].max() == pytest.approx(5 / 3 * first.points[:, 0].max()) and changed != read
+    assert second == 5 and changed != read
 
 
 def test_a_file_that_a_script_looked_for_in_vain_counts_once_it_is_there(tmp_path):
     read = "3.0\n    try: length = float(open(HERE / 'better.txt').read())\n    except FileNotFoundError: pass"
-    (tmp_path / "geometry.py").write_text(SCRIPT.format(read=read))
-    assert built(tmp_path, tmp_path / "cache")[0].points[:, 0].max() == 3
+    write_script(tmp_path, read)
+    assert built(tmp_path, tmp_path / "cache")[0] == 3
     (tmp_path / "better.txt").write_text("7")
-    assert built(tmp_path, tmp_path / "cache")[0].points[:, 0].max() == 7
+    assert built(tmp_path, tmp_path / "cache")[0] == 7
 
 
 def test_a_copy_of_a_scene_beside_other_data_has_meshes_of_its_own(tmp_path):
     for name, length in (("one", "3"), ("two", "5")):
-        (tmp_path / name / "scene").mkdir(parents=True)
+        write_script(tmp_path / name / "scene", "float((HERE.parent / 'length.txt').read_text())")
         (tmp_path / name / "length.txt").write_text(length)
-        (tmp_path / name / "scene" / "geometry.py").write_text(
-            SCRIPT.format(read="float((HERE.parent / 'length.txt').read_text())")
-        )
-        assert built(tmp_path / name / "scene", tmp_path / "cache")[0].points[:, 0].max() == float(length)
+        assert built(tmp_path / name / "scene", tmp_path / "cache")[0] == float(length)
 
 
 def test_a_copy_of_a_script_that_reads_the_data_of_the_first_follows_them(tmp_path):
     data = tmp_path / "one" / "length.txt"
     for name in ("one", "two"):
-        (tmp_path / name).mkdir()
-        (tmp_path / name / "length.txt").write_text("3")
-        (tmp_path / name / "geometry.py").write_text(SCRIPT.format(read=f"float(open({str(data)!r}).read())"))
-    assert built(tmp_path / "one", tmp_path / "cache")[0].points[:, 0].max() == 3
+        write_script(tmp_path / name, f"float(open({str(data)!r}).read())", length="3")
+    assert built(tmp_path / "one", tmp_path / "cache")[0] == 3
     data.write_text("5")
-    assert built(tmp_path / "two", tmp_path / "cache")[0].points[:, 0].max() == 5
+    assert built(tmp_path / "two", tmp_path / "cache")[0] == 5
 
 
 def test_a_script_called_from_another_folder_reads_the_file_there(tmp_path, monkeypatch):
-    (tmp_path / "geometry.py").write_text(SCRIPT.format(read="float(open('length.txt').read())"))
+    write_script(tmp_path, "float(open('length.txt').read())")
     for name, length in (("one", "3"), ("two", "5")):
         (tmp_path / name).mkdir()
         (tmp_path / name / "length.txt").write_text(length)
         monkeypatch.chdir(tmp_path / name)
-        assert built(tmp_path, tmp_path / "cache")[0].points[:, 0].max() == float(length)
+        assert built(tmp_path, tmp_path / "cache")[0] == float(length)
 
 
 def changes(folder):
@@ -139,22 +131,28 @@ def changes(folder):
     }
 
 
+def identity_of(folder, cache):
+    return identity(assemble(mic.load_scene(folder), cache), 1)
+
+
+@pytest.fixture(scope="module")
+def unchanged(cache, tmp_path_factory):
+    """Identity of the lap joint with few contact pairs."""
+    return identity_of(few_pairs(tmp_path_factory.mktemp("unchanged")), cache)
+
+
 @pytest.mark.slow
-@pytest.mark.parametrize("what", changes(ROOT / "meshes" / "lap_joint"))
-def test_every_change_of_inputs_changes_the_identity(scene, cache, what):
-    before = identity(assemble(mic.load_scene(scene), cache), 1)
+@pytest.mark.parametrize("what", changes(LAP))
+def test_every_change_of_inputs_changes_the_identity(scene, unchanged, cache, what):
     changes(scene)[what]()
-    assert identity(assemble(mic.load_scene(scene), cache), 1) != before
+    assert identity_of(scene, cache) != unchanged
 
 
-def test_texts_samples_and_laws_do_not_change_the_identity(scene, cache):
-    before = identity(assemble(mic.load_scene(scene), cache), 1)
+def test_texts_samples_and_laws_do_not_change_the_identity(scene, unchanged, cache):
     toml = scene / "scene.toml"
     text = toml.read_text().replace("samples = 200", "samples = 300").replace("Two flat strips", "Strips")
     toml.write_text(text.replace('laws = ["coulomb", "associated", "frictionless"]', 'laws = ["coulomb"]'))
-    assert identity(assemble(mic.load_scene(scene), cache), 1) == before
-    moved = scene.rename(scene.with_name("moved"))
-    assert identity(assemble(mic.load_scene(moved), cache), 1) == before
+    assert identity_of(scene.rename(scene.with_name("moved")), cache) == unchanged
 
 
 def test_the_mesh_of_a_fixture_belongs_to_the_identity(scene, cache):
@@ -191,7 +189,7 @@ def test_an_extended_run_equals_a_run_of_all_samples(lap_model, tmp_path):
     found, whole = read_outcome(tmp_path / "run"), read_outcome(tmp_path / "whole")
     assert found.sample_numbers("coulomb").tolist() == list(range(120))
     stored = pd.read_parquet(tmp_path / "run" / "samples")["sample"]
-    assert stored.tolist() == list(range(120))  # the last block of sixty lies in another, and is no more
+    assert stored.tolist() == list(range(120))  # the last block of the shorter run was removed
     np.testing.assert_array_equal(found.measured("coulomb", "M1"), whole.measured("coulomb", "M1"))
     np.testing.assert_array_equal(found.contact("coulomb", "clamp", "f_n"), whole.contact("coulomb", "clamp", "f_n"))
 
@@ -202,6 +200,8 @@ def test_a_block_of_another_run_is_neither_used_nor_lost(lap_model, tmp_path):
     expected = read_run(tmp_path / "mine").measured("coulomb", "M1")
     for path in (tmp_path / "other").glob("*/law=coulomb/*"):
         shutil.copy(path, tmp_path / "mine" / path.relative_to(tmp_path / "other"))
+    outcome = read_run(tmp_path / "mine")
+    assert outcome.missing == {"coulomb": 10} and "another run" in outcome.damaged[0]
     heard = Heard()
     assert sample_into(tmp_path / "mine", lap_model, ["coulomb"], 10, 4, heard) == {"coulomb": 0}
     assert "belongs to another run" in heard.sentences[0]
@@ -246,13 +246,10 @@ def test_a_foreign_file_under_a_name_of_the_run_stays(lap_model, tmp_path, name)
 
 
 def test_replacing_removes_only_files_of_the_run(lap_model, tmp_path):
-    sample_into(tmp_path, lap_model, LAWS, 60, 4)
+    sample_into(tmp_path, lap_model, LAWS, 20, 4)
     conclude(tmp_path)
-    foreign = [
-        tmp_path / "notes.md",
-        tmp_path / "samples" / "law=coulomb" / "mine.parquet",
-        tmp_path / "fields" / "a.vtu",
-    ]
+    names = ("notes.md", "samples/precious/data.csv", "samples/law=coulomb/mine.parquet", "fields/a.vtu")
+    foreign = [tmp_path / name for name in names]
     for path in foreign:
         path.parent.mkdir(exist_ok=True)
         path.write_text("mine")
@@ -277,8 +274,6 @@ def test_links_are_not_followed_out_of_the_folder(lap_model, tmp_path, link):
 
 
 def test_a_record_of_an_older_format_is_refused_and_may_be_replaced(lap_model, tmp_path):
-    from mic.system.files import Format
-
     save_json(tmp_path / "run.json", Format("record of a run", 1, ""), {"seed": 4})
     with pytest.raises(RunError, match="older version of the program.*--replace"):
         sample_into(tmp_path, lap_model, ["coulomb"], 10, 4)

@@ -59,58 +59,37 @@ def test_an_interrupted_run_keeps_finished_blocks(lap_model, tmp_path):
 
 @pytest.mark.slow
 def test_another_seed_is_refused_and_replaces_a_run_only_on_request(lap_model, tmp_path):
-    sample_into(tmp_path, lap_model, LAWS, 60, 4)
+    sample_into(tmp_path, lap_model, LAWS, 20, 4)
     with pytest.raises(RunError, match=r"another run \(seed: 4 in the folder, 5 requested\).*--out.*--replace"):
-        sample_into(tmp_path, lap_model, LAWS, 60, 5)
+        sample_into(tmp_path, lap_model, LAWS, 20, 5)
     assert read_run(tmp_path).record["seed"] == 4 and read_run(tmp_path).missing == dict.fromkeys(LAWS, 0)
-    assert sample_into(tmp_path, lap_model, ["coulomb"], 20, 5, replace=True) == {"coulomb": 0}
-    assert len(pd.read_parquet(tmp_path / "samples")) == 20 and read_run(tmp_path).record["seed"] == 5
+    assert sample_into(tmp_path, lap_model, ["coulomb"], 10, 5, replace=True) == {"coulomb": 0}
+    assert len(pd.read_parquet(tmp_path / "samples")) == 10 and read_run(tmp_path).record["seed"] == 5
 
 
 def test_blocks_without_their_record_are_used_by_their_own_identity_only(lap_model, tmp_path):
     sample_into(tmp_path, lap_model, ["coulomb"], 20, 4)
     (tmp_path / "run.json").unlink()
     assert sample_into(tmp_path, lap_model, ["coulomb"], 20, 4) == {"coulomb": 20}
-    for wound in ("", "gone"):
+    for text in ("", None):
         (tmp_path / "run.json").unlink(missing_ok=True)
-        if wound != "gone":
-            (tmp_path / "run.json").write_text(wound)
+        if text is not None:
+            (tmp_path / "run.json").write_text(text)
         with pytest.raises(RunError, match="another run .*not the requested ones"):
             sample_into(tmp_path, lap_model, ["coulomb"], 20, 5)
     assert sample_into(tmp_path, lap_model, ["coulomb"], 20, 4) == {"coulomb": 20}
 
 
-def test_a_block_of_another_run_that_appears_later_is_excluded(lap_model, tmp_path):
-    sample_into(tmp_path / "mine", lap_model, ["coulomb"], 10, 4)
-    sample_into(tmp_path / "other", lap_model, ["coulomb"], 10, 5)
-    (block,) = (tmp_path / "other" / "samples" / "law=coulomb").glob("*")
-    (tmp_path / "mine" / "samples" / "law=coulomb" / block.name).write_bytes(block.read_bytes())
-    outcome = read_run(tmp_path / "mine")
-    assert outcome.missing == {"coulomb": 10} and "another run" in outcome.damaged[0]
-
-
 @pytest.mark.parametrize(
-    "table, wound",
-    [
-        ("samples", "cut"),
-        ("samples", "gone"),
-        ("slips", "altered"),
-        ("contacts", "cut"),
-        ("contacts", "gone"),
-        ("forces", "altered"),
-    ],
+    "table, wound", [("samples", "gone"), ("slips", "altered"), ("contacts", "gone"), ("forces", "altered")]
 )
 def test_a_damaged_block_is_set_aside_computed_again_and_reported(lap_model, sixty, tmp_path, table, wound):
     shutil.copytree(sixty, tmp_path, dirs_exist_ok=True)
     path = sorted((tmp_path / table / "law=coulomb").iterdir())[0]
-    content = path.read_bytes()
-    if wound == "cut":
-        path.write_bytes(content[:300])
-    elif wound == "altered":
-        middle = len(content) // 3
-        path.write_bytes(
-            content[:middle] + bytes(b ^ 0xFF for b in content[middle : middle + 40]) + content[middle + 40 :]
-        )
+    if wound == "altered":
+        content = np.frombuffer(path.read_bytes(), np.uint8).copy()
+        content[len(content) // 3 :][:40] ^= 0xFF
+        path.write_bytes(content.tobytes())
     else:
         path.unlink()
     heard = Heard()
@@ -120,17 +99,6 @@ def test_a_damaged_block_is_set_aside_computed_again_and_reported(lap_model, six
         (sentence,) = heard.sentences
         assert path.name in sentence and "computed again" in sentence
         assert list(tmp_path.glob("*/law=coulomb/*.damaged"))
-
-
-def test_files_that_no_run_wrote_stay(lap_model, tmp_path):
-    sample_into(tmp_path, lap_model, ["coulomb"], 10, 4)
-    foreign = [tmp_path / "samples" / "precious" / "data.csv", tmp_path / "samples" / "law=coulomb" / "notes.parquet"]
-    for path in foreign:
-        path.parent.mkdir(exist_ok=True)
-        path.write_text("mine")
-    sample_into(tmp_path, lap_model, ["frictionless"], 5, 6, replace=True)
-    assert all(path.read_text() == "mine" for path in foreign)
-    assert read_run(tmp_path).missing == {"frictionless": 0}
 
 
 def test_identity_depends_on_inputs_and_not_on_computed_values(lap_model, lap_scene, cache):
@@ -158,12 +126,9 @@ def test_how_exactly_the_path_is_followed_belongs_to_the_identity(lap_model, mon
 
 @pytest.mark.slow
 def test_a_run_from_scene_to_summary(lap_scene, cache, tmp_path):
-    scene = lap_scene.model_copy(
-        update={
-            "monte_carlo": lap_scene.monte_carlo.model_copy(update={"samples": 8}),
-            "report": lap_scene.report.model_copy(update={"laws": LAWS, "fields": False}),
-        }
-    )
+    few = lap_scene.monte_carlo.model_copy(update={"samples": 8})
+    report = lap_scene.report.model_copy(update={"laws": LAWS, "fields": False})
+    scene = lap_scene.model_copy(update={"monte_carlo": few, "report": report})
     heard = Heard()
     outcome = run(scene, tmp_path, cache, heard)
     assert outcome.laws == LAWS and outcome.missing == dict.fromkeys(LAWS, 0)
@@ -205,17 +170,6 @@ def test_statistics_do_not_depend_on_how_many_samples_store_their_pairs(long_and
     assert len(list((few / "forces").rglob("*.npz"))) == 2 and len(list((few / "condensed").rglob("*.npz"))) == 4
     for one, other in zip(statistics_of(whole), statistics_of(few)):
         pd.testing.assert_frame_equal(one, other, check_exact=True)
-    contacts = read(whole, "contacts")  # and they are those of the table
-    clamp = contacts[contacts["stage"] == "clamp"].groupby("contact")["f_n"]
-    statistics = statistics_of(few)[1]
-    found = statistics[(statistics["law"] == "coulomb") & (statistics["stage"] == "clamp")]
-    np.testing.assert_allclose(found["mean_f_n"], clamp.mean(), rtol=1e-12)
-    np.testing.assert_allclose(found["six_sigma_f_n"], 6 * clamp.std(), rtol=1e-9, atol=1e-12)
-    zone = statistics_of(few)[0].query("law == 'coulomb' and stage == 'clamp'")
-    pressed = contacts[contacts["stage"] == "clamp"].groupby("sample")["f_n"].sum()
-    np.testing.assert_allclose(zone["mean_normal_force"], pressed.mean(), rtol=1e-12)
-    state = contacts[contacts["stage"] == "clamp"].groupby("contact")["state"]
-    np.testing.assert_allclose(found["open"], state.apply(lambda own: (own == "open").mean()), rtol=1e-12)
 
 
 def test_pairs_that_are_not_stored_are_refused_in_one_sentence(long_and_short):
@@ -232,12 +186,12 @@ def test_pairs_that_are_not_stored_are_refused_in_one_sentence(long_and_short):
 @pytest.mark.parametrize("contacts", [0, 2000])
 def test_fewer_samples_of_a_longer_run_are_those_of_a_run_of_so_many(lap_model, tmp_path, contacts):
     model = keeping(lap_model, contacts)
-    for name, counts in (("first", [90]), ("again", [100, 90, 100])):
-        for count in counts:
-            sample_into(tmp_path / name, model, ["coulomb"], count, 4)
-            if name == "again" and count == 90:
-                for one, other in zip(statistics_of(tmp_path / "first"), statistics_of(tmp_path / "again")):
-                    pd.testing.assert_frame_equal(one, other, check_exact=True)
+    sample_into(tmp_path / "first", model, ["coulomb"], 90, 4)
+    for count in (100, 90):
+        sample_into(tmp_path / "again", model, ["coulomb"], count, 4)
+    for one, other in zip(statistics_of(tmp_path / "first"), statistics_of(tmp_path / "again")):
+        pd.testing.assert_frame_equal(one, other, check_exact=True)
+    sample_into(tmp_path / "again", model, ["coulomb"], 100, 4)
     assert read_run(tmp_path / "again").sample_numbers("coulomb").tolist() == list(range(100))
 
 
@@ -250,14 +204,14 @@ def test_pairs_requested_afterwards_are_computed(long_and_short, lap_model, tmp_
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("table, wound", [("sums", "gone"), ("condensed", "cut")])
-def test_a_block_without_sums_of_its_pairs_is_computed_again(long_and_short, lap_model, tmp_path, table, wound):
+@pytest.mark.parametrize("table, length", [("sums", None), ("condensed", 300)])
+def test_a_block_without_sums_of_its_pairs_is_computed_again(long_and_short, lap_model, tmp_path, table, length):
     shutil.copytree(long_and_short[1], tmp_path / "run")
     path = sorted((tmp_path / "run" / table / "law=coulomb").iterdir())[-1]
-    if wound == "cut":
-        path.write_bytes(path.read_bytes()[:300])
-    else:
-        path.unlink()
+    content = path.read_bytes()
+    path.unlink()
+    if length is not None:
+        path.write_bytes(content[:length])
     heard = Heard()
     assert sample_into(tmp_path / "run", keeping(lap_model, 0), LAWS, 120, 4, progress=heard)["coulomb"] == 100
     assert "computed again" in " ".join(heard.sentences)
