@@ -13,44 +13,43 @@ AVX2 = {"sse2", "avx2", "fma"}
 AVX512 = AVX2 | {"avx512f", "avx512cd", "avx512bw", "avx512dq", "avx512vl"}
 
 
-@pytest.mark.parametrize(
-    "able, taken, chosen",
-    [
-        (AVX512, "Prescott", "SKYLAKEX"),
-        (AVX2, "Prescott", "HASWELL"),
-        (AVX2 | {"avx512f"}, "Prescott", "HASWELL"),
-        ({"sse2"}, "Prescott", None),  # of 2004 indeed
-        (AVX512, "SkylakeX", None),
-        (AVX2, "Zen", None),
-        (AVX512, "", None),  # another library than OpenBLAS
-    ],
-)
-def test_a_kernel_is_chosen_if_openblas_does_not_know_the_processor(monkeypatch, able, taken, chosen):
-    monkeypatch.setattr(blas, "cpu_flags", lambda: able)
-    monkeypatch.setattr(blas, "default_kernel", lambda: taken)
+@pytest.fixture
+def processor(monkeypatch):
+    """As a process begins on a processor with AVX-512 whose kernels OpenBLAS does not know: nothing chosen, no numpy."""
+    monkeypatch.setattr(blas, "cpu_flags", lambda: AVX512)
+    monkeypatch.setattr(blas, "default_is_oldest", lambda: True)
     monkeypatch.setattr(sys, "modules", {key: one for key, one in sys.modules.items() if key != "numpy"})
     monkeypatch.setenv(blas.NAME, "")
     monkeypatch.delenv(blas.NAME)
+    return monkeypatch
+
+
+@pytest.mark.parametrize(
+    "able, oldest, chosen",
+    [
+        (AVX512, True, "SKYLAKEX"),
+        (AVX2 | {"avx512f"}, True, "HASWELL"),
+        ({"sse2"}, True, None),  # the oldest indeed
+        (AVX512, False, None),
+    ],
+)
+def test_a_kernel_is_chosen_if_openblas_does_not_know_the_processor(processor, able, oldest, chosen):
+    processor.setattr(blas, "cpu_flags", lambda: able)
+    processor.setattr(blas, "default_is_oldest", lambda: oldest)
     blas.choose_kernels()
     assert os.environ.get(blas.NAME) == chosen
 
 
-def test_the_users_choice_of_kernel_is_respected(monkeypatch):
-    monkeypatch.setattr(blas, "default_kernel", lambda: pytest.fail("nobody needs to know"))
-    monkeypatch.setattr(sys, "modules", {key: one for key, one in sys.modules.items() if key != "numpy"})
-    monkeypatch.setenv(blas.NAME, "NEHALEM")
+def test_the_users_choice_of_kernel_is_respected(processor):
+    processor.setenv(blas.NAME, "NEHALEM")
     blas.choose_kernels()
     assert os.environ[blas.NAME] == "NEHALEM"
 
 
-@pytest.mark.parametrize("loaded, message", [("Prescott", "OPENBLAS_CORETYPE=HASWELL"), ("Haswell", ""), ("", "")])
-def test_importing_numpy_first_gives_a_warning(monkeypatch, caplog, loaded, message):
-    """These tests have numpy."""
-    monkeypatch.setattr(blas, "cpu_flags", lambda: AVX2)
-    monkeypatch.setattr(blas, "loaded_kernel", lambda: loaded)
-    monkeypatch.setattr(blas, "default_kernel", lambda: pytest.fail("it is too late"))
-    monkeypatch.setenv(blas.NAME, "")
-    monkeypatch.delenv(blas.NAME)
+@pytest.mark.parametrize("loaded, message", [("Prescott", "OPENBLAS_CORETYPE=SKYLAKEX"), ("Haswell", ""), ("", "")])
+def test_importing_numpy_first_gives_a_warning(processor, caplog, loaded, message):
+    sys.modules["numpy"] = None
+    processor.setattr(blas, "loaded_kernel", lambda: loaded)
     blas.choose_kernels()
     assert blas.NAME not in os.environ and message in caplog.text and bool(caplog.text) == bool(message)
 

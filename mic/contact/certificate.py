@@ -69,11 +69,11 @@ class Certificate:
         Largest ``|μ f_n ‖u_t‖ + f_t·u_t|``, the work by which friction fails to oppose slip [force × length].
     """
 
-    residual: float | np.ndarray
-    penetration: float | np.ndarray
-    cone_violation: float | np.ndarray
-    complementarity: float | np.ndarray
-    slip_error: float | np.ndarray
+    residual: np.ndarray
+    penetration: np.ndarray
+    cone_violation: np.ndarray
+    complementarity: np.ndarray
+    slip_error: np.ndarray
 
 
 def contact_stiffness(S: np.ndarray, law: Law, dimension: int = 3) -> np.ndarray:
@@ -137,7 +137,7 @@ def certify(S, b, mu, force, law: str | Law = "coulomb", dimension: int = 3) -> 
     certificate = replace(certificate, **in_units(certificate, length, length / compliance))
     if b.ndim == 2:
         return certificate
-    return Certificate(**{name: float(values[0]) for name, values in vars(certificate).items()})
+    return Certificate(**{name: values[0].item() for name, values in vars(certificate).items()})
 
 
 def in_units(scaled: Any, length: np.ndarray, force: np.ndarray) -> dict[str, np.ndarray]:

@@ -71,11 +71,12 @@ def compare_laws(
         laws = [law for law in LAWS.values() if not law.reads]
         solutions = {law: solver(S, mu, law=law, tol=tol, threads=threads).solve(b) for law in laws}
         coulomb = solutions[COULOMB]
-        coulomb_states = _states(coulomb.force.reshape(len(b), -1, 3), mu)
+        f = coulomb.force.reshape(len(b), -1, 3)
+        coulomb_states = classify(f, mu * f[..., 0])
         for law, solution in solutions.items():
             f = solution.force.reshape(len(b), -1, 3)
             u = solution.displacement.reshape(len(b), -1, 3)
-            states = _states(f, mu if law.frictional else 0.0)
+            states = classify(f, (mu if law.frictional else 0.0) * f[..., 0])
             slip, coulomb_slip = u[..., 1:], coulomb.displacement.reshape(u.shape)[..., 1:]
             frames.append(
                 pd.DataFrame(
@@ -119,10 +120,6 @@ def summarise(study: pd.DataFrame) -> pd.DataFrame:
     table["gap_at_load_max"] = groups["gap_at_load"].max()
     table["left_out"] = (~study["converged"]).groupby([study[key] for key in keys], sort=False).sum()
     return table
-
-
-def _states(f, mu):
-    return classify(f, mu * f[..., 0])
 
 
 def _relative_change(a, reference):

@@ -13,7 +13,7 @@ compliant contacts, the anchor is the position of the slider, ``u_t + c f_t``
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import reduce
 
@@ -105,6 +105,21 @@ class Trace:
             factorisations=np.zeros(n, dtype=np.int64),
         )
 
+    @classmethod
+    def of_step(cls, state: np.ndarray, factorisations: np.ndarray) -> Trace:
+        """The trace of one step that ends in states (n, m), without slip."""
+        share = np.stack([state == OPEN, state == STICK, state == SLIP], axis=-1).astype(float)
+        start, steps = cls.start(*state.shape), np.ones(len(state), dtype=np.int64)
+        return replace(start, share=share, steps=steps, factorisations=factorisations)
+
+    def with_slip(self, motion: np.ndarray, before: np.ndarray, force: np.ndarray) -> Trace:
+        """The trace of one step whose slipping contacts have moved by `motion` (n, m, 2); contact forces (n, m, 3)
+        before the step and after it."""
+        slip = np.where(self.share[:, :, SLIP, None] > 0.0, motion, 0.0)
+        # The trapezoidal rule; a contact that was open before has zero force there.
+        work = -np.sum(0.5 * (before + force)[:, :, 1:] * slip, axis=-1)
+        return replace(self, slip=slip, length=np.linalg.norm(slip, axis=-1), work=work)
+
     def weighted(self, weight: float) -> Trace:
         """The trace with its shares multiplied, for paths of unequal length in sequence."""
         return replace(self, share=weight * self.share)
@@ -149,7 +164,7 @@ class PathSolution:
 
     def replaced(self, own: np.ndarray, new: PathSolution) -> PathSolution:
         """The paths with those of the samples `own` replaced; factorisations of both count."""
-        solution = _replaced(self, own, new)
+        solution = with_samples(self, own, new)
         solution.trace.factorisations[own] += self.trace.factorisations[own]
         return solution
 
@@ -178,8 +193,8 @@ class PathSolution:
 
 
 @dataclass(frozen=True)
-class Leg:
-    """Result of a follower between two loads, not certified yet.
+class Leg(Trace):
+    """Result of a follower between two loads, not certified yet; slip, work and states as :class:`Trace` has them.
 
     Attributes
     ----------
@@ -188,10 +203,6 @@ class Leg:
     b : (n, 3m) array
         Displacements without contact forces, relative to the anchors of the last step: the problem that `force` solves.
     anchor : (n, m, 2) array
-    slip, length, work, share, error
-        As :class:`Trace` has them.
-    steps, factorisations : (n,) int array
-        As :class:`Trace` has them.
     given_up : (n,) bool array
         Whether the follower failed.
     record : (n,) object array or None
@@ -201,13 +212,6 @@ class Leg:
     force: np.ndarray
     b: np.ndarray
     anchor: np.ndarray
-    slip: np.ndarray
-    length: np.ndarray
-    work: np.ndarray
-    share: np.ndarray
-    error: np.ndarray
-    steps: np.ndarray
-    factorisations: np.ndarray
     given_up: np.ndarray
     record: np.ndarray | None = None
 
@@ -216,13 +220,12 @@ class Leg:
         """No forces, all contacts open along the leg, with friction."""
         trace = Trace.start(n, m)
         trace.share[:, :, OPEN] = 1.0
-        return cls(
-            force=np.zeros((n, 3 * m)),
-            b=np.zeros((n, 3 * m)),
-            anchor=np.zeros((n, m, 2)),
-            given_up=np.zeros(n, dtype=bool),
-            **vars(trace),
-        )
+        force, anchor = np.zeros((n, 3 * m)), np.zeros((n, m, 2))
+        return cls(**vars(trace), force=force, b=force.copy(), anchor=anchor, given_up=np.zeros(n, dtype=bool))
+
+    def trace(self, **changed: np.ndarray) -> Trace:
+        """The trace alone, some of its fields changed."""
+        return Trace(**{field.name: getattr(self, field.name) for field in fields(Trace)} | changed)
 
 
 def follow(solver, b, force, anchor, path: Path) -> PathSolution:
@@ -233,15 +236,12 @@ def follow(solver, b, force, anchor, path: Path) -> PathSolution:
     anchor = b[:, 0].reshape(n, m, d)[:, :, 1:] if anchor is None else anchor
     if not solver.law.frictional:
         return end_state(solver, b[:, -1], force, path.recorded)
+    if not (solver.law.followed or isinstance(path, Increments)):
+        path = Increments(1, path.recorded)
+    solve_leg: Callable[..., PathSolution] = followed if solver.law.followed else increments
     legs = []
     for k in range(loads - 1):
-        b0, b1 = b[:, k], b[:, k + 1]
-        if solver.law.followed:
-            leg = followed(solver, b0, b1, force, anchor, path)
-        else:
-            leg = increments(
-                solver, b0, b1, force, anchor, path if isinstance(path, Increments) else Increments(1, path.recorded)
-            )
+        leg = solve_leg(solver, b[:, k], b[:, k + 1], force, anchor, path)
         force, anchor = leg.force, leg.anchor
         legs.append(leg)
     return PathSolution.join(legs)
@@ -255,20 +255,11 @@ def followed(solver, b0, b1, force, anchor, path: Path) -> PathSolution:
     leg = solver.backend.follow(b0, b1, force, anchor, path)
     response = product(leg.force, solver.S)
     residual, converged, status = solver.check_convergence(leg.b, leg.force, response)
-    trace = Trace(
-        leg.slip,
-        leg.length,
-        leg.work,
-        leg.share,
-        np.full(n, np.nan) if incremental else leg.error,
-        leg.steps,
-        leg.factorisations,
-    )
     solution = PathSolution(
         force=leg.force,
         displacement=response + b1,
         anchor=leg.anchor,
-        trace=trace,
+        trace=leg.trace(error=np.full(n, np.nan)) if incremental else leg.trace(),
         residual=residual,
         converged=converged,
         iterations=leg.factorisations,
@@ -280,33 +271,27 @@ def followed(solver, b0, b1, force, anchor, path: Path) -> PathSolution:
     if not failed.size:
         return solution
     fallback = path if isinstance(path, Increments) else Increments(RESCUE, path.recorded)
-    return solution.replaced(
-        failed, increments(solver, b0[failed], b1[failed], force[failed], anchor[failed], fallback)
-    )
+    again = increments(solver, b0[failed], b1[failed], force[failed], anchor[failed], fallback)
+    return solution.replaced(failed, again)
 
 
-def _replaced(all_samples, own, some):
-    """A copy of the first with the samples `own` taken from the second."""
+def with_samples(batch, own, new):
+    """A copy of a dataclass of arrays (n, …) with the samples `own` taken from a `new` one."""
     values = {}
-    for field in fields(all_samples):
-        value, new = getattr(all_samples, field.name), getattr(some, field.name)
+    for name, value in vars(batch).items():
         if isinstance(value, Trace):
-            values[field.name] = _replaced(value, own, new)
+            values[name] = with_samples(value, own, getattr(new, name))
         elif value is not None:
-            value = value.copy()
-            value[own] = new
-            values[field.name] = value
-    return type(all_samples)(**values)
+            values[name] = value.copy()
+            values[name][own] = getattr(new, name)
+    return replace(batch, **values)
 
 
 def increments(solver, b0, b1, force, anchor, path: Increments) -> PathSolution:
     """Steps of backward Euler's method; the arguments of :meth:`mic.contact.ContactSolver.follow`."""
     n, m = len(b0), solver.contacts
     trace = Trace.start(n, m)
-    error = np.full(n, np.nan)
-    slip, length, work, share = trace.slip, trace.length, trace.work, trace.share
-    converged, residual = np.ones(n, dtype=bool), np.zeros(n)
-    iterations, factorisations = np.zeros(n, dtype=np.int64), np.zeros(n, dtype=np.int64)
+    converged, residual, iterations = np.ones(n, dtype=bool), np.zeros(n), np.zeros(n, dtype=np.int64)
     ends, forces = path.ends, []
     for end, part in zip(ends, np.diff(ends, prepend=0.0)):
         b = b0 + end * (b1 - b0)
@@ -316,33 +301,25 @@ def increments(solver, b0, b1, force, anchor, path: Increments) -> PathSolution:
         solution = solver.solve(b.reshape(n, -1), guess=force)
         before, now = (f.reshape(n, m, 3) for f in (force, solution.force))
         moved = solution.displacement.reshape(n, m, 3)[:, :, 1:] + solver.compliance[:, None] * now[:, :, 1:]
-        state = classify(now, solver.bound(now[..., 0]))
-        closed = state != OPEN
-        slips = np.where((state == SLIP)[:, :, None], moved, 0.0)
-        slip, length = slip + slips, length + np.linalg.norm(slips, axis=-1)
-        # The trapezoidal rule; a contact that was open before has zero force there.
-        work = work - np.sum(0.5 * (before + now)[:, :, 1:] * slips, axis=-1)
-        share = share + np.stack([~closed, state == STICK, state == SLIP], axis=-1) * part
+        step = Trace.of_step(classify(now, solver.bound(now[..., 0])), solution.factorisations)
+        trace += step.with_slip(moved, before, now).weighted(part)
         anchor = anchor + moved
         force = solution.force
         forces.append(force)
         converged &= solution.converged
         residual = np.maximum(residual, solution.residual)
         iterations = iterations + solution.iterations
-        factorisations = factorisations + solution.factorisations
-    u = (product(force, solver.S) + b1).reshape(n, -1)
-    steps = np.full(n, path.count, dtype=np.int64)
     return PathSolution(
-        force,
-        u,
-        anchor,
-        Trace(slip, length, work, share, error, steps, factorisations),
-        residual,
-        converged,
-        iterations,
-        np.asarray(solution.status),
-        np.asarray(solution.rung),
-        _records(ends, forces) if path.recorded else None,
+        force=force,
+        displacement=(product(force, solver.S) + b1).reshape(n, -1),
+        anchor=anchor,
+        trace=replace(trace, error=np.full(n, np.nan)),
+        residual=residual,
+        converged=converged,
+        iterations=iterations,
+        status=np.asarray(solution.status),
+        rung=np.asarray(solution.rung),
+        record=_records(ends, forces) if path.recorded else None,
     )
 
 
@@ -366,22 +343,16 @@ def end_state(solver, b, guess, recorded: bool = False) -> PathSolution:
 def from_solution(solver, solution: ContactSolution, recorded: bool = False) -> PathSolution:
     """The path of one step that ends in a `solution` (n samples) of a :class:`mic.contact.ContactSolver`."""
     n, m = len(solution.force), solver.contacts
-    u = solution.displacement.reshape(n, m, -1)
     force = solution.force.reshape(n, m, -1)
-    state = classify(force, solver.bound(force[:, :, 0]))
-    share = np.stack([state == OPEN, state == STICK, state == SLIP], axis=-1).astype(float)
-    trace = replace(
-        Trace.start(n, m), share=share, steps=np.ones(n, dtype=np.int64), factorisations=solution.factorisations
-    )
     return PathSolution(
-        solution.force,
-        solution.displacement,
-        u[:, :, 1:],
-        trace,
-        solution.residual,
-        solution.converged,
-        solution.iterations,
-        np.asarray(solution.status),
-        np.asarray(solution.rung),
-        _records(np.ones(1), [solution.force]) if recorded else None,
+        force=solution.force,
+        displacement=solution.displacement,
+        anchor=solution.displacement.reshape(n, m, -1)[:, :, 1:],
+        trace=Trace.of_step(classify(force, solver.bound(force[:, :, 0])), solution.factorisations),
+        residual=solution.residual,
+        converged=solution.converged,
+        iterations=solution.iterations,
+        status=np.asarray(solution.status),
+        rung=np.asarray(solution.rung),
+        record=_records(np.ones(1), [solution.force]) if recorded else None,
     )

@@ -7,6 +7,8 @@ from enum import Enum
 
 import numpy as np
 
+from mic.contact.certificate import Certificate
+
 __all__ = ["ContactSolution", "Status"]
 
 
@@ -43,7 +45,7 @@ _ADVICE = {
 
 
 @dataclass(frozen=True)
-class ContactSolution:
+class ContactSolution(Certificate):
     """Forces and displacements, with the residuals that show whether they are a solution.
 
     Scalars and (3m,) vectors if ``b`` was one sample; leading axis n if it was a batch.
@@ -54,8 +56,6 @@ class ContactSolution:
         ``f`` in contact order n, t1, t2; ``f_n >= 0`` is compression [force].
     displacement : array like ``force``
         ``u = S f + b``; ``u_n >= 0`` is separation [length].
-    residual : float or (n,) array
-        Scale-free natural-map residual of the law, see :mod:`mic.contact.certificate` [1].
     converged : bool or (n,) bool array
         ``residual <= tol``.
     status : Status or (n,) object array of Status
@@ -67,19 +67,14 @@ class ContactSolution:
         Factorisations shared by all samples are not counted; 0 if a backend reports none.
     rung : str or (n,) object array of str
         Rung of :mod:`mic.contact.ladder` that found the force; for other backends, their name.
-    penetration, cone_violation, complementarity, slip_error : float or (n,) array
-        Coulomb's conditions one by one, see :class:`mic.contact.certificate.Certificate`.
+    residual, penetration, cone_violation, complementarity, slip_error : float or (n,) array
+        See :class:`mic.contact.certificate.Certificate`.
     """
 
     force: np.ndarray
     displacement: np.ndarray
-    residual: np.ndarray
     converged: np.ndarray
     status: np.ndarray
     iterations: np.ndarray
     factorisations: np.ndarray
     rung: np.ndarray
-    penetration: np.ndarray
-    cone_violation: np.ndarray
-    complementarity: np.ndarray
-    slip_error: np.ndarray

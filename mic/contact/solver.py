@@ -13,7 +13,7 @@ from mic.contact.backends import BACKENDS
 from mic.contact.certificate import contact_stiffness, in_units, measure, residual, series_compliance
 from mic.contact.friction import Friction, finite
 from mic.contact.laws import Law, find
-from mic.contact.path import Followed, Path, PathSolution, follow
+from mic.contact.path import Followed, Path, PathSolution, follow, with_samples
 from mic.contact.solution import ContactSolution, Status
 from mic.contact.units import out_of_range, unit
 from mic.system.matrix_product import one_thread
@@ -29,6 +29,7 @@ INDEFINITE = 5e-7
 SMALLEST = np.finfo(float).tiny / np.finfo(float).eps
 #: The search for a solution ends at this fraction of the tolerance, so that rounding cannot change the outcome.
 SAFETY = 0.5
+OUTCOMES = np.array([Status.CONVERGED, Status.NOT_CONVERGED, Status.INFEASIBLE], dtype=object)
 
 
 class ContactSolver:
@@ -174,14 +175,10 @@ class ContactSolver:
                 raise ValueError(f"guess must have the shape of b, {b.shape}; got {guess.shape}")
             guess = np.atleast_2d(guess)
         scaled = out_of_range(rows) | self._scaled
-        if not scaled.any():
-            solution = self._solve(rows, guess)
-        elif scaled.all():
-            solution = self._solve_scaled(rows, guess)
-        else:
-            solution = self._solve(np.where(scaled[:, None], 0.0, rows), guess)
+        solution = self._solve(np.where(scaled[:, None], 0.0, rows), guess)
+        if scaled.any():
             own = self._solve_scaled(rows[scaled], None if guess is None else guess[scaled])
-            solution = _replaced(solution, scaled, own)
+            solution = with_samples(solution, scaled, own)
         return solution if b.ndim == 2 else _only(solution)
 
     def _solve(self, rows, guess) -> ContactSolution:
@@ -208,7 +205,7 @@ class ContactSolver:
                 again = self._solve(rows[lost], None)
                 counts = counts[:, lost] + [again.iterations, again.factorisations]
                 again = replace(again, iterations=counts[0], factorisations=counts[1])
-                solution = _replaced(solution, lost, again)
+                solution = with_samples(solution, lost, again)
         return solution
 
     def _solve_scaled(self, rows, guess) -> ContactSolution:
@@ -260,17 +257,12 @@ class ContactSolver:
         """
         certificate, displacement = self._measure(b, force)
         converged = certificate.residual <= self.tol
-        infeasible = np.zeros(len(b), dtype=bool) if infeasible is None else infeasible
-        status = np.empty(len(b), dtype=object)
-        status[:] = [
-            Status.CONVERGED if solved else Status.INFEASIBLE if proven else Status.NOT_CONVERGED
-            for solved, proven in zip(converged.tolist(), infeasible.tolist())
-        ]
+        unsolved = 1 if infeasible is None else np.where(infeasible, 2, 1)
         return ContactSolution(
             force=force,
             displacement=displacement,
             converged=converged,
-            status=status,
+            status=OUTCOMES[np.where(converged, 0, unsolved)],
             iterations=iterations,
             factorisations=factorisations,
             rung=rung,
@@ -287,9 +279,7 @@ class ContactSolver:
         known = self._parameters, force, self.law, self._stiffness, self.dimension, displacement
         found = residual(self._sliding, b, *known)
         converged = found <= self.tol
-        status = np.empty(len(b), dtype=object)
-        status[:] = [Status.CONVERGED if solved else Status.NOT_CONVERGED for solved in converged.tolist()]
-        return found, converged, status
+        return found, converged, OUTCOMES[np.where(converged, 0, 1)]
 
     @one_thread
     def follow(
@@ -354,11 +344,11 @@ def solve(S, b, mu, law="coulomb", backend="native", tol=1e-10, guess=None, thre
 
 def _only(solution: ContactSolution) -> ContactSolution:
     """The only sample of a batch, as scalars and vectors."""
-    values: dict[str, Any] = {name: value[0] for name, value in vars(solution).items()}
-    for name, value in values.items():
-        if isinstance(value, np.generic):
-            values[name] = value.item()
-    return ContactSolution(**values)
+
+    def scalar(value):
+        return value.item() if isinstance(value, np.generic) else value
+
+    return ContactSolution(**{name: scalar(values[0]) for name, values in vars(solution).items()})
 
 
 def _refused(solution: ContactSolution, lost) -> ContactSolution:
@@ -372,14 +362,6 @@ def _refused(solution: ContactSolution, lost) -> ContactSolution:
         converged=solution.converged & ~lost,
         status=status,
     )
-
-
-def _replaced(solution: ContactSolution, chosen, new: ContactSolution) -> ContactSolution:
-    """The batch with the chosen samples (n,) replaced by new solutions."""
-    values = {name: value.copy() for name, value in vars(solution).items()}
-    for name, value in values.items():
-        value[chosen] = getattr(new, name)
-    return ContactSolution(**values)
 
 
 def _checked_compliance(S, dimension, semidefinite):

@@ -37,7 +37,7 @@ from mic.contact.laws import COULOMB, Law
 from mic.contact.native.kernels import compiled
 from mic.contact.path_record import PathRecord
 from mic.contact.solver import ContactSolver
-from mic.contact.states import LOADED, ON_CONE, OPEN, STICK
+from mic.contact.states import OPEN, SLIP, STICK, classify
 
 __all__ = ["ComplianceDerivative", "Contact", "End", "Dual", "lag", "differentiate_path"]
 
@@ -221,15 +221,8 @@ def differentiate_path(
         np.where(closed, whole.value[:, gap], u.value[:, gap]),
         np.where(closed[:, :, None], whole.slope[:, gap], u.slope[:, gap]),
     )
-    return End(
-        whole,
-        u,
-        Dual(place.value.reshape(n, (d - 1) * m), place.slope.reshape(n, (d - 1) * m, p)),
-        state,
-        normal,
-        cone,
-        solved,
-    )
+    moved_anchor = Dual(place.value.reshape(n, (d - 1) * m), place.slope.reshape(n, (d - 1) * m, p))
+    return End(whole, u, moved_anchor, state, normal, cone, solved)
 
 
 def _under(S: Columns, force: Dual) -> Dual:
@@ -261,16 +254,10 @@ class _PathSolver:
         #: Rows of the contacts, and of their anchors, among all.
         self.rows = (d * own[:, None] + np.arange(size)).ravel()
         self.sides = ((d - 1) * own[:, None] + np.arange(size - 1)).ravel()
-        none, compliance_slope = np.zeros((0, len(self.rows))), contact.compliance_slope
-        self.compliance_slope = (
-            (none, none, np.zeros(0, dtype=np.int64))
-            if compliance_slope is None
-            else (
-                np.ascontiguousarray(compliance_slope.left[:, self.rows]),
-                np.ascontiguousarray(compliance_slope.right[:, self.rows]),
-                compliance_slope.inputs.astype(np.int64),
-            )
-        )
+        none = np.zeros((0, d * len(contact.friction)))
+        slope = contact.compliance_slope or ComplianceDerivative(none, none, np.zeros(0))
+        sides = (np.ascontiguousarray(side[:, self.rows]) for side in (slope.left, slope.right))
+        self.compliance_slope = (*sides, slope.inputs.astype(np.int64))
 
     def solve(self, records: Sequence[PathRecord], start: Dual, end: Dual, anchor: Dual):
         """Forces (n, s m), their slopes (n, s m, p) and states (n, m) at the end of the paths, and whether all steps
@@ -381,5 +368,4 @@ class _PathSolver:
         if self.size == 1:
             return np.zeros(len(f), dtype=bool)
         bound = self.law.bound(f[:, 0], self.parameters)
-        loaded = f[:, 0] > LOADED * f[:, 0].max(initial=0.0)
-        return loaded & (np.hypot(f[:, 1], f[:, 2]) >= (1.0 - ON_CONE) * bound) & (bound > 0.0)
+        return (classify(f[None], bound[None])[0] == SLIP) & (bound > 0.0)

@@ -35,7 +35,7 @@ from mic.contact.path import Followed, Increments, Leg, Path, PathSolution, Trac
 from mic.contact.path_record import PathRecord, record_array
 from mic.contact.solution import Status
 from mic.contact.solver import ContactSolver
-from mic.contact.states import LOADED, OPEN, SLIP, STICK, classify
+from mic.contact.states import LOADED, OPEN, classify
 
 if TYPE_CHECKING:
     from mic.contact.native.landing import Landing
@@ -132,11 +132,11 @@ class WorkingSetSolver:
         **settings,
     ):
         self.law, self._S, self._settings = law, S, settings
-        self._d = settings.get("dimension", 3)
+        self._d, self._native = settings.get("dimension", 3), settings.get("backend", "native") == "native"
         self._friction = friction if law.frictional else Friction.of(0.0, len(start))
         self._parameters = law.parameters(self._friction)
-        none = PathForecast.empty(len(start), self._d)
-        self._forecast, self._screened = forecast or none, [none]
+        self._screened = PathForecast.empty(len(start), self._d)
+        self._forecast = forecast or self._screened
         self._start, self._allowed, self._screening = start & allowed, allowed, screening
         self._many = law.frictional and len(start) > MANY_CANDIDATES
         self.carried = np.zeros(len(start), dtype=bool)
@@ -168,10 +168,7 @@ class WorkingSetSolver:
     @property
     def observed(self) -> PathForecast:
         """Forecast from the samples solved so far; loads and changes of forces only if `screening`."""
-        load, change = (
-            np.concatenate([getattr(forecast, name) for forecast in self._screened]) for name in ("load", "change")
-        )
-        return PathForecast(self.carried, load, change)
+        return replace(self._screened, touching=self.carried)
 
     def bound(self, normal: np.ndarray) -> np.ndarray:
         """See :meth:`mic.contact.ContactSolver.bound`, for all candidates."""
@@ -179,9 +176,8 @@ class WorkingSetSolver:
 
     def solve(self, b: np.ndarray) -> PathSolution:
         """See :meth:`mic.contact.ContactSolver.solve`, for a batch (n, d m), without loading history."""
-        return self._solve_growing(
-            b[:, None], np.zeros_like(b), np.zeros((len(b), len(self._start), self._d - 1)), None
-        )
+        anchor = np.zeros((len(b), len(self._start), self._d - 1))
+        return self._solve_growing(b[:, None], np.zeros_like(b), anchor, None)
 
     def follow(self, b: np.ndarray, force: np.ndarray, anchor: np.ndarray, path: Path) -> PathSolution:
         """See :meth:`mic.contact.ContactSolver.follow`; candidates that are not allowed lose their initial force.
@@ -195,20 +191,19 @@ class WorkingSetSolver:
         single = isinstance(path, Increments) and path.count == 1 and b.shape[1] == 2
         stepwise = (single if self.law.frictional else self._d == 3) and not path.recorded  # only the end matters
         large = self._screening or self._start.sum() > MAX_INITIAL
-        if not stepwise or large or self._settings.get("backend", "native") != "native":
-            found = self._solve_growing(
-                b, force.copy() if self._screening else force, anchor, path
-            )  # screening modifies it
+        if not stepwise or large or not self._native:
+            found = self._solve_growing(b, force.copy(), anchor, path)  # screening modifies its force
             if self._screening:
-                converged = found.converged
-                load, change = b[converged, -1, :: self._d], (found.force - force)[converged]
-                self._screened.append(PathForecast(self.carried, load, change))
+                converged, known = found.converged, self._screened
+                load = np.concatenate([known.load, b[converged, -1, :: self._d]])
+                change = np.concatenate([known.change, (found.force - force)[converged]])
+                self._screened = PathForecast(self.carried, load, change)
             return found
         found = self._solve_increment(b, force, anchor)
         lost = np.flatnonzero(~found.converged)
-        return (
-            found.replaced(lost, self._solve_growing(b[lost], force[lost], anchor[lost], path)) if len(lost) else found
-        )
+        if not len(lost):
+            return found
+        return found.replaced(lost, self._solve_growing(b[lost], force[lost], anchor[lost], path))
 
     def _solve_increment(self, b, force, anchor) -> PathSolution:
         """One increment along loads b (n, k + 1, d m), k = 1 with friction, with growing working sets.
@@ -251,12 +246,15 @@ class WorkingSetSolver:
         self.carried |= _loaded(leg.force[converged].reshape(-1, m, d)[:, :, 0]).any(axis=0)
         sliders = self.law.compliance(self._friction)[:, None] * leg.force.reshape(n, m, d)[:, :, 1:]
         stands = u.reshape(n, m, d)[:, :, 1:] + sliders
-        error, steps = np.full(n, np.nan if self.law.frictional else 0.0), np.ones(n, dtype=np.int64)
-        trace = Trace(leg.slip, leg.length, leg.work, leg.share, error, steps, leg.factorisations)
+        error = np.full(n, np.nan if self.law.frictional else 0.0)
         if self.law.followed:
+            trace = leg.trace(error=error, steps=np.ones(n, dtype=np.int64))
             stands[working] = leg.anchor[working]
-        else:
-            trace = self._end_trace(trace, force, leg.force, stands - anchor)
+        else:  # no path: from the states at the end and the motion since the start
+            before, now = (f.reshape(n, m, d) for f in (force, leg.force))
+            trace = replace(Trace.of_step(classify(now, self.bound(now[:, :, 0])), leg.factorisations), error=error)
+            if self.law.frictional:
+                trace = trace.with_slip(stands - anchor, before, now)
         return replace(
             found,
             force=leg.force,
@@ -281,18 +279,6 @@ class WorkingSetSolver:
             leg.force[places], _, spent, _ = part.solve(leg.b[places], guess[places])
             leg.factorisations[samples] += spent
 
-    def _end_trace(self, trace: Trace, before, force, motion) -> Trace:
-        """The trace of a law without path: from the state at the end and the `motion` (n, m, 2) since the start, where
-        the contact forces (n, d m) were `before`; as in :func:`mic.contact.path.increments`."""
-        now = force.reshape(*motion.shape[:2], self._d)
-        state = classify(now, self.bound(now[:, :, 0]))
-        share = np.stack([state == OPEN, state == STICK, state == SLIP], axis=2).astype(float)
-        if not self.law.frictional:
-            return replace(trace, share=share)
-        slip = np.where((state == SLIP)[:, :, None], motion, 0.0)
-        work = -np.sum(0.5 * (before.reshape(now.shape) + now)[:, :, 1:] * slip, axis=2)
-        return replace(trace, slip=slip, length=np.linalg.norm(slip, axis=2), work=work, share=share)
-
     def _solve_growing(self, b, force, anchor, path: Path | None) -> PathSolution:
         """Paths along loads b (n, k + 1, d m), or solutions of the last load alone, with growing working sets."""
         n, m, d = len(b), len(self._start), self._d
@@ -306,7 +292,7 @@ class WorkingSetSolver:
         recorded_path = replace(path, recorded=True) if path is not None and checks_path else path
         found, on_path = self._open(n, m, recorded), np.zeros((n, m))
         todo = np.arange(n)
-        iterations, factorisations = np.zeros((2, n), dtype=np.int64)
+        spent = np.zeros((2, n), dtype=np.int64)  # iterations and factorisations
         for round_ in range(MAX_ROUNDS):
             if self._screening:
                 working[:] = working.any(axis=0)
@@ -315,20 +301,16 @@ class WorkingSetSolver:
             if round_ and path is None and self._uses_newton():
                 for samples, own, solver in self._by_solver(working, todo):
                     solution = self._newton(own, solver, working[samples], b[samples], force[samples], anchor[samples])
-                    self._put(found, samples, own, solution, b[samples])
+                    self._put(found, samples, own, solution, b[samples], spent)
                     u = found.displacement[samples].reshape(len(samples), m, d)
                     found.anchor[samples] = np.where(working[samples, :, None], found.anchor[samples], u[:, :, 1:])
-                    iterations[samples] += solution.iterations
-                    factorisations[samples] += solution.trace.factorisations
                     force[samples] = found.force[samples]
                 left = todo[~found.converged[todo]]
             for samples, own in _by_working_set(working, left, MAX_RECORDED if checks_path else None):
                 solution = self._solved(own, b[samples], force[samples], anchor[samples], recorded_path)
-                self._put(found, samples, own, solution, b[samples])
+                self._put(found, samples, own, solution, b[samples], spent)
                 if checks_path:
                     on_path[samples] = self._path_penetration(own, b[samples], solution)
-                iterations[samples] += solution.iterations
-                factorisations[samples] += solution.trace.factorisations
                 if path is None or self._screening:  # the next round starts from this result
                     force[samples] = found.force[samples]
             depths = self._penetration(found.displacement[todo], anchor[todo], path, working[todo])
@@ -346,18 +328,13 @@ class WorkingSetSolver:
         found.converged[todo] = False
         found.status[todo] = Status.NOT_CONVERGED
         self.carried |= _loaded(found.force[found.converged].reshape(-1, m, d)[:, :, 0]).any(axis=0)
-        return replace(found, iterations=iterations, trace=replace(found.trace, factorisations=factorisations))
+        return replace(found, iterations=spent[0], trace=replace(found.trace, factorisations=spent[1]))
 
     def _uses_newton(self) -> bool:
         """Whether rounds use Newton's method from the last result: most samples close the same contacts, with an
         accurate inverse; too slow with many candidates."""
-        native = self._settings.get("backend", "native") == "native"
-        if (
-            self._screening
-            or not self.law.frictional
-            or not native
-            or not MAX_INITIAL < self._start.sum() <= MANY_CANDIDATES
-        ):
+        suits = self.law.frictional and self._native and not self._screening
+        if not (suits and MAX_INITIAL < self._start.sum() <= MANY_CANDIDATES):
             return False
         if self._factorised is None:
             self._factorised = self._solver(self._start).backend.landing(self._start, self._S)
@@ -470,8 +447,9 @@ class WorkingSetSolver:
             else None,
         )
 
-    def _put(self, found: PathSolution, samples, own, solution: PathSolution, b) -> None:
-        """Insert the solution of some samples for their working set (m,) into that of all candidates."""
+    def _put(self, found: PathSolution, samples, own, solution: PathSolution, b, spent) -> None:
+        """Insert the solution of some samples for their working set (m,) into that of all candidates, and add its cost
+        to `spent` (2, n)."""
         m, d = len(own), self._d
         rows, places = np.repeat(own, d), np.ix_(samples, own)
         force = np.zeros((len(samples), d * m))
@@ -484,6 +462,7 @@ class WorkingSetSolver:
         found.anchor[samples] = anchor
         for name in ("residual", "converged", "status", "rung"):
             getattr(found, name)[samples] = getattr(solution, name)
+        spent[:, samples] += [solution.iterations, solution.trace.factorisations]
         if found.record is not None and solution.record is not None:
             for sample, record in zip(samples, solution.record):
                 wide = np.zeros((len(record.ends), d * m))

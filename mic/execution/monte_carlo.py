@@ -96,12 +96,10 @@ def monte_carlo(
     world, pairs, cores = communicator(), len(model.contacts), len(os.sched_getaffinity(0))
     every = blocks(laws, samples, pairs)
     missing = on_first(world, lambda: [block for block in every if done is None or not done(*block)])
-    reused = dict.fromkeys(laws, 0)
-    skipped = set(every).difference(missing)
+    advance, reused, skipped = advance or _ignore, dict.fromkeys(laws, 0), set(every).difference(missing)
     for law, _, count in (block for block in every if block in skipped):
         reused[law] += count
-        if advance is not None:
-            advance(law, count)
+        advance(law, count)
     worker = take is not None and world is None and len(missing) >= MIN_BLOCKS and pairs <= MANY_PAIRS
     worker = worker and has_spare_core()
     share = 2 if worker else world.size if world else 1  # processes that share samples and cores
@@ -113,27 +111,23 @@ def monte_carlo(
         evaluation, reported = timed.evaluate(law, processes[law].attempt, draw(model.scene, seed, first, count))
         return sink(law, first, evaluation), reported
 
-    first_rank = world is None or world.rank == 0
-    estimate = partial(_expect_total, expect, remaining / share) if expect is not None and first_rank else None
-    timed = _TimedEvaluation(advance, estimate)
-    (_with_worker if worker else _over_ranks)(world, missing, evaluate, timed, advance, take)
+    timed = _TimedEvaluation(advance, remaining / share, None if world and world.rank else expect)
+    (_with_worker if worker else _over_ranks)(world, missing, evaluate, timed, advance, take or _ignore)
     return reused
 
 
-def _expect_total(expect: Callable[[float], None], samples: float, seconds: float) -> None:
-    """Report the duration of all samples from the seconds per sample."""
-    expect(seconds * samples)
+def _ignore(*_: Any) -> None:
+    """Do nothing, in place of a callback that the caller did not give."""
 
 
-def _with_worker(world, missing: list[Block], evaluate, timed: _TimedEvaluation, advance, take) -> None:
+def _with_worker(_world, missing: list[Block], evaluate, timed: _TimedEvaluation, advance, take) -> None:
     """Evaluate blocks in this process and a forked worker, whose progress is not reported within a block."""
-    in_worker = [partial(evaluate, _TimedEvaluation(None), *block) for block in missing]
+    in_worker = [partial(evaluate, _TimedEvaluation(_ignore), *block) for block in missing]
     with WorkerProcess(in_worker) as worker:
         for number, (result, reported) in worker.completed([partial(evaluate, timed, *block) for block in missing]):
             law, first, count = missing[number]
             take(law, first, count, result)
-            if advance is not None:
-                advance(law, count - reported)
+            advance(law, count - reported)
 
 
 def _over_ranks(world, missing: list[Block], evaluate, timed: _TimedEvaluation, advance, take) -> None:
@@ -144,11 +138,9 @@ def _over_ranks(world, missing: list[Block], evaluate, timed: _TimedEvaluation, 
         reported = 0
         if rank < len(concurrent):
             result, reported = evaluate(timed, *concurrent[rank])
-            if take is not None:
-                take(*concurrent[rank], result)
-        if advance is not None:
-            for number, (law, _, count) in enumerate(concurrent):
-                advance(law, count - reported if number == rank else count)
+            take(*concurrent[rank], result)
+        for number, (law, _, count) in enumerate(concurrent):
+            advance(law, count - reported if number == rank else count)
     wait(world)
 
 
@@ -157,17 +149,18 @@ class _TimedEvaluation:
 
     Parameters
     ----------
-    advance : callable, optional
+    advance : callable
         As :func:`monte_carlo` takes it.
+    samples : float
+        Number of samples of this process.
     expect : callable, optional
-        Called once with the seconds per sample, measured after the first one, which loads and compiles code.
+        Called once with the duration of all `samples`, estimated after the first one, which loads and compiles code.
     """
 
     def __init__(
-        self, advance: Callable[[str, int], None] | None, expect: Callable[[float], Any] | None = None
+        self, advance: Callable[[str, int], Any], samples: float = 0.0, expect: Callable[[float], None] | None = None
     ) -> None:
-        self._advance = advance or (lambda law, count: None)
-        self._expect = expect
+        self._advance, self._samples, self._expect = advance, samples, expect
         self._seconds: dict[str, float] = {}  # per sample, by law
 
     def evaluate(
@@ -186,7 +179,7 @@ class _TimedEvaluation:
             self._seconds[law] = (now - start) / size
             finished += size
             if self._expect is not None and finished > 1:
-                self._expect(self._seconds[law])
+                self._expect(self._seconds[law] * self._samples)
                 self._expect = None
             if now - last_report > REPORT_INTERVAL and finished < len(deviations):
                 self._advance(law, finished - reported)

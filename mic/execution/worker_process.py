@@ -46,7 +46,7 @@ class WorkerProcess(Generic[T]):
 
     def __init__(self, tasks: Sequence[Callable[[], T]]) -> None:
         self._tasks, self._waiting, self._lock = tasks, deque(range(len(tasks))), Lock()
-        self._futures: dict[int, Future[T]] = {}  # by the worker
+        self._futures: list[Future[T]] = [Future() for _ in tasks]  # by the worker
         self._process: Any = None
         if len(tasks) < 2 or not has_spare_core():
             return
@@ -67,19 +67,15 @@ class WorkerProcess(Generic[T]):
     def __exit__(self, *_: object) -> None:
         self.stop()
 
-    def _next(self, last: bool = False) -> int | None:
-        """Remove a waiting task, for this process."""
+    def _next(self) -> int | None:
+        """Remove the first waiting task."""
         with self._lock:
-            return (self._waiting.pop() if last else self._waiting.popleft()) if self._waiting else None
+            return self._waiting.popleft() if self._waiting else None
 
     def _dispatch(self) -> None:
         """Send one task after the other to the worker, as long as it lives."""
-        while True:
-            with self._lock:
-                if not self._waiting:
-                    return
-                number = self._waiting.popleft()
-                task = self._futures[number] = Future()
+        while (number := self._next()) is not None:
+            task = self._futures[number]
             try:
                 self._connection.send(number)
                 succeeded, result = self._connection.recv()
@@ -92,43 +88,37 @@ class WorkerProcess(Generic[T]):
                 task.set_exception(RuntimeError("failed in the worker process"))
 
     def results(self) -> list[T]:
-        """Results of all tasks, in order. This process works from the last one backwards, and repeats tasks that
-        failed in the worker, so that their errors are raised here."""
-        results: dict[int, T] = {}
-        while (number := self._next(last=True)) is not None:
-            results[number] = self._tasks[number]()
-        for number, result in list(self._futures.items()):
-            with suppress(Exception):  # raised again when the task is repeated here
-                results[number] = result.result(TIMEOUT)
-        return [results[number] if number in results else task() for number, task in enumerate(self._tasks)]
+        """Results of all tasks, in order; see :meth:`completed`."""
+        results = dict(self.completed())
+        return [results[number] for number in range(len(self._tasks))]
 
     def completed(self, local: Sequence[Callable[[], T]] | None = None) -> Iterator[tuple[int, T]]:
-        """Number and result of each task as it completes. This process works on the next waiting task meanwhile; errors
-        as in :meth:`results`.
+        """Number and result of each task as it completes. This process works on the next waiting task meanwhile, and
+        repeats tasks that failed in the worker, so that their errors are raised here.
 
         Parameters
         ----------
         local : sequence of callable, optional
             The tasks for this process, if they differ from those of the worker.
         """
-        local, yielded, longest = local or self._tasks, set(), 0.0
+        local, remaining, longest = local or self._tasks, set(range(len(self._tasks))), 0.0
         while (number := self._next()) is not None:
             start = time.monotonic()
             result = local[number]()
             longest = max(longest, time.monotonic() - start)
-            yielded.add(number)
+            remaining.remove(number)
             yield number, result
-            for number, task in list(self._futures.items()):
-                if number not in yielded and task.done() and task.exception() is None:
-                    yielded.add(number)
+            for number in sorted(remaining):
+                task = self._futures[number]
+                if task.done() and task.exception() is None:
+                    remaining.remove(number)
                     yield number, task.result()
-        for number in range(len(self._tasks)):
-            if number not in yielded:
-                try:
-                    result = self._futures[number].result(TIMEOUT + SLOWDOWN * longest)
-                except Exception:  # raised again by the task
-                    result = local[number]()
-                yield number, result
+        for number in sorted(remaining):
+            try:
+                result = self._futures[number].result(TIMEOUT + SLOWDOWN * longest)
+            except Exception:  # raised again by the task
+                result = local[number]()
+            yield number, result
 
     def stop(self) -> None:
         """Kill the worker, whatever it is doing."""
@@ -155,7 +145,7 @@ def run_on_two_cores(tasks: Sequence[Callable[[], T]]) -> list[T]:
 
 def has_spare_core() -> bool:
     """Whether a worker may run beside this process: a second core, and no other MPI ranks."""
-    if sys.platform != "linux" or len(os.sched_getaffinity(0)) < 2:
+    if len(os.sched_getaffinity(0)) < 2:
         return False
     try:
         return communicator() is None

@@ -45,7 +45,7 @@ def choose_kernels() -> None:
                 NAME,
                 kernel,
             )
-    elif default_kernel() == OLDEST:
+    elif default_is_oldest():
         os.environ[NAME] = kernel
 
 
@@ -58,32 +58,27 @@ def cpu_flags() -> set[str]:
     return next((set(line.split()) for line in lines if line.startswith("flags")), set())
 
 
-def default_kernel() -> str:
-    """The kernels that OpenBLAS selects by itself; a child process loads it, since it selects once per process."""
-    reading, writing = os.pipe()
+def default_is_oldest() -> bool:
+    """Whether OpenBLAS by itself selects its oldest kernels; a child process loads it, since it selects once per
+    process."""
     child = os.fork()
     if child == 0:
         try:
-            os.write(writing, _corename(ctypes.CDLL(LIBRARY)))
-        finally:
+            os._exit(_corename(ctypes.CDLL(LIBRARY)) == OLDEST)
+        finally:  # it cannot be loaded
             os._exit(0)
-    os.close(writing)
-    with os.fdopen(reading) as pipe:
-        name = pipe.read()
-    os.waitpid(child, 0)
-    return name
+    return os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 1
 
 
 def loaded_kernel() -> str:
     """The kernels that OpenBLAS selected in this process; empty if another library is loaded."""
     try:
-        return _corename(ctypes.CDLL(LIBRARY, mode=os.RTLD_NOLOAD)).decode()
+        return _corename(ctypes.CDLL(LIBRARY, mode=os.RTLD_NOLOAD))
     except OSError:
         return ""
 
 
-def _corename(library: ctypes.CDLL) -> bytes:
+def _corename(library: ctypes.CDLL) -> str:
     name = library.openblas_get_corename
     name.restype = ctypes.c_char_p
-    corename: bytes = name()
-    return corename
+    return str(name(), "ascii")

@@ -29,15 +29,8 @@ from mic.system.files import Format, load_arrays, save_arrays
 __all__ = ["ABSENT", "Cache", "cache_folder"]
 
 ABSENT = "it counts as absent and is replaced"  #: remedy of every format in a cache
-SECTIONS = (  # the subfolders of a cache folder
-    "answers",
-    "assemblies",
-    "fields",
-    "influence",
-    "meshes",
-    "shapes",
-    "warnings",
-)
+#: The subfolders of a cache folder.
+SECTIONS = ("answers", "assemblies", "fields", "influence", "meshes", "shapes", "warnings")
 
 _log = logging.getLogger(__name__)
 
@@ -132,7 +125,7 @@ class Cache:
         for directory in (folder, folder / self.section):
             try:
                 status = directory.stat()
-                if not _is_own(status) or not stat.S_IMODE(status.st_mode) & 0o077:
+                if status.st_uid != os.geteuid() or not stat.S_IMODE(status.st_mode) & 0o077:
                     continue
                 if directory != folder or all(entry in SECTIONS for entry in os.listdir(directory)):
                     directory.chmod(0o700)
@@ -158,10 +151,6 @@ def cache_folder() -> Path:
     return folder
 
 
-def _is_own(status: os.stat_result) -> bool:
-    return not hasattr(os, "geteuid") or status.st_uid == os.geteuid()  # True on systems without owners
-
-
 def _untrusted(path: Path) -> str | None:
     """Why another user may have written a file or folder; None if that is excluded.
 
@@ -170,8 +159,8 @@ def _untrusted(path: Path) -> str | None:
     FileNotFoundError
     """
     status = path.stat()
-    if not _is_own(status):
+    if status.st_uid != os.geteuid():
         return "belongs to another user"
-    if hasattr(os, "geteuid") and stat.S_IMODE(status.st_mode) & 0o022:
+    if stat.S_IMODE(status.st_mode) & 0o022:
         return "can be written by other users"
     return None

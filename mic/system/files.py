@@ -19,7 +19,7 @@ import zlib
 from collections.abc import Iterable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -89,11 +89,8 @@ class Format:
         return FormatError(f"{path}: this {self.kind} is cut short or damaged; {self.remedy}")
 
 
-@dataclass
-class Group:
-    """Files that are replaced together: temporary and final path of each, in order of writing."""
-
-    files: list[tuple[Path, Path]] = field(default_factory=list)
+#: Files that are replaced together: temporary and final path of each, in order of writing.
+Group = list[tuple[Path, Path]]
 
 
 @contextmanager
@@ -125,7 +122,7 @@ def replacing(path: Path, durable: bool = True, group: Group | None = None) -> I
             path.parent.mkdir(parents=True, exist_ok=True)
             yield temporary
             if group is not None:
-                group.files.append((temporary, path))
+                group.append((temporary, path))
                 deferred = True
                 return
             _fsync(temporary)
@@ -150,21 +147,21 @@ def together() -> Iterator[Group]:
     StorageError
         If a file cannot be written.
     """
-    group = Group()
+    group: Group = []
     try:
         yield group
         with ThreadPoolExecutor(PARALLEL_SYNCS) as pool:
-            for (_, path), synced in zip(group.files, [pool.submit(_fsync, file) for file, _ in group.files]):
+            for (_, path), synced in zip(group, [pool.submit(_fsync, file) for file, _ in group]):
                 with _storage_error(path):
                     synced.result()
-        for temporary, path in group.files:
+        for temporary, path in group:
             with _storage_error(path):
                 temporary.replace(path)
-        if group.files:
+        if group:
             with _storage_error(path):
                 _fsync(path.parent)
     finally:
-        for temporary, _ in group.files:
+        for temporary, _ in group:
             with suppress(OSError):
                 temporary.unlink(missing_ok=True)
 
@@ -297,14 +294,8 @@ def load_json(path: Path, format: Format) -> dict[str, Any]:
     FileNotFoundError
     FormatError
     """
-    try:
+    with _reading(path, format):
         document = json.loads(Path(path).read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        raise
-    except PermissionError as problem:
-        raise StorageError(f"{path}: cannot be read ({_reason(problem)}); give permission") from problem
-    except (ValueError, OSError, RecursionError):
-        raise format.damaged(path) from None
     format.check(path, document)
     return {key: value for key, value in document.items() if key not in ("kind", "format")}
 
@@ -339,14 +330,8 @@ def load_arrays(path: Path, format: Format) -> tuple[dict[str, Any], dict[str, n
     FileNotFoundError
     FormatError
     """
-    try:
+    with _reading(path, format):
         document, arrays, valid = _read_arrays(path)
-    except FileNotFoundError:
-        raise
-    except PermissionError as problem:
-        raise StorageError(f"{path}: cannot be read ({_reason(problem)}); give permission") from problem
-    except _UNREADABLE:
-        raise format.damaged(path) from None
     format.check(path, document)
     if not valid:
         raise format.damaged(path)
@@ -362,9 +347,20 @@ def arrays_header(path: Path) -> dict[str, Any]:
     return document if valid else {}
 
 
-_UNREADABLE = (
-    ValueError, KeyError, OSError, EOFError, TypeError, NotImplementedError, zipfile.BadZipFile, zlib.error,
-)  # fmt: skip
+_UNREADABLE = (ValueError, KeyError, OSError, EOFError, TypeError, RuntimeError, zipfile.BadZipFile, zlib.error)
+
+
+@contextmanager
+def _reading(path: Path, format: Format) -> Iterator[None]:
+    """Turn errors of reading into those of one sentence, except that the file does not exist."""
+    try:
+        yield
+    except FileNotFoundError:
+        raise
+    except PermissionError as problem:
+        raise StorageError(f"{path}: cannot be read ({_reason(problem)}); give permission") from problem
+    except _UNREADABLE:
+        raise format.damaged(path) from None
 
 
 def _read_arrays(path: Path) -> tuple[dict[str, Any], dict[str, np.ndarray], bool]:

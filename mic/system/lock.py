@@ -52,10 +52,7 @@ def locked(folder: Path) -> Iterator[bool]:
     try:
         folder.mkdir(parents=True, exist_ok=True)
         key = os.path.realpath(folder)
-        if key in _held:
-            descriptor, stale = None, False
-        else:
-            descriptor, stale = _acquire(folder)
+        descriptor, stale = (None, False) if key in _held else _acquire(folder)
     except OSError as problem:
         raise StorageError(
             f"{folder}: cannot hold results ({(problem.strerror or str(problem)).lower()}); name another folder with "
@@ -111,19 +108,17 @@ def _flock(descriptor: int) -> bool:
 
 
 def _is_current(descriptor: int, path: Path) -> bool:
-    try:
+    with suppress(FileNotFoundError):
         return os.path.samestat(os.fstat(descriptor), os.stat(path, follow_symlinks=False))
-    except FileNotFoundError:
-        return False
+    return False
 
 
 def _recorded_owner(descriptor: int) -> dict[str, Any] | None:
     """Owner in a lock file; None if there is none or the file is incomplete."""
-    try:
+    with suppress(ValueError):
         owner = json.loads(os.pread(descriptor, 65536, 0))
-    except ValueError:
-        return None
-    return owner if isinstance(owner, dict) else None
+        return owner if isinstance(owner, dict) else None
+    return None
 
 
 def _this_process() -> dict[str, Any]:
@@ -156,10 +151,9 @@ def _started(process: int) -> int | None:
 
 
 def _boot() -> str:
-    try:
+    with suppress(OSError):
         return Path("/proc/sys/kernel/random/boot_id").read_text().strip()
-    except OSError:
-        return ""
+    return ""
 
 
 def _refusal(folder: Path, owner: dict[str, Any] | None) -> str:

@@ -64,8 +64,8 @@ def memoise(
 
 @functools.cache
 def program() -> list[str]:
-    """Hash of the source code of this program, versions of numpy, of Python, and the processor architecture."""
-    sources = sorted(Path(__file__).parents[1].rglob("*.py"))
+    """Hash of the code and tables of this program, versions of numpy, of Python, and the processor architecture."""
+    sources = sorted(path for kind in ("*.py", "*.toml") for path in Path(__file__).parents[1].rglob(kind))
     code = fingerprint(b"".join(source.read_bytes() for source in sources))
     return [code, np.__version__, scipy.__version__, platform.machine(), platform.python_version()]
 
