@@ -23,7 +23,6 @@ from mic.model.rest_rows import separating_motion, separating_motion_slope
 from mic.options import app
 from mic.process.model import ReducedModel
 from mic.process.sensitivity import known_inputs, sensitivities
-from mic.process.stage import PreparedStage
 from mic.results.schema import SENSITIVITIES
 from mic.scene.deviation import ClampDeviation, FrictionDeviation, LocatorDeviation
 from mic.statistics.draw import draw
@@ -55,13 +54,7 @@ def with_positions(model) -> ReducedModel:
             table(name=f"moved.{one.name}", kind=kind, target=one.name, sigma=SIGMA[kind])
             for one in getattr(scene, f"{kind}s")
         ]
-    wide = ((0, 0), (0, len(new)))
-    return replace(
-        model,
-        scene=scene.model_copy(update={"deviations": [*scene.deviations, *new]}),
-        shape=np.pad(model.shape, wide),
-        shape_forces=np.pad(model.shape_forces, wide),
-    )
+    return model.varied(scene.model_copy(update={"deviations": [*scene.deviations, *new]}))
 
 
 def sigmas(model) -> np.ndarray:
@@ -86,10 +79,7 @@ def off(slope, difference) -> float:
     return (np.abs(slope - difference).max(axis=(0, 2)) / np.abs(difference).max(axis=(0, 2))).max()
 
 
-WAYS = [("frictionless", "one-step"), *((law, way) for law in ("coulomb", "associated") for way in ("one-step", 8))]
-
-
-@pytest.mark.parametrize(("law", "way"), WAYS)
+@pytest.mark.parametrize(("law", "way"), [("frictionless", "one-step"), ("coulomb", 4), ("associated", 4)])
 def test_derivatives_are_those_of_the_evaluation(lap_model, law, way):
     model = with_positions(on_the_way(lap_model, way))
     process, samples = model.process(law, TIGHT), draw(model.scene, 1, 0, 4)
@@ -100,16 +90,6 @@ def test_derivatives_are_those_of_the_evaluation(lap_model, law, way):
     assert off(found.jacobian * sigmas(model), difference) < EXACT
     for stage, contacts in found.contacts.items():
         np.testing.assert_array_equal(contacts.state, evaluation.resolutions[stage].state)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("law", ["coulomb", "associated"])
-def test_derivatives_are_those_of_the_hat(hat_model, law):
-    model = on_the_way(hat_model, 8)
-    # not the first sample, of which a contact changes within the step: 2e-8 from a quarter of it, 3e-5 from the whole
-    process, samples = model.process(law, TIGHT), draw(model.scene, 1, 1, 2)
-    difference = central(model, lambda x: process.evaluate(x).measurements, samples)
-    assert off(sensitivities(process, samples).jacobian * sigmas(model), difference) < EXACT
 
 
 @pytest.mark.parametrize("law", ["micro-slip", "pressure-dependent"])
@@ -171,7 +151,7 @@ def test_along_the_hats_followed_path_too(hat_model):
     assert off(slope, extrapolated(hat_model, frozen(process, found.steps), samples, 6 * STEP)) < EXACT
 
 
-@pytest.mark.parametrize("way", ["one-step", 8, "followed"])
+@pytest.mark.parametrize("way", [4, "followed"])
 def test_friction_of_a_zone_is_an_input(lap_model, way):
     model = on_the_way(lap_model, way)
     process, samples = model.process("coulomb", TIGHT), draw(model.scene, 1, 0, 3)
@@ -230,7 +210,7 @@ def displaced(model, rows, step) -> ReducedModel:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("way", "change"), [("one-step", {}), (8, {}), ("followed", {}), (3, {"close": True})])
+@pytest.mark.parametrize(("way", "change"), [("followed", {}), (3, {"close": True})])
 def test_a_place_in_the_sheet_is_an_input(lap_model, way, change):
     """What the row reads elsewhere counts, what it pushes with there, and the weld's gap."""
     model = on_the_way(lap_model, way)
@@ -269,44 +249,14 @@ def test_a_requested_position_moves_like_the_point_of_the_scene(lap_scene, cache
         f"{one}.{axis}" for one in asked for axis in "xy"
     }  # the sheets lie in z = 0
     found = model.sensitivities({}, "coulomb", names).jacobian[0]
-    for i, name in enumerate(names):
-        table, item, _ = name.split(".")
-        values = []
-        for way in (0.2, -0.2):
-            items = [
-                one.model_copy(update={"point": (one.point[0] + way, *one.point[1:])}) if one.name == item else one
-                for one in getattr(bare, table)
-            ]
-            values.append(
-                mic.reduce(bare.model_copy(update={table: items}), cache).evaluate({}, "coulomb").measurements
-            )
-        difference = (values[0] - values[1])[0] / 0.4
-        np.testing.assert_allclose(found[:, i], difference, rtol=0.01)
-
-
-FORGOTTEN = {
-    "where contacts were left": lambda state: replace(state, left=0 * state.left, anchor=0 * state.anchor),
-    "what welds froze": lambda state: replace(state, frozen={row: 0 * v for row, v in state.frozen.items()}),
-    "reactions let go": lambda state: replace(state, reaction={row: 0 * v for row, v in state.reaction.items()}),
-    "what rows read": lambda state: replace(state, reading={kind: 0 * v for kind, v in state.reading.items()}),
-}
-
-
-@pytest.mark.parametrize("what", FORGOTTEN)
-def test_memory_that_is_forgotten_is_seen(lap_model, monkeypatch, what):
-    model = with_positions(on_the_way(lap_model, 8))
-    process, samples = model.process("coulomb", TIGHT), draw(model.scene, 1, 0, 4)
-    difference = central(model, lambda x: process.evaluate(x).measurements, samples)
-    after = PreparedStage.after
-
-    def forgetful(self, *arguments):
-        state = after(self, *arguments)
-        slopes = len(state.failed) > len(samples) and self.plan.kind != "measure"
-        reads = self.plan is process.stages[-1].plan
-        return FORGOTTEN[what](state) if slopes and not reads else state
-
-    monkeypatch.setattr(PreparedStage, "after", forgetful)
-    assert off(sensitivities(process, samples).jacobian * sigmas(model), difference) > 1e3 * EXACT
+    values = []
+    for way in (0.2, -0.2):  # both are moved at once
+        items = {"welds": list(bare.welds), "locators": list(bare.locators)}
+        for table, i in (("welds", 1), ("locators", 0)):
+            x, y, z = items[table][i].point
+            items[table][i] = items[table][i].model_copy(update={"point": (x + way, y, z)})
+        values.append(mic.reduce(bare.model_copy(update=items), cache).evaluate({}, "coulomb").measurements)
+    np.testing.assert_allclose(found.sum(axis=1), (values[0] - values[1])[0] / 0.4, rtol=0.01)
 
 
 def one_contact(b, slope, law="coulomb", record=None, end=None, anchor=None):
@@ -359,22 +309,11 @@ def test_reach_is_the_distance_to_the_next_change_of_state(lap_model):
     assert all(held)
 
 
-@pytest.mark.parametrize(
-    ("asked", "told"),
-    [
-        ("welds.W9", "report.positions[0]: there is no 'welds.W9'; known: welds, locators, clamps, welds.W1, "),
-        ("zones", "report.positions[0]: there is no 'zones'; known: "),
-        ("zones.lap", "report.positions[0]: there is no 'zones.lap'; known: "),
-        ("", "report.positions[0]: there is no ''; known: "),
-        ("welds.", "report.positions[0]: there is no 'welds.'; known: "),
-        ("W1", "report.positions[0]: there is no 'W1'; known: "),
-        ("locators.W1", "report.positions[0]: there is no 'locators.W1'; known: "),
-    ],
-)
-def test_places_that_do_not_exist_are_refused(lap_scene, asked, told):
+@pytest.mark.parametrize("asked", ["welds.W9", "zones.lap", "", "welds.", "W1", "locators.W1"])
+def test_places_that_do_not_exist_are_refused(lap_scene, asked):
     keys = lap_scene.model_dump(exclude_none=True)
     keys["report"]["positions"] = [asked]
-    with pytest.raises(ValidationError, match=re.escape(told)):
+    with pytest.raises(ValidationError, match=rf"report.positions\[0\]: there is no '{re.escape(asked)}'; known: "):
         lap_scene.model_validate(keys)
 
 
@@ -426,8 +365,9 @@ def table(force=100.0, gap=(0.02, -0.03, 0.01), **path) -> ReducedModel:
     return standing(pairs, gap=gap, shape=lambda part, p: (part == "b") * np.array([0, 0, 0.01 * p[0] + 0.3]), **scene)
 
 
-@pytest.mark.parametrize("law", ["coulomb", "associated"])
-@pytest.mark.parametrize("path", [{}, {"increments": 3}, {"path": "one-step"}])
+@pytest.mark.parametrize(
+    ("law", "path"), [("coulomb", {}), ("associated", {"increments": 3}), ("coulomb", {"path": "one-step"})]
+)
 def test_where_a_part_rests_is_derived_too(law, path):
     """It is put down where nothing overlaps, pressed, and slides a little; where it lies follows the inputs."""
     model = table(**path)
@@ -473,13 +413,7 @@ def test_positions_of_supports_of_a_resting_part_are_refused():
 def test_friction_that_deviates_has_the_slope_of_its_zone(lap_model):
     scene, name = lap_model.scene, lap_model.scene.zones[0].name
     rough = FrictionDeviation(name="rough", kind="friction", target=name, sigma=0.02)
-    wide = ((0, 0), (0, 1))
-    model = replace(
-        lap_model,
-        scene=scene.model_copy(update={"deviations": [*scene.deviations, rough]}),
-        shape=np.pad(lap_model.shape, wide),
-        shape_forces=np.pad(lap_model.shape_forces, wide),
-    )
+    model = lap_model.varied(scene.model_copy(update={"deviations": [*scene.deviations, rough]}))
     samples = np.column_stack([draw(scene, 1, 0, 3), [0.0, 0.01, -0.02]])
     found = model.sensitivities(samples, "coulomb", ["rough", f"zones.{name}.friction"])
     np.testing.assert_allclose(found.jacobian[:, :, 0], found.jacobian[:, :, 1], rtol=1e-12)

@@ -7,38 +7,18 @@ the full finite-element reference both follow this list.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, fields, replace
-from typing import Any, Protocol
+from functools import reduce
+from itertools import chain
+from typing import Any
 
 import numpy as np
 
 from mic.model.rows import NORMAL
 from mic.scene.stages import moves_assembly, placing_stages
 
-__all__ = [
-    "STAGE_MOVES",
-    "Action",
-    "AddParts",
-    "Close",
-    "Fixture",
-    "Hold",
-    "Joints",
-    "Move",
-    "MoveAssembly",
-    "Open",
-    "PlaceParts",
-    "Placement",
-    "Press",
-    "Push",
-    "Read",
-    "ResolveOverlap",
-    "Retract",
-    "Withdraw",
-    "stage_moves",
-    "together",
-    "tongs",
-]
+__all__ = ["STAGE_MOVES", "Close", "Fixture", "Join", "Joints", "Move", "Open", "stage_moves", "together", "tongs"]
 
 MAX_COSINE = -0.9  # of the angle between the directions of two clamps that push against each other
 
@@ -75,57 +55,57 @@ class Fixture:
     welds: tuple[int, ...] = ()
     waiting: tuple[int, ...] = ()
 
+    @property
+    def clamps(self) -> tuple[int, ...]:
+        """All clamp rows; the weights of parts are among them."""
+        return self.strokes + self.forces + self.limited
 
-class Action(Protocol):
-    """One action of a stage."""
+    def after(self, actions: Iterable[Action]) -> Fixture:
+        """The fixture after some actions."""
+        return reduce(lambda fixture, action: action.apply(fixture), actions, self)
+
+
+class Action(Fixture):
+    """One action of a stage: the rows that it concerns, none by default."""
 
     def apply(self, fixture: Fixture) -> Fixture:
         """The fixture afterwards."""
-        ...
+        return self._with_each(fixture, lambda rows, own: rows + own)
+
+    def _with_each(self, fixture: Fixture, change: Callable[..., tuple[int, ...]]) -> Fixture:
+        """The fixture with each of its rows changed by those of the action."""
+        names = [field.name for field in fields(Fixture)]
+        return Fixture(*(change(getattr(fixture, name), getattr(self, name)) for name in names))
 
 
-class _Adds:
-    """An action that adds its rows to those of the same name in the fixture."""
+class Close(Action):
+    """Close locators, clamps and guns.
 
-    def apply(self, fixture):
-        return replace(fixture, **{f.name: getattr(fixture, f.name) + getattr(self, f.name) for f in fields(self)})
+    Locators and strokes move to their targets and stay there; the others push with their force. Guns press sheets until
+    they touch.
+    """
 
 
-class _Removes:
-    """An action that removes its rows from those of the same name in the fixture."""
+class Open(Action):
+    """Open locators, clamps and guns; the welds made under the guns take over their forces."""
 
-    def apply(self, fixture):
-        return replace(
-            fixture, **{f.name: _without(getattr(fixture, f.name), getattr(self, f.name)) for f in fields(self)}
-        )
+    def apply(self, fixture: Fixture) -> Fixture:
+        return self._with_each(fixture, _without)
 
 
 def _without(numbers: tuple[int, ...], removed: tuple[int, ...]) -> tuple[int, ...]:
     return tuple(i for i in numbers if i not in removed)
 
 
-@dataclass(frozen=True)
-class Placement:
-    """Place parts, or the assembly, on locators; they touch nothing yet."""
+class Placement(Action):
+    """Place parts, or the assembly, on locators; they touch nothing yet. The forces are the weights of the parts."""
 
-    locators: tuple[int, ...]
-    weights: tuple[int, ...] = ()
-
-    def apply(self, fixture):
-        return replace(
-            fixture,
-            locators=fixture.locators + self.locators,
-            forces=fixture.forces + self.weights,
-            waiting=_without(fixture.waiting, self.locators),
-        )
+    def apply(self, fixture: Fixture) -> Fixture:
+        return replace(super().apply(fixture), waiting=_without(fixture.waiting, self.locators))
 
 
 class PlaceParts(Placement):
     """Place the first parts on locators, one by one; overlaps are resolved later."""
-
-
-class AddParts(Placement):
-    """Place further parts beside the others, which stay as they are."""
 
 
 class MoveAssembly(Placement):
@@ -134,95 +114,26 @@ class MoveAssembly(Placement):
     The assembly moves as it is, with its contacts active; it does not touch the new station yet.
     """
 
-    def apply(self, fixture):
-        waiting = _without(fixture.waiting, self.locators)
-        return Fixture(locators=self.locators, forces=self.weights, welds=fixture.welds, waiting=waiting)
+    def apply(self, fixture: Fixture) -> Fixture:
+        return super().apply(Fixture(welds=fixture.welds, waiting=fixture.waiting))
 
 
 @dataclass(frozen=True)
-class Hold(_Adds):
-    """Close locators and clamps that hold a position: their rows move to their targets and stay there."""
+class Join(Action):
+    """Make welds: each freezes the current relative position of its sheets; those in `gap` close their gap first."""
 
-    locators: tuple[int, ...] = ()
-    strokes: tuple[int, ...] = ()
-
-
-@dataclass(frozen=True)
-class Push(_Adds):
-    """Close clamps that push with a force."""
-
-    forces: tuple[int, ...]
-
-
-@dataclass(frozen=True)
-class Press(_Adds):
-    """Close clamps that push towards a position with a limited force, and guns, which press sheets until they touch."""
-
-    limited: tuple[int, ...] = ()
-    guns: tuple[int, ...] = ()
-
-
-@dataclass(frozen=True)
-class Retract(_Removes):
-    """Open guns: the welds made under them take over their forces."""
-
-    guns: tuple[int, ...]
-
-
-@dataclass(frozen=True)
-class Close:
-    """Make welds: each freezes the current relative position of its sheets; those in `gap` close their gap first.
-
-    Attributes
-    ----------
-    welds, gap : tuple of int
-    """
-
-    welds: tuple[int, ...]
     gap: tuple[int, ...] = ()
 
-    def apply(self, fixture):
-        return replace(fixture, welds=fixture.welds + self.welds)
 
-
-@dataclass(frozen=True)
-class Withdraw(_Removes):
-    """Open clamps."""
-
-    strokes: tuple[int, ...] = ()
-    forces: tuple[int, ...] = ()
-    limited: tuple[int, ...] = ()
-
-    @property
-    def clamps(self) -> tuple[int, ...]:
-        """All of them."""
-        return self.strokes + self.forces + self.limited
-
-
-@dataclass(frozen=True)
-class Open(_Removes):
-    """Open locators."""
-
-    locators: tuple[int, ...]
-
-
-@dataclass(frozen=True)
-class ResolveOverlap:
+class ResolveOverlap(Action):
     """Separate parts that overlap where they were placed, along the contact normals.
 
     It happens before the first thing closes, or together with it.
     """
 
-    def apply(self, fixture):
-        return fixture
 
-
-@dataclass(frozen=True)
-class Read:
+class Read(Action):
     """Read the measurements."""
-
-    def apply(self, fixture):
-        return fixture
 
 
 @dataclass(frozen=True)
@@ -268,12 +179,11 @@ def _in_stage(items, stage) -> tuple[int, ...]:
 def _locate(scene, stage, before) -> list[Move]:
     """The first stage places parts; a later one adds parts, or moves the assembly to another station."""
     own = _in_stage(scene.locators, stage)
-    if not before:
-        return [(PlaceParts(own, _weights(scene, stage.name, [stage.name])),)]
-    if moves_assembly(scene, stage):
+    if before and moves_assembly(scene, stage):
         return [(_transfer(scene, stage, own),)]
+    place = Placement if before else PlaceParts
     stations = [one.name for one in _stages_up_to(scene, stage) if one is scene.stages[0] or moves_assembly(scene, one)]
-    return [(AddParts(own, _weights(scene, stations[-1], [stage.name])),)]
+    return [(place(own, forces=_weights(scene, stations[-1], [stage.name])),)]
 
 
 def _stages_up_to(scene, stage) -> list[Any]:
@@ -282,7 +192,8 @@ def _stages_up_to(scene, stage) -> list[Any]:
 
 
 def _transfer(scene, stage, locators) -> MoveAssembly:
-    return MoveAssembly(locators, _weights(scene, stage.name, [one.name for one in _stages_up_to(scene, stage)]))
+    weights = _weights(scene, stage.name, [one.name for one in _stages_up_to(scene, stage)])
+    return MoveAssembly(locators, forces=weights)
 
 
 def _weights(scene, station: str, stages: Sequence[str]) -> tuple[int, ...]:
@@ -304,7 +215,7 @@ def _clamp(scene, stage, before) -> list[Move]:
     """Further locators together, then clamp after clamp in the order of the file; or the groups of `order`."""
     locators, clamps = _in_stage(scene.locators, stage), _in_stage(scene.clamps, stage)
     if stage.order is None:
-        moves = [(Hold(locators),)] if locators else []
+        moves = [(Close(locators),)] if locators else []
         return moves + [_close(scene, group) for group in tongs(scene, clamps)]
     return [
         _close(scene, _numbers_of(scene.clamps, clamps, names), _numbers_of(scene.locators, locators, names))
@@ -316,11 +227,7 @@ def _close(scene, clamps, locators=()) -> Move:
     pushing = tuple(i for i in clamps if scene.clamps[i].force is not None)
     limited = tuple(i for i in clamps if scene.clamps[i].limit is not None)
     holding = tuple(i for i in clamps if i not in pushing and i not in limited)
-    return (
-        (Hold(locators, holding),) * bool(locators or holding)
-        + (Push(pushing),) * bool(pushing)
-        + (Press(limited),) * bool(limited)
-    )
+    return (Close(locators, holding, pushing, limited),) * bool(clamps or locators)
 
 
 def tongs(scene, clamps: Sequence[int]) -> list[tuple[int, ...]]:
@@ -355,53 +262,41 @@ def _weld(scene, stage, before) -> list[Move]:
     moves: list[Move] = []
     for group in groups:
         guns = tuple(i for i in group if scene.welds[i].gun is not None)
-        close = Close(group, tuple(i for i in group if scene.welds[i].close))
-        moves += [(Press(guns=guns),), (close, Retract(guns))] if guns else [(close,)]
+        join = Join(welds=group, gap=tuple(i for i in group if scene.welds[i].close))
+        moves += [(Close(guns=guns),), (join, Open(guns=guns))] if guns else [(join,)]
     return moves
 
 
 def _release(scene, stage, before) -> list[Move]:
     """Open everything but `keep` (default: all locators) in reverse order of closing, or in the groups of `order`."""
-    fixture = Fixture()
-    for move in before:
-        for action in move:
-            fixture = action.apply(fixture)
+    fixture = Fixture().after(chain.from_iterable(before))
     keep = {locator.name for locator in scene.locators} if stage.keep is None else set(stage.keep)
-    kept_clamps, kept_locators = _numbers_of(scene.clamps, None, keep), _numbers_of(scene.locators, None, keep)
+    groups = [_closed(move) for move in reversed(before)]
     if stage.order is not None:
-        groups = [
-            (_numbers_of(scene.clamps, None, names), _numbers_of(scene.locators, None, names)) for names in stage.order
-        ]
-    else:
-        groups = [_closed(move) for move in reversed(before)]
-    moves = []
-    for clamps, locators in groups:
-        withdrawn = Withdraw(
+        groups = [_named(scene, names) for names in stage.order]
+    kept_locators, kept_clamps = _named(scene, keep)
+    moves: list[Move] = []
+    for locators, clamps in groups:
+        opened = Open(
+            tuple(i for i in locators if i in fixture.locators and i not in kept_locators),
             *(
                 tuple(i for i in clamps if i in held and i not in kept_clamps)
                 for held in (fixture.strokes, fixture.forces, fixture.limited)
-            )
+            ),
         )
-        opened = tuple(i for i in locators if i in fixture.locators and i not in kept_locators)
-        move = (withdrawn,) * bool(withdrawn.clamps) + (Open(opened),) * bool(opened)
-        moves += [move] if move else []
+        moves += [(opened,)] if opened.locators or opened.clamps else []
     return moves
 
 
 def _closed(move: Move) -> tuple[tuple[int, ...], tuple[int, ...]]:
-    """Clamps and locators that a move closed."""
-    clamps: tuple[int, ...] = ()
-    locators: tuple[int, ...] = ()
-    for action in move:
-        if isinstance(action, Hold):
-            clamps, locators = clamps + action.strokes, locators + action.locators
-        elif isinstance(action, Push):
-            clamps += action.forces
-        elif isinstance(action, Press):
-            clamps += action.limited
-        elif isinstance(action, Placement):
-            locators += action.locators
-    return clamps, locators
+    """Locators and clamps that a move closed."""
+    locators = tuple(i for action in move if isinstance(action, Close | Placement) for i in action.locators)
+    return locators, tuple(i for action in move if isinstance(action, Close) for i in action.clamps)
+
+
+def _named(scene, names) -> tuple[tuple[int, ...], tuple[int, ...]]:
+    """Locators and clamps with these names."""
+    return _numbers_of(scene.locators, None, names), _numbers_of(scene.clamps, None, names)
 
 
 def _numbers_of(items, allowed, names) -> tuple[int, ...]:
@@ -423,7 +318,7 @@ def stage_moves(scene) -> Iterator[tuple[Any, list[Move]]]:
 
 def together(moves: Sequence[Move]) -> list[Move]:
     """All moves merged into one."""
-    return [tuple(action for move in moves for action in move)]
+    return [tuple(chain.from_iterable(moves))]
 
 
 def _measure(scene, stage, before) -> list[Move]:

@@ -5,20 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from typing import Any
 
-from mic.process.actions import (
-    Action,
-    Close,
-    Hold,
-    Open,
-    Placement,
-    PlaceParts,
-    Press,
-    Push,
-    Read,
-    ResolveOverlap,
-    Retract,
-    Withdraw,
-)
+from mic.process.actions import Action, Close, Join, Open, Placement, PlaceParts, Read, ResolveOverlap
 from mic.process.plan import StagePlan, Step
 from mic.scene.stages import placing_stages
 
@@ -65,7 +52,7 @@ _EMPTY = {
 def _step_sentence(scene, step: Step) -> str:
     clauses = [clause for action in step.move for clause in _clauses(scene, action)]
     rests = [scene.parts[p].name for p in step.resting if p not in step.parked]
-    if rests and any(isinstance(action, Placement | Open | Withdraw) for action in step.move):
+    if rests and any(isinstance(action, Placement | Open) and not action.guns for action in step.move):
         clauses.append(f"{_enumeration(rests)} {'is' if len(rests) == 1 else 'are'} held by contact alone")
     if step.settles and len(clauses) > 1:
         return f"{', '.join(clauses[1:])}; meanwhile {clauses[0]}"
@@ -82,7 +69,7 @@ def _clauses(scene, action: Action) -> Iterable[str]:
             names = [one.name for one in locators if one.part == part.name and placed_in[one.part] == one.stage]
             if names:
                 yield f"{part.name} is placed on {_enumeration(names)}"
-        if action.weights:
+        if action.forces:
             yield "gravity acts"
         if isinstance(action, PlaceParts):
             for part in scene.parts:
@@ -90,53 +77,38 @@ def _clauses(scene, action: Action) -> Iterable[str]:
                     yield f"{part.name} is placed without locators"
     elif isinstance(action, ResolveOverlap):
         yield "overlaps between parts are resolved"
-    elif isinstance(action, Hold):
-        if action.locators:
-            yield _clause("locator", _names(scene.locators, action.locators), "close", "closes")
-        for stroke, numbers in _groups(action.strokes, lambda i: scene.clamps[i].stroke):
-            yield _clause("clamp", _names(scene.clamps, numbers), "close", "closes") + f" to {stroke:g} mm"
-    elif isinstance(action, Push):
-        for force, numbers in _groups(action.forces, lambda i: scene.clamps[i].force):
-            each = " each" * (len(numbers) > 1)
-            yield _clause("clamp", _names(scene.clamps, numbers), "close", "closes") + f" ({force:g} N{each})"
-    elif isinstance(action, Press):
-        for (stroke, limit), numbers in _groups(
-            action.limited, lambda i: (scene.clamps[i].stroke, scene.clamps[i].limit)
-        ):
-            yield _clause("clamp", _names(scene.clamps, numbers), "close", "closes") + _towards(
-                stroke, limit, len(numbers)
-            )
-        for force, numbers in _groups(action.guns, lambda i: scene.welds[i].gun):
-            each = " each" * (len(numbers) > 1)
-            yield _clause("gun", _names(scene.welds, numbers), "press", "presses") + f" ({force:g} N{each})"
-    elif isinstance(action, Retract):
-        if action.guns:
-            yield _clause("gun", _names(scene.welds, action.guns), "open", "opens")
     elif isinstance(action, Close):
-        as_found = [i for i in action.welds if i not in action.gap]
-        if as_found:
-            yield _clause(
-                "weld", _names(scene.welds, as_found), "join the sheets as they stand", "joins the sheets as they stand"
-            )
-        if action.gap:
-            yield _clause(
-                "weld",
-                _names(scene.welds, action.gap),
-                "close their gaps and join the sheets",
-                "closes its gap and joins the sheets",
-            )
-    elif isinstance(action, Withdraw):
-        numbers = sorted(action.clamps)
-        yield _clause("clamp", _names(scene.clamps, numbers), "open", "opens")
+        yield from _closing(scene, action)
     elif isinstance(action, Open):
-        yield _clause("locator", _names(scene.locators, action.locators), "open", "opens")
+        yield from _clause("gun", _names(scene.welds, action.guns), "open", "opens")
+        yield from _clause("clamp", _names(scene.clamps, sorted(action.clamps)), "open", "opens")
+        yield from _clause("locator", _names(scene.locators, action.locators), "open", "opens")
+    elif isinstance(action, Join):
+        as_found = _names(scene.welds, [i for i in action.welds if i not in action.gap])
+        yield from _clause("weld", as_found, "join the sheets as they stand", "joins the sheets as they stand")
+        plural, singular = "close their gaps and join the sheets", "closes its gap and joins the sheets"
+        yield from _clause("weld", _names(scene.welds, action.gap), plural, singular)
     elif isinstance(action, Read):
         count = len(scene.measurements)
         yield "1 key characteristic is measured" if count == 1 else f"{count} key characteristics are measured"
 
 
-def _towards(stroke: float, limit: float, count: int) -> str:
-    return f" to {stroke:g} mm, with at most {limit:g} N{' each' * (count > 1)}"
+def _closing(scene, action: Close) -> Iterable[str]:
+    clamps, welds = scene.clamps, scene.welds
+    yield from _clause("locator", _names(scene.locators, action.locators), "close", "closes")
+    for stroke, numbers in _groups(action.strokes, lambda i: clamps[i].stroke):
+        yield from _clause("clamp", _names(clamps, numbers), "close", "closes", f" to {stroke:g} mm")
+    for force, numbers in _groups(action.forces, lambda i: clamps[i].force):
+        yield from _clause("clamp", _names(clamps, numbers), "close", "closes", f" ({_newtons(force, numbers)})")
+    for (stroke, limit), numbers in _groups(action.limited, lambda i: (clamps[i].stroke, clamps[i].limit)):
+        towards = f" to {stroke:g} mm, with at most {_newtons(limit, numbers)}"
+        yield from _clause("clamp", _names(clamps, numbers), "close", "closes", towards)
+    for force, numbers in _groups(action.guns, lambda i: welds[i].gun):
+        yield from _clause("gun", _names(welds, numbers), "press", "presses", f" ({_newtons(force, numbers)})")
+
+
+def _newtons(force: float, numbers: Sequence[int]) -> str:
+    return f"{force:g} N{' each' * (len(numbers) > 1)}"
 
 
 def _groups(numbers: Sequence[int], value) -> Iterable[tuple[Any, list[int]]]:
@@ -149,8 +121,10 @@ def _names(items, numbers: Sequence[int]) -> list[str]:
     return [items[i].name for i in numbers]
 
 
-def _clause(noun: str, names: Sequence[str], plural: str, singular: str) -> str:
-    return f"{noun}s {_enumeration(names)} {plural}" if len(names) > 1 else f"{noun} {names[0]} {singular}"
+def _clause(noun: str, names: Sequence[str], plural: str, singular: str, how: str = "") -> Iterable[str]:
+    """What happens to the items with these names; nothing if there are none."""
+    if names:
+        yield (f"{noun}s {_enumeration(names)} {plural}" if len(names) > 1 else f"{noun} {names[0]} {singular}") + how
 
 
 def _enumeration(names: Sequence[str]) -> str:

@@ -15,15 +15,13 @@ from mic.contact.path import Path
 from mic.contact.states import OPEN
 from mic.contact.tangent import ComplianceDerivative, Contact, Dual, End, differentiate_path
 from mic.model.rest_rows import separating_motion_slope
-from mic.process.drive import Drive
 from mic.process.force_limits import Stops
 from mic.process.inputs import Inputs
 from mic.process.moving_rows import MovingRows
 from mic.process.plan import Step
-from mic.process.ramp import Ramp
 from mic.process.resting_parts import Segment
 from mic.process.sensitivity_results import ContactSensitivity, Sensitivities
-from mic.process.stage import EliminatedStep, PreparedStage
+from mic.process.stage import BatchStep, EliminatedStep, PreparedStage
 from mic.process.state import ProcessState
 
 __all__ = ["DifferentiatedProcess"]
@@ -63,8 +61,8 @@ class DifferentiatedProcess:
         self.undetermined = np.zeros(self.n, dtype=bool)
         self.offset = np.zeros(self.n) if offset is None else offset
         if offset is not None:
-            self.drive = _offset_drive(self.drive, self.drive_slope, offset)
-        self.steps: dict[tuple, np.ndarray] = {}
+            self.drive = self.drive.combined(lambda value, slope: value + offset[:, None] * slope, self.drive_slope)
+        self.steps: dict[tuple, Any] = {}
         self.reach, self.where = np.full(self.n, np.inf), np.full(self.n, "", dtype=object)
         self.reach_along, self.exact = np.full((self.n, self.p), np.inf), np.ones(self.n, dtype=bool)
 
@@ -117,118 +115,89 @@ class DifferentiatedProcess:
     def _step(self, stage: PreparedStage, number: int, eliminated: EliminatedStep, state, slope):
         """The states after a step, and the end of its contact path; None where contact is not solved."""
         driven, plain = (replace(eliminated, step=step) for step in self._limited_steps(eliminated.step))
-        sides = (driven, state, self.drive), (plain, self._with_moved_rows(state, slope), self.drive_slope)
-        ramps = [stage.ramp(each.step, of, drive) for each, of, drive in sides]
+        batch = stage.begin(driven, state, self.drive)
+        change = stage.begin(plain, self._with_moved_rows(state, slope), self.drive_slope)
         moving = MovingRows.of(self.inputs.places, stage, eliminated)
-        places = [
-            (drive.target if each.step.sets_down else of.reading)["rest"][:, each.rest.row] for each, of, drive in sides
-        ]
-        ends = [(of.force, of.left, of.anchor, stage.stop_forces(each.step, of)) for each, of, _ in sides]
         end: End | None = None
-        converged = None
+        converged = all_solved = None
         if stage.solves_contact(eliminated):
-            stops = stage.stops(eliminated)
-            anchors = [of.anchor for _, of, _ in sides]
-            soft = eliminated.rest.soft.any()
-            if soft and eliminated.step.settles:
-                self._separate_resting_parts(stage, eliminated, sides, ramps, places, anchors)
-            starts, stop = (
-                [
-                    stage.unloaded(each, drive, ramp, place, s)
-                    for (each, _, drive), ramp, place in zip(sides, ramps, places)
-                ]
-                for s in (0.0, 1.0)
-            )
-            compliance_slope = moving.compliance_slope()
-            for s, (_, moved) in enumerate((starts, stop)):
-                moving.load(moved, self.p, *_values_and_loads(ramps[0], places[0], float(s)))
-            overlap, overlap_slope = (
-                stage.overlap(each, of, drive, start) for (each, of, drive), start in zip(sides, starts)
-            )
-            if compliance_slope is not None and eliminated.step.settles:
-                touching = np.column_stack([state.force.reshape(self.n, -1), np.zeros((self.n, stops.count))])
-                normal = slice(0, stops.rows, stops.dimension)
-                overlap_slope[:, normal] -= self._rows(compliance_slope.apply(touching, self.p))[:, normal]
-            lifts = [np.maximum(0.0, overlap), np.where(np.repeat(overlap > 0.0, self.p, axis=0), overlap_slope, 0.0)]
-            anchors_now = self._varied(*(_pad_anchor(stops, one) for one in anchors))
-            if soft:
-                end, converged = self._step_with_resting_parts(
-                    stage, number, eliminated, ramps, places, starts, stop, lifts, ends, anchors_now
-                )
-            else:
-                starts = [start + lift for start, lift in zip(starts, lifts)]
-                record, converged = self._recorded_path(stage, number, eliminated, state, starts[0], stop[0])
-                end = self._differentiated_path(
-                    self._excluded(eliminated),
-                    self._contact(stage, eliminated, compliance_slope),
-                    self._varied(*(stops.pad(one) for one in starts)),
-                    self._varied(*(stops.pad(one) for one in stop)),
-                    anchors_now,
-                    record,
-                )
+            end, converged = self._solve(stage, number, eliminated, batch, change, moving)
+            all_solved = np.ones(self.n * self.p, dtype=bool)
             self.exact &= end.solved | ~converged
             self._update_reach(stage, eliminated, end)
-            outputs = (end.force, end.displacement, end.anchor)
-            ends = [
-                _split_stops(stops, self.drive.gap, *(one.value for one in outputs)),
-                _split_stops(stops, self.drive_slope.gap, *(self._rows(one.slope) for one in outputs)),
-            ]
-
-        def state_after(side: int, solved: np.ndarray | None) -> ProcessState:
-            each, of, drive = sides[side]
-            force, left, anchor, stop = ends[side]
-            return stage.after(each, of, drive, ramps[side], places[side], force, left, anchor, stop, solved)
-
-        after = state_after(0, converged)
-        slope_after = state_after(1, None if end is None else np.ones(self.n * self.p, dtype=bool))
+            stops, outputs = stage.stops(eliminated), (end.force, end.displacement, end.anchor)
+            _set_end(batch, stops, *(one.value for one in outputs))
+            _set_end(change, stops, *(self._rows(one.slope) for one in outputs))
+        after, slope_after = stage.after(batch, converged), stage.after(change, all_solved)
         if len(moving):
-            moving.read(
-                stage, slope_after, after, self.p, *_values_and_loads(ramps[0], places[0], 1.0), end is not None
-            )
+            moving.read(stage, slope_after, after, self.p, *_values_and_loads(batch, 1.0), end is not None)
         return after, slope_after, end
 
-    def _separate_resting_parts(self, stage, eliminated, sides, ramps, places, anchors) -> None:
-        """Separate resting parts that overlap before the step; update positions, anchors and their slopes in place."""
-        (_, state, drive), (plain, _, drive_slope) = sides
-        start = stage.unloaded(eliminated, drive, ramps[0], places[0], 0.0)
-        slope = self._columns(stage.unloaded(plain, drive_slope, ramps[1], places[1], 0.0))
-        place, anchor = stage.separating_motion(eliminated, state, start, places[0])
-        soft, (_, m, d) = eliminated.rest.soft, state.force.shape
-        G = stage.contact_motions(eliminated)
-        moved, turned = self._columns(places[1]), self._columns(anchors[1])
-        for i in np.flatnonzero((place != places[0]).any(axis=1)):
-            motion = (place - places[0])[i, soft]
+    def _solve(self, stage, number, eliminated, batch, change, moving) -> tuple[End, np.ndarray]:
+        """The end of the contact path of a step, and whether the samples converged.
+
+        `change` has the derivatives of `batch`; the positions of resting parts and their derivatives are set in both.
+        """
+        sides, stops = (batch, change), stage.stops(eliminated)
+        soft, settles = eliminated.rest.soft.any(), eliminated.step.settles
+        if soft and settles:
+            self._separate_resting_parts(stage, batch, change)
+        starts, stop = ([stage.unloaded(side, s) for side in sides] for s in (0.0, 1.0))
+        compliance_slope = moving.compliance_slope()
+        for s, (_, moved) in enumerate((starts, stop)):
+            moving.load(moved, self.p, *_values_and_loads(batch, float(s)))
+        overlap, overlap_slope = (stage.overlap(side, start) for side, start in zip(sides, starts))
+        if compliance_slope is not None and settles:
+            touching = np.column_stack([batch.force.reshape(self.n, -1), np.zeros((self.n, stops.count))])
+            normal = slice(0, stops.rows, stops.dimension)
+            overlap_slope[:, normal] -= self._rows(compliance_slope.apply(touching, self.p))[:, normal]
+        lifts = np.maximum(0.0, overlap), np.where(np.repeat(overlap > 0.0, self.p, axis=0), overlap_slope, 0.0)
+        anchor = self._varied(*(_pad_anchor(stops, side.anchor) for side in sides))
+        contact = self._contact(stage, eliminated, compliance_slope)
+        if soft:
+            return self._step_with_resting_parts(stage, number, eliminated, sides, starts, stop, lifts, anchor, contact)
+        starts = [start + lift for start, lift in zip(starts, lifts)]
+        record, converged = self._recorded_path(stage, number, eliminated, batch, starts[0], stop[0])
+        b0, b1 = (self._varied(*(stops.pad(one) for one in both)) for both in (starts, stop))
+        return self._differentiated_path(self._excluded(eliminated), contact, b0, b1, anchor, record), converged
+
+    def _separate_resting_parts(self, stage: PreparedStage, batch: BatchStep, change: BatchStep) -> None:
+        """Separate resting parts that overlap before the step; set positions, anchors and their derivatives."""
+        start, slope = stage.unloaded(batch, 0.0), self._columns(stage.unloaded(change, 0.0))
+        place, anchor = stage.separating_motion(batch, start)
+        soft, (_, m, d) = batch.eliminated.rest.soft, batch.force.shape
+        G = stage.contact_motions(batch.eliminated)
+        moved, turned = self._columns(change.place), self._columns(change.anchor)
+        for i in np.flatnonzero((place != batch.place).any(axis=1)):
+            motion = (place - batch.place)[i, soft]
             motion_slope = separating_motion_slope(start[i, : m * d : d], slope[i, : m * d : d], G[:, 0], motion)
             moved[i, soft] += motion_slope
             turned[i] += np.einsum("mjk,kp->mjp", G[:, 1:], motion_slope)
-        places[:], anchors[:] = [place, self._rows(moved)], [anchor, self._rows(turned)]
+        batch.place, batch.anchor, change.place, change.anchor = place, anchor, self._rows(moved), self._rows(turned)
 
-    def _step_with_resting_parts(self, stage, number, eliminated, ramps, places, starts, stop, lifts, ends, anchor):
+    def _step_with_resting_parts(self, stage, number, eliminated, sides, starts, stop, lifts, anchor, contact):
         """End of the contact path of a step with resting parts, and whether their positions converged.
 
-        `places`, the positions of the resting parts and their slopes, are updated in place. The position q̄ of a part
-        is an additional input of each segment, determined by ``λ(x, q̄) = 0``: the springs carry no force
-        (:mod:`mic.process.resting_parts`).
+        The position q̄ of a part is an additional input of each segment, determined by ``λ(x, q̄) = 0``: the springs
+        carry no force (:mod:`mic.process.resting_parts`).
         """
         rest, response, stops = eliminated.rest, eliminated.response, stage.stops(eliminated)
         (c, G), law = rest.springs(response), stage.solver(eliminated).law
         k, p = int(rest.soft.sum()), self.p
-        contact = self._contact(stage, eliminated, None)
         contact = replace(contact, friction_slope=np.pad(contact.friction_slope, ((0, 0), (0, k))))
-        nominal = self._varied(*(place[:, rest.soft] for place in places))
-        force = self._varied(*(np.column_stack([f.reshape(len(f), -1), s]) for f, _, _, s in ends))
+        nominal = self._varied(*(side.place[:, rest.soft] for side in sides))
+        force = self._varied(*(np.column_stack([side.force.reshape(len(side.force), -1), side.stop]) for side in sides))
         position, s_start, converged = nominal, 0.0, np.ones(self.n, dtype=bool)
 
         def loads(s: float) -> tuple[Dual, Dual]:
             """b, and the loads e on the rest rows, position s of the step."""
             b = [(1 - s) * (start + lift) + s * last for start, lift, last in zip(starts, lifts, stop)]
-            return self._varied(*b), self._varied(*(rest.pushed(response, ramp.at(s)[1]) for ramp in ramps))
+            return self._varied(*b), self._varied(*(rest.pushed(response, side.ramp.at(s)[1]) for side in sides))
 
         for segment, (s_end, path) in enumerate(rest.segments(stage.path, law)):
-            (b0, _), (b1, e1) = loads(s_start), loads(s_end)
-            ends_of_loads = loads(s_start), loads(s_end)
+            (b0, _), (b1, e1) = ends = loads(s_start), loads(s_end)
             record, target, settled = self._rest_positions(
-                stage, number, segment, eliminated, ends_of_loads, nominal, position, force, anchor, path
+                stage, (number, segment), eliminated, ends, nominal, position, force, anchor, path
             )
             converged &= settled
             carried = _times(force, G)
@@ -261,17 +230,20 @@ class DifferentiatedProcess:
             force, anchor, position = _without_padding(stops, end_state.force), end_state.anchor, Dual(target, dq)
             self.exact &= end_state.solved | ~settled
             s_start = s_end
-        for side, values in enumerate((position.value, self._rows(position.slope))):
-            places[side] = places[side].copy()
-            places[side][:, rest.soft] = values
+        for side, values in zip(sides, (position.value, self._rows(position.slope))):
+            side.place = side.place.copy()
+            side.place[:, rest.soft] = values
         return end_state, converged
 
-    def _rest_positions(self, stage, number, segment, eliminated, loads, nominal, at, force, anchor, path):
-        """Recorded steps (n,) of a segment, spring targets (n, k) of its resting parts, and whether they converged."""
-        key, position_key = (stage.plan.name, number, segment), (stage.plan.name, number, segment, "at")
+    def _rest_positions(self, stage, numbers, eliminated, loads, nominal, at, force, anchor, path):
+        """Recorded steps (n,) of a segment, spring targets (n, k) of its resting parts, and whether they converged.
+
+        `numbers` are those of the step and of the segment.
+        """
+        key, position_key = (stage.plan.name, *numbers), (stage.plan.name, *numbers, "at")
         if self.given_steps is not None:
-            self.steps[key], self.steps[position_key] = self.given_steps[key], self.given_steps[position_key]
-            return self.given_steps[key], np.stack(list(self.given_steps[position_key])), np.ones(self.n, dtype=bool)
+            self.steps |= {each: self.given_steps[each] for each in (key, position_key)}
+            return self.steps[key], np.stack(list(self.steps[position_key])), np.ones(self.n, dtype=bool)
         rest, response = eliminated.rest, eliminated.response
         (b0, e0), (b1, e1) = loads
 
@@ -286,11 +258,10 @@ class DifferentiatedProcess:
         )
         c, G = rest.springs(response)
         target = place + c * (e1.value - pressed @ G)
-        record: Any = solution.record
         positions = np.empty(self.n, dtype=object)
         positions[:] = list(target)
-        self.steps[key], self.steps[position_key] = record, positions
-        return record, target, solution.converged
+        self.steps[key], self.steps[position_key] = solution.record, positions
+        return solution.record, target, solution.converged
 
     def _differentiated_path(
         self, out: np.ndarray, contact: Contact, start: Dual, end: Dual, anchor: Dual, record
@@ -349,19 +320,17 @@ class DifferentiatedProcess:
     def _varied(self, value, slope) -> Dual:
         return Dual(value, self._columns(slope))
 
-    def _recorded_path(self, stage: PreparedStage, number: int, eliminated, state, b0, b1):
+    def _recorded_path(self, stage: PreparedStage, number: int, eliminated, batch: BatchStep, b0, b1):
         """Recorded path steps (n,) of the contacts, and whether the samples met their tolerance."""
         key = stage.plan.name, number
         if self.given_steps is not None:
             self.steps[key] = self.given_steps[key]
-            return self.given_steps[key], np.ones(self.n, dtype=bool)
-        stop_forces = stage.stop_forces(eliminated.step, state)
-        force = np.column_stack([state.force.reshape(self.n, -1), stop_forces])
+            return self.steps[key], np.ones(self.n, dtype=bool)
+        force = np.column_stack([batch.force.reshape(self.n, -1), batch.stop])
         path: Path = replace(stage.path, recorded=True)
-        found, _ = stage.follow(eliminated, b0, b1, force, state.anchor, path)
-        record: Any = found.record
-        self.steps[key] = record
-        return record, found.converged
+        found, _ = stage.follow(eliminated, b0, b1, force, batch.anchor, path)
+        self.steps[key] = found.record
+        return found.record, found.converged
 
     def _contact(
         self, stage: PreparedStage, eliminated: EliminatedStep, compliance_slope: ComplianceDerivative | None
@@ -437,36 +406,21 @@ def _pad_anchor(stops: Stops, anchor: np.ndarray) -> np.ndarray:
     return np.column_stack([anchor.reshape(n, stops.contacts * sides), np.zeros((n, stops.count * sides))])
 
 
-def _split_stops(stops: Stops, gap, force, u, anchor) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Contact forces (n, m, d), displacements at the end and anchors, and forces (n, s) of the stops."""
+def _set_end(batch: BatchStep, stops: Stops, force, u, anchor) -> None:
+    """Set forces, positions and anchors at the end of a batch's step from those of contacts and stops."""
     shape = len(force), stops.contacts, stops.dimension
-    left = u[:, : stops.rows].reshape(shape).copy()
-    left[:, :, 0] -= gap
     sides = stops.dimension - 1
-    return (
-        force[:, : stops.rows].reshape(shape),
-        left,
-        anchor[:, : stops.contacts * sides].reshape(*shape[:2], sides),
-        force[:, stops.rows :: stops.dimension],
-    )
+    batch.force = force[:, : stops.rows].reshape(shape)
+    batch.left = u[:, : stops.rows].reshape(shape).copy()
+    batch.left[:, :, 0] -= batch.drive.gap
+    batch.anchor = anchor[:, : stops.contacts * sides].reshape(*shape[:2], sides)
+    batch.stop = force[:, stops.rows :: stops.dimension]
 
 
-def _values_and_loads(ramp: Ramp, place: np.ndarray, s: float) -> tuple[np.ndarray, np.ndarray]:
+def _values_and_loads(batch: BatchStep, s: float) -> tuple[np.ndarray, np.ndarray]:
     """Values and loads of a step's rows at s of the ramp."""
-    v, loads = ramp.at(s)
-    return np.column_stack([v, place]), loads
-
-
-def _offset_drive(drive: Drive, slope: Drive, distance: np.ndarray) -> Drive:
-    """The drive of samples whose input is offset by `distance` (n,)."""
-    moved = {
-        one.name: getattr(drive, one.name) + distance[:, None] * getattr(slope, one.name)
-        for one in fields(Drive)
-        if one.name != "target"
-    }
-    return Drive(
-        {kind: value + distance[:, None] * slope.target[kind] for kind, value in drive.target.items()}, **moved
-    )
+    v, loads = batch.ramp.at(s)
+    return np.column_stack([v, batch.place]), loads
 
 
 def _each(function, *terms: Dual) -> Dual:

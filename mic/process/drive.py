@@ -12,8 +12,8 @@ A tangential *shape* deviation is not a motion and drives nothing: otherwise fri
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, fields
 
 import numpy as np
 
@@ -53,6 +53,13 @@ class Drive:
 
     def __len__(self):
         return len(self.push)
+
+    def combined(self, function: Callable[..., np.ndarray], *others: Drive) -> Drive:
+        """A function of each array of this drive and the same arrays of others."""
+        drives = (self, *others)
+        target = {kind: function(*(drive.target[kind] for drive in drives)) for kind in self.target}
+        names = [field.name for field in fields(Drive) if field.name != "target"]
+        return Drive(target, *(function(*(getattr(drive, name) for drive in drives)) for name in names))
 
 
 @dataclass(frozen=True)

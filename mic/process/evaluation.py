@@ -11,7 +11,7 @@ import numpy as np
 from mic.contact.path import Trace
 from mic.process.state import ProcessState
 
-__all__ = ["REACHED", "ProcessHistory", "Evaluation", "Resolution", "LazyResolutions"]
+__all__ = ["REACHED", "ProcessHistory", "Evaluation", "Resolution", "LazyResolutions", "stacked"]
 
 REACHED = 1e-3  # mm: a smaller distance to the position counts as reached, for no gauge can measure it
 
@@ -85,8 +85,8 @@ class Resolution:
     @classmethod
     def join(cls, pieces: Sequence[Resolution]) -> Resolution:
         """Concatenate solutions of one stage."""
-        trace = Trace(**_stacked([piece.trace for piece in pieces], Trace))
-        return cls(stage=pieces[0].stage, trace=trace, **_stacked(pieces, cls))
+        trace = Trace(**stacked([piece.trace for piece in pieces], Trace))
+        return cls(stage=pieces[0].stage, trace=trace, **stacked(pieces, cls))
 
 
 @dataclass(frozen=True)
@@ -206,10 +206,10 @@ class Evaluation:
         def equilibrium():
             return tuple(np.concatenate(each) for each in zip(*(piece._equilibrium for piece in pieces)))
 
-        return cls(law=pieces[0].law, resolutions=resolutions, equilibrium=equilibrium, **_stacked(pieces, cls))
+        return cls(law=pieces[0].law, resolutions=resolutions, equilibrium=equilibrium, **stacked(pieces, cls))
 
 
-def _stacked(pieces, cls) -> dict[str, np.ndarray]:
+def stacked(pieces, cls) -> dict[str, np.ndarray]:
     """All fields that are arrays over samples, concatenated."""
     arrays = [field.name for field in fields(cls) if field.type == "np.ndarray"]
     return {name: np.concatenate([getattr(piece, name) for piece in pieces]) for name in arrays}

@@ -14,7 +14,7 @@ import numpy as np
 
 from mic.contact.compliance_columns import Columns
 from mic.contact.friction import Friction
-from mic.contact.path import PathSolution, Trace
+from mic.contact.path import PathSolution
 
 __all__ = ["Stops"]
 
@@ -73,36 +73,26 @@ class Stops:
         """Friction of the contacts and stops, from that of the contacts."""
         if not self.count:
             return friction
-        zero, pressure = np.zeros(self.count), friction.pressure
+        pad, pressure, compliance = (0, self.count), friction.pressure, friction.compliance
         if pressure is not None:
             constant = np.zeros((self.count, *pressure.shape[1:]))
             constant[:, 1:, 0] = np.inf
             pressure = np.concatenate([pressure, constant])
-        compliance = friction.compliance
-        return Friction(
-            np.concatenate([friction.coefficient, zero]),
-            pressure,
-            None if compliance is None else np.concatenate([compliance, zero]),
-        )
+        compliance = None if compliance is None else np.pad(compliance, pad)
+        return Friction(np.pad(friction.coefficient, pad), pressure, compliance)
 
     def split(self, solution: PathSolution) -> tuple[PathSolution, np.ndarray]:
         """The contacts' part of a solution, and the forces (n, s) of the stops."""
         if not self.count:
             return solution, np.zeros((len(solution.force), 0))
         m, trace = self.contacts, solution.trace
+        own = {name: getattr(trace, name)[:, :m] for name in ("slip", "length", "work", "share")}
         contacts_only = replace(
             solution,
             force=solution.force[:, : self.rows],
             displacement=solution.displacement[:, : self.rows],
             anchor=solution.anchor[:, :m],
-            trace=Trace(
-                trace.slip[:, :m],
-                trace.length[:, :m],
-                trace.work[:, :m],
-                trace.share[:, :m],
-                trace.error * np.sqrt(self.total / max(m, 1)),  # root mean square over contacts only
-                trace.steps,
-                trace.factorisations,
-            ),
+            # the error is the root mean square over contacts only
+            trace=replace(trace, **own, error=trace.error * np.sqrt(self.total / max(m, 1))),
         )
         return contacts_only, solution.force[:, self.rows :: self.dimension]

@@ -19,10 +19,11 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 from scipy.optimize import linprog
-from scipy.sparse import csr_matrix, hstack, identity, vstack
+from scipy.sparse import csr_matrix, diags, hstack, identity, kron
 
 from mic.compliance.support import completing_rows
 from mic.contact.laws import LAWS
@@ -143,11 +144,10 @@ def _check_step(assembly, bodies, joints, plan, step, parts, law, last) -> None:
                 f"stages ({plan.name}): part {scene.parts[p].name!r} rests by contact alone{without}, and nothing "
                 f"holds it {bodies.describe_motions(p, error.motions)}; {remedy}"
             ) from error
-    names = ", ".join(repr(scene.parts[p].name) for p in parts)
-    least, most, pushing = _loads(assembly, bodies, joints, step)
-    pairs = csr_matrix(normal), csr_matrix(tangents[:, 0]), csr_matrix(tangents[:, 1])
-    pressed = _balanced(held, pairs, mu, least, most, pushing, bodies.size, np.zeros(len(normal)))
-    if pressed is None:
+    bounds, pushing = _loads(assembly, bodies, joints, step)
+    balanced = partial(_balanced, held, (normal, tangents[:, 0], tangents[:, 1]), mu, bounds, pushing, bodies.size)
+    if balanced(np.zeros(len(normal))) is None:
+        names = ", ".join(repr(scene.parts[p].name) for p in parts)
         raise SceneError(
             f"stages ({plan.name}): contact alone holds {names}{without}, and no forces of it balance the clamps; "
             f"press where the part lies on something, or {remedy}"
@@ -155,7 +155,7 @@ def _check_step(assembly, bodies, joints, plan, step, parts, law, last) -> None:
     for p in parts if last else ():
         together = sum(normal[:, 6 * q : 6 * q + 6] for q in bodies.welded(p, step.welds))
         touching = np.abs(together).max(axis=1, initial=0.0) > 0  # contacts within the welded group cancel
-        if not _balanced(held, pairs, mu, least, most, pushing, bodies.size, touching.astype(float)):
+        if not balanced(touching.astype(float)):
             raise SceneError(
                 f"stages ({plan.name}): part {scene.parts[p].name!r} rests by contact alone{without}, and nothing "
                 "presses it there: it lies loose; close a clamp that presses it on, or give it six locators"
@@ -163,66 +163,56 @@ def _check_step(assembly, bodies, joints, plan, step, parts, law, last) -> None:
 
 
 def _loads(assembly, bodies, joints: Joints, step):
-    """Bounds (l,) of the forces of clamps, guns and weights, N, and the motions (l, 6P) along which they push.
+    """Bounds (l, 2) of the forces of clamps, guns and weights, N, and the motions (l, 6P) along which they push.
 
     A limited clamp has any force up to its limit. Guns have no bounds, since a gun and the weld that it presses have
     the same rows.
     """
     scene = assembly.scene
     varied = {name for one in scene.deviations if one.kind == "clamp" for name in np.atleast_1d(one.target)}
-    rows, least, most, weights = [], [], [], []
+    bounds: list[tuple[float, float]] = []
+    motions: list[np.ndarray] = []
     for i in step.loads:
         if i >= len(scene.clamps):
-            weights.append(_weight(assembly, bodies, i))
-            continue
-        clamp = scene.clamps[i]
-        any_force = clamp.name in varied and not clamp.force  # zero on average, of either sign in a sample
-        rows.append(("clamp", i))
-        least.append(-np.inf if any_force else clamp.force)
-        most.append(np.inf if any_force else clamp.force)
+            force, motion = _weight(assembly, bodies, i)
+        else:
+            force, motion = scene.clamps[i].force, bodies.held(joints, [("clamp", i)])[0]
+        # zero on average, of either sign in a sample
+        any_force = i < len(scene.clamps) and scene.clamps[i].name in varied and not force
+        bounds.append((-np.inf, np.inf) if any_force else (force, force))
+        motions.append(motion)
     for limit in step.stops:
         kind, row = limit.row
-        gun = kind == "weld"
-        rows += [(kind, row + axis) for axis in range(3 if gun else 1)]
-        least += [-np.inf] * 3 if gun else [min(0.0, limit.load)]
-        most += [np.inf] * 3 if gun else [max(0.0, limit.load)]
-    ends = np.array([[one[0], one[0]] for one in weights]).reshape(-1, 2)
-    low, high = np.concatenate([least, ends[:, 0]]), np.concatenate([most, ends[:, 1]])
-    return low, high, np.concatenate([bodies.held(joints, rows), *(one[1][None] for one in weights)])
+        rows = 3 if kind == "weld" else 1
+        own = (-np.inf, np.inf) if kind == "weld" else (min(0.0, limit.load), max(0.0, limit.load))
+        bounds += [own] * rows
+        motions += [*bodies.held(joints, [(kind, row + axis) for axis in range(rows)])]
+    return np.array(bounds).reshape(-1, 2), np.array(motions).reshape(-1, len(bodies.size))
 
 
 def _weight(assembly, bodies, row: int) -> tuple[float, np.ndarray]:
     """A part's weight, N, and the motion (6P,) along which it pulls, from the clamp row of its gravity source."""
     scene, entry = assembly.scene, assembly.rows["clamp"][row].tocoo()
     sources = [one for one in scene.deviations if one.kind == "gravity"]
-    number = row - len(scene.clamps)
-    source, part = sources[number // len(scene.parts)], scene.parts[number % len(scene.parts)]
-    return source.mean * float(entry.data.sum()), bodies.centre_reading(assembly, part.name, source.direction)
+    number, part = divmod(row - len(scene.clamps), len(scene.parts))
+    motion = bodies.centre_reading(assembly, scene.parts[part].name, sources[number].direction)
+    return sources[number].mean * float(entry.data.sum()), motion
 
 
-def _balanced(held, pairs, mu, least, most, pushing, size, pressed) -> bool | None:
+def _balanced(held, pairs, mu, bounds, pushing, size, pressed) -> bool | None:
     """Whether balanced forces can press on the `pressed` (m,) contacts; None if no forces balance the loads.
 
     Unknowns are the forces of the contacts, normals first, then both tangents, those of the rows held, and the loads.
     """
-    m, b = len(mu), len(held)
-    bounded = np.concatenate([least, most])
-    scale = np.abs(bounded[np.isfinite(bounded)]).max(initial=0.0) or 1.0
-    balance = hstack([*(rows.T for rows in pairs), csr_matrix(held.T), csr_matrix(pushing.T)], format="csr")
-    balance = csr_matrix(1 / np.where(np.arange(len(size)) % 6 < 3, 1.0, size))[[0]].T.multiply(balance).tocsr()
-    rest, cone, one = csr_matrix((m, b + len(least))), csr_matrix(np.diag(mu)), identity(m, format="csr")
-    none = csr_matrix((m, m))
-    within = vstack(
-        [
-            hstack([-cone, sign * first, sign * second, rest])
-            for first, second in ((one, none), (none, one))
-            for sign in (1.0, -1.0)
-        ],
-        format="csr",
-    )
-    limits = [(0.0, 1e3)] * m + [(None, None)] * (2 * m + b)
-    limits += [(low / scale, high / scale) for low, high in zip(least, most)]
-    aim = np.concatenate([-pressed, np.zeros(2 * m + b + len(least))])
+    m, others = len(mu), len(held) + len(bounds)
+    scale = np.abs(bounds[np.isfinite(bounds)]).max(initial=0.0) or 1.0
+    balance = hstack([*(csr_matrix(rows).T for rows in (*pairs, held, pushing))], format="csr")
+    balance = diags(1 / np.where(np.arange(len(size)) % 6 < 3, 1.0, size)) @ balance
+    signs = np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])  # of both tangents, for each side of a pyramid
+    cone = kron(np.ones((4, 1)), -diags(mu))
+    within = hstack([cone, kron(signs, identity(m)), csr_matrix((4 * m, others))], format="csr")
+    limits = [(0.0, 1e3)] * m + [(None, None)] * (2 * m + len(held)) + [*map(tuple, bounds / scale)]
+    aim = np.concatenate([-pressed, np.zeros(2 * m + others)])
     solved = linprog(
         aim, within, np.zeros(within.shape[0]), balance, np.zeros(balance.shape[0]), limits, method="highs"
     )
@@ -254,13 +244,15 @@ class _RigidParts:
 
     def held(self, joints: Joints, rows) -> np.ndarray:
         """(b, 6P) readings of the rows."""
-        reading = np.zeros((len(rows), len(self.size)))
+        reading, first = np.zeros((len(rows), len(self.size))), joints.first
         for line, (kind, row) in zip(reading, rows):
             if kind == "weld":
-                number = int(np.searchsorted(joints.first, row, side="right")) - 1
-                weld, axis = self.scene.welds[number], row - int(joints.first[number])
+                number = int(np.searchsorted(first, row, side="right")) - 1
+                weld, axis = self.scene.welds[number], row - int(first[number])
+                unit = np.eye(3)[axis % 3]  # a translation at the weld, or a rotation
+                read = self._reading(weld.point, unit) if axis < 3 else np.array([0.0, 0.0, 0.0, *unit])
                 for name, sign in zip(weld.parts, (-1.0, 1.0)):
-                    line[self._columns(name)] = sign * self._weld_reading(axis, weld.point)
+                    line[self._columns(name)] = sign * read
             else:
                 item = getattr(self.scene, f"{kind}s")[row]
                 line[self._columns(item.part)] = self._reading(item.point, item.direction)
@@ -274,18 +266,17 @@ class _RigidParts:
 
     def all_motions(self, parts) -> np.ndarray:
         """(6 p, 6P) all motions of some parts."""
-        unit = np.eye(len(self.size))
-        return np.concatenate([unit[:0], *(unit[self._columns(part)] for part in parts)])
+        unit = np.eye(len(self.size)).reshape(-1, 6, len(self.size))
+        return unit[[self.number[part] for part in parts]].reshape(-1, len(self.size))
 
     def relative_motions(self, zones) -> np.ndarray:
         """(6 z, 6P) all relative motions of bodies that zones join; fixtures do not move."""
-        lines = []
-        for zone in zones:
-            lines.append(np.zeros((6, len(self.size))))
+        lines = np.zeros((len(zones), 6, len(self.size)))
+        for own, zone in zip(lines, zones):
             for name, sign in zip(zone.parts, (-1.0, 1.0)):
                 if name in self.number:
-                    lines[-1][:, self._columns(name)] = sign * np.eye(6)
-        return np.concatenate([np.zeros((0, len(self.size))), *lines])
+                    own[:, self._columns(name)] = sign * np.eye(6)
+        return lines.reshape(-1, len(self.size))
 
     def contacts(self, contacts, stage: str, law) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """(m, 6P) and (m, 2, 6P) readings of pairs along normals and tangents, and their friction (m,)."""
@@ -338,8 +329,3 @@ class _RigidParts:
 
     def _reading(self, point, direction) -> np.ndarray:
         return np.array([*direction, *np.cross(np.subtract(point, self.centre), direction)])
-
-    def _weld_reading(self, axis: int, point) -> np.ndarray:
-        """Reading of a weld's row of a body's motion: a translation at the weld, or a rotation."""
-        unit = np.eye(3)[axis % 3]
-        return self._reading(point, unit) if axis < 3 else np.array([0.0, 0.0, 0.0, *unit])

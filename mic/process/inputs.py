@@ -14,7 +14,8 @@ Deviations have their names; other inputs are named by their place in the scene,
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -32,15 +33,22 @@ def known_inputs(model) -> dict[str, float]:
     ----------
     model : mic.model.reduction.Reduction
     """
-    scene = model.scene
-    found = {one.name: float(one.sigma) for one in scene.deviations}
-    names = [f"{kind}.{one.name}" for kind in ("locators", "clamps") for one in getattr(scene, kind)]
-    names += [f"clamps.{one.name}.limit" for one in scene.clamps if one.limit is not None]
-    names += [f"welds.{one.name}.gun" for one in scene.welds if one.gun is not None]
+    sigma = {one.name: float(one.sigma) for one in model.scene.deviations}
+    return dict.fromkeys(_fixed_inputs(model), 0.0) | sigma
+
+
+def _fixed_inputs(model) -> dict[str, tuple[str, Any]]:
+    """The inputs that are not deviations, with the kind and the number of what each changes."""
+    scene, first = model.scene, Joints(tuple(model.weld_size)).first.tolist()
+    found: dict[str, tuple[str, Any]] = {f"locators.{one.name}": ("locator", i) for i, one in enumerate(scene.locators)}
+    found |= {f"clamps.{one.name}": ("clamp", i) for i, one in enumerate(scene.clamps)}
+    limited = [(i, one.name) for i, one in enumerate(scene.clamps) if one.limit is not None]
+    found |= {f"clamps.{name}.limit": ("limit", ("clamp", i)) for i, name in limited}
+    guns = [(row, one.name) for row, one in zip(first, scene.welds) if one.gun is not None]
+    found |= {f"welds.{name}.gun": ("limit", ("weld", row)) for row, name in guns}
     if model.contacts.frictional:
-        names += [f"zones.{one.name}.friction" for one in scene.zones]
-    names += model.labels.get("position", [])
-    return dict.fromkeys(names, 0.0) | found
+        found |= {f"zones.{one.name}.friction": ("friction", i) for i, one in enumerate(scene.zones)}
+    return found | {name: ("position", name) for name in model.labels.get("position", [])}
 
 
 @dataclass(frozen=True)
@@ -94,7 +102,7 @@ class Inputs:
         ValueError
             If a name is unknown, or none is given.
         """
-        known = known_inputs(model)
+        fixed, known = _fixed_inputs(model), known_inputs(model)
         if not len(names):
             raise ValueError("inputs: name at least one")
         for name in names:
@@ -103,38 +111,28 @@ class Inputs:
                     f"inputs: {name!r} is not an input of this model{_reason(model, name)}; known inputs: "
                     + ", ".join(known)
                 )
-        p, scene, labels = len(names), model.scene, model.labels
-        joints, own = Joints(tuple(model.weld_size)), [one.name for one in scene.deviations]
+        p, labels, contacts, joints = len(names), model.labels, model.contacts, Joints(tuple(model.weld_size))
+        own = dict(zip((one.name for one in model.scene.deviations), sources(model.scene)))
         target = {kind: np.zeros((p, len(labels[kind]))) for kind in ("locator", "clamp")}
-        push, friction = np.zeros((p, len(labels["clamp"]))), np.zeros((len(model.contacts), p))
+        push, friction = np.zeros((p, len(labels["clamp"]))), np.zeros((len(contacts), p))
         limit: dict[Row, np.ndarray] = {}
         places = []
         for i, name in enumerate(names):
             if name in own:
+                if own[name].changes == "friction":
+                    friction[:, i] = own[name].change(contacts, 1.0).friction[-1] - contacts.friction[-1]
                 continue
-            if name in labels.get("position", []):
-                places += [Place(i, row, number) for row, number in _rows_at(model, joints, name)]
-                continue
-            table, item = name.split(".", 1)
-            if table == "zones":
-                zone = [f"{one.name}.friction" for one in scene.zones].index(item)
-                friction[model.contacts.zone == zone, i] = 1.0
-            elif table == "welds":
-                weld = [f"{one.name}.gun" for one in scene.welds].index(item)
-                limit.setdefault(("weld", int(joints.first[weld])), np.zeros(p))[i] = 1.0
-            elif item in labels[table[:-1]]:
-                row = labels[table[:-1]].index(item)
-                target[table[:-1]][i, row] = 1.0
-                if table == "clamps":
-                    push[i, row] = 1.0
+            kind, number = fixed[name]
+            if kind == "position":
+                places += [Place(i, row, position) for row, position in _rows_at(model, joints, name)]
+            elif kind == "friction":
+                friction[contacts.zone == number, i] = 1.0
+            elif kind == "limit":
+                limit.setdefault(number, np.zeros(p))[i] = 1.0
             else:
-                clamp = [f"{one.name}.limit" for one in scene.clamps].index(item)
-                limit.setdefault(("clamp", clamp), np.zeros(p))[i] = 1.0
-        for name, source in zip(own, sources(scene)):
-            if source.changes == "friction" and name in names:
-                contacts = model.contacts
-                changed = source.change(contacts, 1.0).friction[-1] - contacts.friction[-1]
-                friction[:, [i for i, one in enumerate(names) if one == name]] = changed[:, None]
+                target[kind][i, number] = 1.0
+                if kind == "clamp":
+                    push[i, number] = 1.0
         return cls(list(names), target, push, limit, friction, tuple(places))
 
     def drive(self, process, deviations: np.ndarray) -> Drive:
@@ -148,24 +146,19 @@ class Inputs:
             moved = np.concatenate([one - base, np.zeros_like(base)])
             return np.tile(moved[own], (n, 1))
 
-        target = {kind: difference(unit.target[kind], zero.target[kind]) for kind in zero.target}
-        rest = {
-            one.name: difference(getattr(unit, one.name), getattr(zero, one.name))
-            for one in fields(Drive)
-            if one.name != "target"
-        }
+        found = unit.combined(difference, zero)
         for kind, moved in self.target.items():
-            target[kind] += np.tile(moved, (n, 1))
-        rest["push"] += np.tile(self.push, (n, 1))
+            found.target[kind][:] += np.tile(moved, (n, 1))
+        found.push[:] += np.tile(self.push, (n, 1))
         normal = set(Joints(tuple(model.weld_size)).normals)
         for place in self.places:
             # At the moved row the stress-free shape differs, and so does the gap of a weld.
             drawn, (kind, row) = deviations @ (model.rows["position"][place.number] @ model.shape).ravel(), place.row
             if kind != "weld":
-                target[kind][place.input :: p, row] -= drawn
+                found.target[kind][place.input :: p, row] -= drawn
             elif row in normal:
-                rest["weld_gap"][place.input :: p, row] += model.position_gap[place.number] + drawn
-        return Drive(target, **rest)
+                found.weld_gap[place.input :: p, row] += model.position_gap[place.number] + drawn
+        return found
 
 
 def _rows_at(model, joints: Joints, name: str) -> list[tuple[Row, int]]:

@@ -12,31 +12,18 @@ parts that rest on springs, are not linear in z; such a process has no maps.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
-from typing import Protocol
+from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
 from mic.contact.path import PathSolution, Trace
-from mic.process.drive import Drive
 from mic.process.stage import PreparedStage
-from mic.process.state import ProcessState
 from mic.system.matrix_product import product
 
-__all__ = ["Linear", "StagedProcess"]
+__all__ = ["Linear"]
 
 MAX_NUMBERS = 500_000  # in the maps of a process, about 4 MB; larger problems gain little from them
-
-
-class StagedProcess(Protocol):
-    """The interface of :class:`mic.process.process.Process` used here."""
-
-    @property
-    def stages(self) -> Sequence[PreparedStage]: ...
-
-    def drive(self, deviations: np.ndarray) -> Drive: ...
-
-    def start(self, n: int) -> ProcessState: ...
 
 
 class LinearMap:
@@ -106,7 +93,7 @@ class Linear:
     shape: tuple[int, int]
 
     @classmethod
-    def of(cls, process: StagedProcess, deviations: int) -> Linear | None:
+    def of(cls, process, deviations: int) -> Linear | None:
         """The maps of a process with this number of deviations; None if it is not linear, or if they are too large."""
         state = process.start(0)
         (m, d), solved = state.force.shape[1:], 0
@@ -119,7 +106,7 @@ class Linear:
         rows = 1 + deviations + solved * m * d
         if not solved or rows * solved * m * d > MAX_NUMBERS:
             return None
-        return _UnitVectors(process, deviations, rows, (m, d)).maps()
+        return _record(process, deviations, rows, (m, d))
 
     def follow(
         self, stages: Sequence[PreparedStage], deviations: np.ndarray
@@ -158,79 +145,41 @@ class Linear:
         return solutions, self.readings(z), failed
 
 
-class _UnitVectors:
-    """Unit vectors of z, one for each sample, taken through all stages.
+def _record(process, deviations: int, rows: int, shape: tuple[int, int]) -> Linear:
+    """The maps of a process: as many unit vectors as `rows`, one for each sample, are taken through all stages."""
+    (m, d), edges, steps = shape, [1 + deviations], list[SolvedStep]()
 
-    Parameters
-    ----------
-    process : StagedProcess
-    deviations : int
-    rows : int
-        Length of z.
-    shape : (int, int)
-        m and d.
-    """
-
-    def __init__(self, process: StagedProcess, deviations: int, rows: int, shape: tuple[int, int]):
-        self._process, self._shape, self._rows = process, shape, rows
-        self._drive = linear_part(process.drive(np.eye(1 + deviations, deviations, -1)), rows)
-        self._edges = [1 + deviations]  # ends of the parts of z known so far
-        self._steps: list[SolvedStep] = []
-
-    def maps(self) -> Linear:
-        """Take the unit vectors through the stages."""
-        process, drive = self._process, self._drive
-        state, readings, moved = process.start(self._rows), np.zeros((self._rows, 0)), True
-        for i, stage in enumerate(process.stages):
-            for j, eliminated in enumerate(stage.required_steps):
-                self._at, self._anchors_follow_parts = (i, j), moved
-                state, solution = stage.step(eliminated, state, drive, self._resolve(stage))
-                moved = solution is None and (moved or eliminated.step.sets_down)
-            if stage.plan.reads:
-                readings = state.reading["measurement"] + drive.measured
-        return Linear(self._steps, LinearMap(readings, self._edges), self._shape)
-
-    def _resolve(self, stage: PreparedStage):
+    def resolve(number, stage, anchors_follow_parts, batch):
         """Record the start of a step; its solution has the unit vectors of its forces."""
+        start, end = (stage.unloaded(batch, s) for s in (0.0, 1.0))
+        unloaded = LinearMap(np.concatenate([start, end], axis=1), edges)
+        settles, at = batch.eliminated.step.settles, batch.anchor.reshape(rows, -1)
+        overlap = LinearMap(stage.overlap(batch, start)[:, ::d], edges) if settles else None
+        anchors = LinearMap(at, edges) if anchors_follow_parts else None
+        steps.append(SolvedStep(*number, unloaded, overlap, anchors))
+        force, anchor = np.zeros((rows, m * d)), np.zeros((rows, m, d - 1))
+        force[edges[-1] : edges[-1] + m * d] = np.eye(m * d)
+        edges.append(edges[-1] + m * d)
+        none, text = np.zeros(rows), np.full(rows, "", dtype=object)
+        converged, iterations = np.ones(rows, dtype=bool), np.zeros(rows, dtype=int)
+        trace = Trace.start(rows, m)
+        solution = PathSolution(force, np.zeros_like(force), anchor, trace, none, converged, iterations, text, text)
+        return solution, np.zeros((rows, 0)), batch.place
 
-        def resolve(eliminated, state, drive, ramp, place):
-            (m, d), n, edges = self._shape, self._rows, list(self._edges)
-            start, end = (stage.unloaded(eliminated, drive, ramp, place, s) for s in (0.0, 1.0))
-            overlap = stage.overlap(eliminated, state, drive, start)[:, ::d] if eliminated.step.settles else None
-            parts = (
-                np.concatenate([start, end], axis=1),
-                overlap,
-                state.anchor.reshape(n, -1) if self._anchors_follow_parts else None,
-            )
-            unloaded, *others = (None if one is None else LinearMap(one, edges) for one in parts)
-            self._steps.append(SolvedStep(*self._at, unloaded, *others))
-            force, none = np.zeros((n, m * d)), np.zeros(n)
-            force[edges[-1] : edges[-1] + m * d] = np.eye(m * d)
-            self._edges.append(edges[-1] + m * d)
-            text = np.zeros(n, dtype=int), np.full(n, "", dtype=object), np.full(n, "", dtype=object)
-            solution = PathSolution(
-                force,
-                np.zeros_like(force),
-                np.zeros((n, m, d - 1)),
-                Trace.start(n, m),
-                none,
-                np.ones(n, dtype=bool),
-                *text,
-            )
-            return solution, np.zeros((n, 0)), place
-
-        return resolve
+    drive = process.drive(np.eye(1 + deviations, deviations, -1)).combined(partial(_linear_part, rows))
+    state, readings, moved = process.start(rows), np.zeros((rows, 0)), True
+    for i, stage in enumerate(process.stages):
+        for j, eliminated in enumerate(stage.required_steps):
+            state, solution = stage.step(eliminated, state, drive, partial(resolve, (i, j), stage, moved))
+            moved = solution is None and (moved or eliminated.step.sets_down)
+        if stage.plan.reads:
+            readings = state.reading["measurement"] + drive.measured
+    return Linear(steps, LinearMap(readings, edges), shape)
 
 
-def linear_part(drive: Drive, rows: int) -> Drive:
-    """The drive without deviations (first), and its change by each unit deviation, padded with zeros to `rows` rows."""
-
-    def part(values_of):
-        found = np.zeros((rows, values_of.shape[1]))
-        found[: len(values_of)] = values_of
-        found[1 : len(values_of)] -= values_of[0]
-        return found
-
-    values = {field.name: getattr(drive, field.name) for field in fields(Drive)}
-    target = {kind: part(values_of) for kind, values_of in values.pop("target").items()}
-    return Drive(target, **{name: part(values_of) for name, values_of in values.items()})
+def _linear_part(rows: int, values: np.ndarray) -> np.ndarray:
+    """The values without deviations (first), and their change by each unit, padded with zeros to `rows` rows."""
+    found = np.zeros((rows, values.shape[1]))
+    found[: len(values)] = values
+    found[1 : len(values)] -= values[0]
+    return found

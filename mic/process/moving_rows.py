@@ -1,4 +1,4 @@
-"""Effects of rows inputs positions in their sheets are inputs, in one step.
+"""Effects of rows whose positions in their sheets are inputs, in one step.
 
 With position rows a' (:class:`mic.process.inputs.Place`), a row ℓ that holds a value reads ``ℓ·y + δ a'·y`` when it has
 moved by δ, and its reaction λ acts on ``ℓ + δ a'``. To first order it holds ``a'·y`` less than before, and λ also
@@ -15,6 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mic.contact.tangent import ComplianceDerivative
+from mic.process.actions import Row
 from mic.process.inputs import Place
 from mic.process.stage import EliminatedStep
 from mic.process.state import ProcessState
@@ -53,27 +54,27 @@ class MovingRows:
 
         The contact forces are left out.
         """
-        response = self.eliminated.response
+        response, step = self.eliminated.response, self.eliminated.step
         for place in self.places:
             own, α = b[place.input :: inputs], self._position_map("L", place)
             reads = self._reads(place, v, p)
-            for column in self._held(place):
+            for column in _columns(step.bilateral, place):
                 pushed = v @ response.reaction_T[column] + p @ response.reaction_L[column]
                 own += pushed[:, None] * α - reads[:, None] * response.T[:, column]
-            for column in self._loads(place):
+            for column in _columns(step.load_rows, place):
                 own += p[:, column, None] * α
             for row, sign in self._stops(place):
                 own[:, row] -= sign * reads
 
     def compliance_slope(self) -> ComplianceDerivative | None:
         """The change of the compliance (d m + s, d m + s) of contacts and stops; None if there is none."""
-        response = self.eliminated.response
+        response, step = self.eliminated.response, self.eliminated.step
         left: list[np.ndarray] = []
         right: list[np.ndarray] = []
         inputs: list[int] = []
         for place in self.places:
             α = self._position_map("L", place)
-            for column in self._held(place):
+            for column in _columns(step.bilateral, place):
                 left += [-response.T[:, column], -α]
                 right += [α, response.T[:, column]]
             for row, sign in self._stops(place):
@@ -102,9 +103,9 @@ class MovingRows:
         for place in self.places:
             own, number = slice(place.input, None, inputs), place.number
             holds = state.reading["position"][:, number]
-            terms = [(response.T_out[:, j], response.reaction_T[:, j], -holds) for j in self._held(place)]
+            terms = [(response.T_out[:, j], response.reaction_T[:, j], -holds) for j in _columns(step.bilateral, place)]
             acts = [state.reaction[place.row]] if terms else []
-            acts += [p[:, j] for j in self._loads(place)]
+            acts += [p[:, j] for j in _columns(step.load_rows, place)]
             acts += [-sign * state.stop[place.row] for _, sign in self._stops(place)]
             terms += [(maps["L_out"][:, number], maps["reaction_L"][:, number], force) for force in acts]
             for out, reaction, share in terms:
@@ -128,14 +129,13 @@ class MovingRows:
     def _position_map(self, name: str, place: Place) -> np.ndarray:
         return self.eliminated.position_maps[name][:, place.number]
 
-    def _held(self, place: Place) -> list[int]:
-        return [j for j, row in enumerate(self.eliminated.step.bilateral) if row == place.row]
-
-    def _loads(self, place: Place) -> list[int]:
-        return [j for j, row in enumerate(self.eliminated.step.load_rows) if row == place.row]
-
     def _stops(self, place: Place) -> list[tuple[int, int]]:
         """The contact rows of its stops, and the direction in which they push."""
         step, rows = self.eliminated.step, len(self.eliminated.response.T)
         first = rows - len(step.stops)
         return [(first + j, stop.sign) for j, stop in enumerate(step.stops) if stop.row == place.row]
+
+
+def _columns(rows: Sequence[Row], place: Place) -> list[int]:
+    """Where the row that moves stands among some rows."""
+    return [j for j, row in enumerate(rows) if row == place.row]

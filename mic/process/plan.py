@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 
 from mic.process.actions import (
-    Close,
     Fixture,
+    Join,
     Joints,
     Move,
     MoveAssembly,
@@ -257,35 +257,18 @@ def plan_stages(scene, weld_size, limited: bool = True) -> list[StagePlan]:
             moves = together(moves)
         steps: list[Step] = []
         for move in moves or [()]:
-            after = fixture
-            for action in move:
-                after = action.apply(after)
-            if any(
-                isinstance(action, MoveAssembly) for action in move
-            ):  # while it moves, the assembly touches no fixture
-                fixtures = set()
+            after = fixture.after(move)
+            if any(isinstance(action, MoveAssembly) for action in move):
+                fixtures = set()  # while it moves, the assembly touches no fixture
                 away = _inactive_zones(scene, _parts_of(scene, fixture))
             step = replace(_step(move, rows, fixture, after), away=away, parked=_parked(scene, after))
-            if pending and stage.kind == "clamp" and not any(moves):
-                pending, step = False, replace(step, move=(ResolveOverlap(),), settles=True, resolves=True)
-            elif pending and step.resolves:
-                if first and path != "one-step":
-                    steps.append(
-                        Step(
-                            (ResolveOverlap(),),
-                            rows.held(fixture),
-                            fixture.forces,
-                            limits=rows.limits(fixture),
-                            welds=fixture.welds,
-                            away=away,
-                            parked=_parked(scene, fixture),
-                            settles=True,
-                            resolves=True,
-                        )
-                    )
-                else:
-                    step = replace(step, move=(ResolveOverlap(), *move), settles=True)
+            if pending and (step.resolves or stage.kind == "clamp" and not any(moves)):
                 pending = False
+                if step.resolves and first and path != "one-step":
+                    resting = _step((), rows, fixture, fixture)
+                    steps.append(_settling(replace(resting, away=away, parked=_parked(scene, fixture))))
+                else:
+                    step = _settling(step)
             steps.append(step)
             if any(isinstance(action, Placement) for action in move):
                 first, before = stage.settle, away
@@ -297,6 +280,11 @@ def plan_stages(scene, weld_size, limited: bool = True) -> list[StagePlan]:
         plan = StagePlan(stage.name, stage.kind, tuple(steps), path, stage.increments or 1, reads)
         plans.append(with_resting_parts(scene, rows.joints, plan))
     return plans
+
+
+def _settling(step: Step) -> Step:
+    """The step, in which overlaps close."""
+    return replace(step, move=(ResolveOverlap(), *step.move), settles=True, resolves=True)
 
 
 def plan_assembly(assembly) -> list[StagePlan]:
@@ -375,7 +363,7 @@ def _step(move, rows: _Rows, before: Fixture, after: Fixture) -> Step:
     added = [row for row in now if row not in held and row not in welded]  # a new weld moves nothing
     released = tuple(row for row in held if row not in now)
     dropped = tuple(limit for limit in limits if limit not in limits_now and rows.limited)
-    closing = tuple(i for action in move if isinstance(action, Close) for i in action.gap)
+    closing = tuple(i for action in move if isinstance(action, Join) for i in action.gap)
     if not rows.limited:  # a gun without a limit closes the gap
         closing += tuple(i for i in after.guns if i not in before.guns)
     sets_down = any(isinstance(action, PlaceParts) for action in move)

@@ -150,12 +150,10 @@ class Process:
             "threads": threads,
             "dimension": contacts.dimension,
         }
-        if plans is not None:
-            self._plans = plans
-        else:
-            self._plans = model.plans if limited else plan_stages(model.scene, model.weld_size, limited)
         if plans is None:
-            check_resting(model, self._plans, [applied_law.name])
+            plans = model.plans if limited else plan_stages(model.scene, model.weld_size, limited)
+            check_resting(model, plans, [applied_law.name])
+        self._plans = plans
         self._eliminations = model.eliminations if limited else eliminate_steps(model, self._plans)
         frictional, slopes = applied_law.frictional, model.slopes
         # Deviations that change contacts or parts, with their values in the model.
@@ -172,9 +170,8 @@ class Process:
         self._sample_compliance = False  # whether the compliance belongs to one sample
         self._solvers: dict[tuple, ContactSolver | WorkingSetSolver] = {}
         self._forecast, self._guessing = model.forecast if forecast is None else forecast, False
-        path_tolerance = path_tolerance or model.scene.path.tolerance
-        self._path_tolerance = path_tolerance
-        self.stages = self._prepared([path_of(plan, applied_law, path_tolerance) for plan in self._plans])
+        self._path_tolerance = path_tolerance or model.scene.path.tolerance
+        self.stages = self._prepared([path_of(plan, applied_law, self._path_tolerance) for plan in plans])
 
     def _prepared(self, paths: Sequence[Path]) -> list[PreparedStage]:
         model = self.model
@@ -282,7 +279,7 @@ class Process:
         resolutions, readings, resolve = {}, np.zeros((len(deviations), 0)), None
         if solutions is not None:
             paths, no_stops = iter(solutions), np.zeros((len(deviations), 0))
-            resolve = lambda eliminated, state, drive, ramp, place: (next(paths), no_stops, place)
+            resolve = lambda batch: (next(paths), no_stops, batch.place)
         for i, stage in enumerate(self.stages):
             state, resolution = stage.advance(state, loading, resolve)
             if resolution is not None:
@@ -331,12 +328,11 @@ class Process:
             deviations = np.zeros(len(self.model.scene.deviations))
             deviations[self._changing] = amplitudes
             model = self.model.with_deviations(deviations)
-            vars(model).update({name: getattr(self.model, name) for name in ("forecast", "rest", "characteristics")})
+            shared = ["forecast", "rest", "characteristics", "plans"]
             template = self if model.compliance is self.model.compliance else None
             if template is not None:
-                vars(model)["eliminations"] = self.model.eliminations
-            elif self._limited:
-                vars(model)["eliminations"] = eliminate_steps(model, self._plans)
+                shared.append("eliminations")
+            vars(model).update({name: getattr(self.model, name) for name in shared})
             try:
                 if (model.contacts.friction != self.model.contacts.friction).any():
                     check_resting(model, self._plans, [self._settings["law"].name])
@@ -457,8 +453,9 @@ class Process:
         """Non-redundant rows A that a stage holds or reads of resting parts: numbers, ``A H``, inverse of ``A G``."""
         name, compliance = stage.plan.name, self.model.compliance
         if name not in self._motion_fits:
-            own = np.setdiff1d(np.arange(stage.bilateral.shape[0]), stage.response.redundant)
-            A = stage.bilateral[own]
+            last = stage.steps[-1]
+            own = np.setdiff1d(np.arange(last.bilateral.shape[0]), last.response.redundant)
+            A = last.bilateral[own]
             self._motion_fits[name] = own, compliance.displace(A.toarray()), np.linalg.pinv(compliance.rigid(A))
         return self._motion_fits[name]
 
@@ -476,7 +473,7 @@ class Process:
             push[:, i] = force
         for limit in last.plan.steps[-1].stops:
             push[:, limit.row[1]] = limit.force - state.stop[limit.row]
-        force = reaction @ last.bilateral[: reaction.shape[1]] + push @ model.rows["clamp"]
+        force = reaction @ last.steps[-1].bilateral[: reaction.shape[1]] + push @ model.rows["clamp"]
         force = force + state.force.reshape(n, -1) @ model.rows["contact"]
         own, AH, inverse = self._motion_fit(last)
         soft = row_compliance(model.scene, last.plan.bilateral)

@@ -22,10 +22,10 @@ import numpy as np
 from mic.errors import SceneError
 from mic.process.differentiated_process import DifferentiatedProcess
 from mic.process.inputs import Inputs, known_inputs
-from mic.process.sensitivity_results import ContactSensitivity, PathSteps, Sensitivities
+from mic.process.sensitivity_results import PathSteps, Sensitivities
 from mic.system.matrix_product import one_thread
 
-__all__ = ["AT_CHANGE", "ContactSensitivity", "Sensitivities", "known_inputs", "sensitivities"]
+__all__ = ["AT_CHANGE", "Sensitivities", "known_inputs", "sensitivities"]
 
 AT_CHANGE = 1e-6  #: standard deviations: closer samples count as being at a change of state
 BESIDE = 1e-5  # standard deviations beyond twice the distance to the change, where one-sided derivatives are taken

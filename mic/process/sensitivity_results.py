@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass
 
 import numpy as np
+
+from mic.process.evaluation import stacked
 
 __all__ = ["ContactSensitivity", "PathSteps", "Sensitivities"]
 
@@ -92,23 +94,11 @@ class Sensitivities:
     @classmethod
     def join(cls, pieces: Sequence[Sensitivities]) -> Sensitivities:
         """Concatenate batches of samples."""
-
-        def stacked(arrays):
-            return np.concatenate(list(arrays))
-
+        first = pieces[0]
         contacts = {
-            stage: ContactSensitivity(
-                **{
-                    one.name: stacked(getattr(piece.contacts[stage], one.name) for piece in pieces)
-                    for one in fields(ContactSensitivity)
-                }
-            )
-            for stage in pieces[0].contacts
+            stage: ContactSensitivity(**stacked([piece.contacts[stage] for piece in pieces], ContactSensitivity))
+            for stage in first.contacts
         }
-        arrays = ("measurements", "jacobian", "sides", "reach", "reach_along", "where", "failed", "exact")
-        return replace(
-            pieces[0],
-            contacts=contacts,
-            steps={key: stacked(piece.steps[key] for piece in pieces) for key in pieces[0].steps},
-            **{name: stacked(getattr(piece, name) for piece in pieces) for name in arrays},
-        )
+        steps = {key: np.concatenate([piece.steps[key] for piece in pieces]) for key in first.steps}
+        arrays = stacked(pieces, cls) | {"sigma": first.sigma}
+        return cls(law=first.law, inputs=first.inputs, contacts=contacts, steps=steps, **arrays)

@@ -23,7 +23,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from functools import cache, cached_property, partial
 from typing import Any
 
 import numpy as np
@@ -42,11 +42,9 @@ from mic.process.evaluation import Resolution
 from mic.process.force_limits import Stops
 from mic.process.free_motions import free_motion_error
 from mic.process.plan import Limit, StagePlan, Step, row_compliance
-from mic.process.ramp import Ramp
-from mic.process.ramp_columns import RampColumns, row_names
+from mic.process.ramp import Ramp, RampColumns, row_names
 from mic.process.resting_parts import Rest, Segment
-from mic.process.row_values import Values, columns
-from mic.process.state import ProcessState
+from mic.process.state import ProcessState, Values, columns
 from mic.system.matrix_product import product
 
 __all__ = ["LEAST_MOTION", "OUTPUTS", "EliminatedStep", "PreparedStage", "eliminate_steps", "path_of", "stops_of"]
@@ -65,9 +63,9 @@ MAPS = ("T", "L", "T_out", "L_out", "reaction_T", "reaction_L", "reaction_S")
 LOADS = ("L", "L_out", "reaction_L")  #: maps of loads
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class EliminatedStep:
-    """A step with its bilateral rows eliminated, for all contact laws.
+    """A step with its bilateral rows eliminated, for all contact laws; equal only to itself.
 
     Attributes
     ----------
@@ -96,6 +94,39 @@ class EliminatedStep:
         return self.rest.compliance(response) if self.rest.soft.any() else (response.S, response.diagonal)
 
 
+@dataclass
+class BatchStep:
+    """A batch of assemblies, or of their derivatives, in one step.
+
+    Attributes
+    ----------
+    eliminated : EliminatedStep
+    state : ProcessState
+        Before the step.
+    drive : Drive
+    ramp : Ramp
+        From the readings and forces before the step to those that it prescribes.
+    place : (n, k) array
+        Positions of the resting parts, before the step and then at its end.
+    force, left : (n, m, d) array
+        As :class:`mic.process.state.ProcessState` has them, before the step and then at its end.
+    anchor : (n, m, d - 1) array
+        Likewise.
+    stop : (n, s) array
+        Forces of the stops, likewise; zero for new stops.
+    """
+
+    eliminated: EliminatedStep
+    state: ProcessState
+    drive: Drive
+    ramp: Ramp
+    place: np.ndarray
+    force: np.ndarray
+    left: np.ndarray
+    anchor: np.ndarray
+    stop: np.ndarray
+
+
 def eliminate_steps(model, plans: Sequence[StagePlan]) -> dict[str, list[EliminatedStep]]:
     """Eliminate the bilateral rows of every step of a reduced model, for all contact laws.
 
@@ -114,7 +145,6 @@ def eliminate_steps(model, plans: Sequence[StagePlan]) -> dict[str, list[Elimina
     SceneError
         If a step leaves a part free to move.
     """
-
     every = vstack(list(model.rows.values()), format="csr")
     first = dict(zip(model.rows, np.cumsum([0, *(rows.shape[0] for rows in model.rows.values())])))
 
@@ -122,62 +152,49 @@ def eliminate_steps(model, plans: Sequence[StagePlan]) -> dict[str, list[Elimina
         return every[np.array([first[kind] + i for kind, i in rows], dtype=int)]
 
     output = vstack([*(model.rows[kind] for kind in OUTPUTS), model.rest.rows], format="csr")
-    contact_rows = model.rows["contact"].shape[0]
-    layer = np.zeros(contact_rows)
+    layer = np.zeros(model.rows["contact"].shape[0])
     layer[:: model.contacts.dimension] = model.contacts.layer
     positions = [("position", i) for i in range(model.rows["position"].shape[0])]
+    steps = [(plan, step) for plan in plans for step in plan.steps]
     loads: dict[tuple, dict] = {}  # load rows of all steps that hold and stop the same rows
-    for plan in plans:
-        for step in plan.steps:
-            loads.setdefault((step.bilateral, step.stops), {}).update(dict.fromkeys((*positions, *step.load_rows)))
+    for _, step in steps:
+        loads.setdefault((step.bilateral, step.stops), {}).update(dict.fromkeys((*positions, *step.load_rows)))
     shared: dict[tuple, tuple[csr_matrix, Response, np.ndarray]] = {}
-    eliminated: dict[str, list[EliminatedStep]] = {}
-    for plan in plans:
-        for step in plan.steps:
-            held = step.bilateral, step.stops
-            if held not in shared:
-                bilateral, soft = rows_of(step.bilateral), row_compliance(model.scene, step.bilateral)
-                contact = vstack([model.rows["contact"], *(stop_row(model.rows, stop) for stop in step.stops)])
-                try:
-                    chosen = np.zeros(0, dtype=int)
-                    if step.resting:
-                        chosen = model.rest.completing_rows(bilateral, model.compliance)
-                        bilateral = vstack([bilateral, model.rest.rows[chosen]], format="csr")
-                        soft = None if soft is None else np.concatenate([soft, np.zeros(len(chosen))])
-                    series = np.concatenate([layer, np.zeros(len(step.stops))])
-                    response = eliminate(
-                        model.compliance, bilateral, contact.tocsr(), rows_of(loads[held]), output, soft, series
-                    )
-                except FreeMotion as error:
-                    share = [np.linalg.norm(error.motions[own]) for own in model.compliance.motions]
-                    raise free_motion_error(model.scene, plan, step, error, int(np.argmax(share))) from error
-                # Samples are multiplied by the transposes, which then have contiguous rows.
-                maps: dict[str, Any] = {name: np.asfortranarray(getattr(response, name)) for name in MAPS}
-                response = replace(response, **maps)
-                shared[held] = bilateral, response, chosen
-            bilateral, response, chosen = shared[held]
-            own = [list(loads[held]).index(row) for row in step.load_rows]
-            position_maps = {name: getattr(response, name)[:, : len(positions)] for name in LOADS}
-            response = replace(response, **{name: getattr(response, name)[:, own] for name in LOADS})
-            rest = Rest(
-                chosen,
-                ~np.isin(model.rest.part[chosen], step.parked),
-                model.rest.direction[chosen],
-                tuple(model.scene.parts[p].name for p in model.rest.part[chosen]),
-            )
-            eliminated.setdefault(plan.name, []).append(EliminatedStep(step, bilateral, response, rest, position_maps))
+    eliminated: dict[str, list[EliminatedStep]] = {plan.name: [] for plan in plans}
+    for plan, step in steps:
+        held = step.bilateral, step.stops
+        if held not in shared:
+            bilateral, soft = rows_of(step.bilateral), row_compliance(model.scene, step.bilateral)
+            # The gap of a stop closes as its row moves in the direction of the push.
+            stops = (-stop.sign * rows_of([stop.row]) for stop in step.stops)
+            contact = vstack([model.rows["contact"], *stops], format="csr")
+            series, chosen = np.pad(layer, (0, len(step.stops))), np.zeros(0, dtype=int)
+            try:
+                if step.resting:
+                    chosen = model.rest.completing_rows(bilateral, model.compliance)
+                    bilateral = vstack([bilateral, model.rest.rows[chosen]], format="csr")
+                    soft = None if soft is None else np.pad(soft, (0, len(chosen)))
+                response = eliminate(model.compliance, bilateral, contact, rows_of(loads[held]), output, soft, series)
+            except FreeMotion as error:
+                share = [np.linalg.norm(error.motions[own]) for own in model.compliance.motions]
+                raise free_motion_error(model.scene, plan, step, error, int(np.argmax(share))) from error
+            # Samples are multiplied by the transposes, which then have contiguous rows.
+            maps: dict[str, Any] = {name: np.asfortranarray(getattr(response, name)) for name in MAPS}
+            shared[held] = bilateral, replace(response, **maps), chosen
+        bilateral, response, chosen = shared[held]
+        own = [list(loads[held]).index(row) for row in step.load_rows]
+        position_maps = {name: getattr(response, name)[:, : len(positions)] for name in LOADS}
+        response = replace(response, **{name: getattr(response, name)[:, own] for name in LOADS})
+        parts = model.rest.part[chosen]
+        names = tuple(model.scene.parts[p].name for p in parts)
+        rest = Rest(chosen, ~np.isin(parts, step.parked), model.rest.direction[chosen], names)
+        eliminated[plan.name].append(EliminatedStep(step, bilateral, response, rest, position_maps))
     return eliminated
 
 
 def stops_of(contacts, step: Step) -> Stops:
     """The stops of a step among the contacts."""
     return Stops(len(contacts), len(step.stops), contacts.dimension)
-
-
-def stop_row(rows: Mapping[str, csr_matrix], limit: Limit) -> csr_matrix:
-    """(1, F) row of a limited force's stop: its gap closes as the row moves in the direction of the push."""
-    kind, row = limit.row
-    return -limit.sign * rows[kind][row]
 
 
 class PreparedStage:
@@ -197,6 +214,8 @@ class PreparedStage:
 
     Attributes
     ----------
+    solver : function of a step
+        As given, cached.
     output : dict of str to slice
         Output rows of a response, by kind.
     """
@@ -209,21 +228,13 @@ class PreparedStage:
         solver: Callable[[EliminatedStep], ContactSolver | WorkingSetSolver],
         path: Path,
     ):
-        self.plan, self.steps, self.path, self._solver_of = plan, steps, path, solver
-        self._solvers: dict[int, tuple[EliminatedStep, ContactSolver | WorkingSetSolver]] = {}
-        self._ramp_column_cache: dict[tuple[int, ...], RampColumns] = {}
+        self.plan, self.steps, self.path, self.solver = plan, steps, path, cache(solver)
+        self._ramp_column_cache: dict[tuple, RampColumns] = {}
         self._contacts, self._between, self._joints = model.contacts, model.between, model.joints
         self._dimension = model.contacts.dimension
         count = [*(model.rows[kind].shape[0] for kind in OUTPUTS), len(model.rest)]
         edges = np.concatenate([[0], np.cumsum(count)])
         self.output = {kind: slice(a, b) for kind, a, b in zip((*OUTPUTS, "rest"), edges, edges[1:])}
-
-    def solver(self, eliminated: EliminatedStep) -> ContactSolver | WorkingSetSolver:
-        """The contact solver of a step."""
-        cached = self._solvers.get(id(eliminated))
-        if cached is None or cached[0] is not eliminated:
-            cached = self._solvers[id(eliminated)] = eliminated, self._solver_of(eliminated)
-        return cached[1]
 
     def stops(self, eliminated: EliminatedStep) -> Stops:
         return stops_of(self._contacts, eliminated.step)
@@ -236,16 +247,6 @@ class PreparedStage:
     def resolves(self) -> bool:
         """Whether contact is solved, between parts or with a stop."""
         return any(self.solves_contact(each) for each in self.required_steps)
-
-    @property
-    def response(self) -> Response:
-        """Response of its last step."""
-        return self.steps[-1].response
-
-    @property
-    def bilateral(self) -> csr_matrix:
-        """(b + k, F) rows held at its end, and those that read the positions of resting parts."""
-        return self.steps[-1].bilateral
 
     def advance(
         self, state: ProcessState, drive: Drive, resolve: PathSolver | None = None
@@ -322,6 +323,14 @@ class PreparedStage:
             return drive.target["clamp"][:, row]
         return -drive.weld_gap[:, row]
 
+    def begin(self, eliminated: EliminatedStep, state: ProcessState, drive: Drive) -> BatchStep:
+        """The batch at the start of a step."""
+        step = eliminated.step
+        ramp = self._columns_for(step, state, drive).ramp(state, drive)
+        place = (drive.target if step.sets_down else state.reading)["rest"][:, eliminated.rest.row]
+        stop = self.stop_forces(step, state)
+        return BatchStep(eliminated, state, drive, ramp, place, state.force, state.left, state.anchor, stop)
+
     def step(
         self, eliminated: EliminatedStep, state: ProcessState, drive: Drive, resolve: PathSolver | None = None
     ) -> tuple[ProcessState, PathSolution | None]:
@@ -332,62 +341,42 @@ class PreparedStage:
         eliminated, state, drive
             The step, the state before it, and its drive.
         resolve : function, optional
-            Maps these, the step's ramp and the positions (n, k) of resting parts to the contacts' path, the forces (n,
-            s) of the stops, and the final positions of resting parts; default: the contact solver.
+            Maps the :class:`BatchStep` to the contacts' path, the forces (n, s) of the stops, and the final positions
+            (n, k) of resting parts; default: the contact solver.
         """
-        step = eliminated.step
-        ramp = self.ramp(step, state, drive)
-        place = (drive.target if step.sets_down else state.reading)["rest"][:, eliminated.rest.row]
-        force, left, anchor, solution = state.force, state.left, state.anchor, None
-        stop = self.stop_forces(step, state)
-        if self.solves_contact(eliminated):
-            solution, stop, place = (resolve or self._resolve)(eliminated, state, drive, ramp, place)
-            force = solution.force.reshape(force.shape)
-            left = solution.displacement.reshape(force.shape).copy()
-            left[:, :, 0] -= drive.gap
-            anchor = solution.anchor
-        converged = None if solution is None else solution.converged
-        after = self.after(eliminated, state, drive, ramp, place, force, left, anchor, stop, converged)
-        return after, solution
+        batch = self.begin(eliminated, state, drive)
+        if not self.solves_contact(eliminated):
+            return self.after(batch), None
+        solution, batch.stop, batch.place = (resolve or self._resolve)(batch)
+        batch.force = solution.force.reshape(state.force.shape)
+        batch.left = solution.displacement.reshape(state.force.shape).copy()
+        batch.left[:, :, 0] -= drive.gap
+        batch.anchor = solution.anchor
+        return self.after(batch, solution.converged), solution
 
-    def after(
-        self,
-        eliminated: EliminatedStep,
-        state: ProcessState,
-        drive: Drive,
-        ramp: Ramp,
-        place: np.ndarray,
-        force: np.ndarray,
-        left: np.ndarray,
-        anchor: np.ndarray,
-        stop: np.ndarray,
-        converged: np.ndarray | None,
-    ) -> ProcessState:
-        """The state after a step; linear in all arguments, except for `failed`.
+    def after(self, batch: BatchStep, converged: np.ndarray | None = None) -> ProcessState:
+        """The state after a step; linear in everything, except for `failed`.
 
         Parameters
         ----------
-        eliminated, state, drive, ramp
-            The step, the state before it, its drive and its ramp.
-        place : (n, k) array
-            Positions of the resting parts.
-        force, left : (n, m, d) array
-        anchor : (n, m, d - 1) array
-        stop : (n, s) array
-        converged : (n,) bool array or None
+        batch : BatchStep
+            At the end of the step.
+        converged : (n,) bool array, optional
             None if no contact was solved.
         """
-        step, response = eliminated.step, eliminated.response
+        state, drive, left, anchor = batch.state, batch.drive, batch.left, batch.anchor
+        step, response = batch.eliminated.step, batch.eliminated.response
         columns_before = self._columns_for(step, state, drive)
-        v, p = ramp.at(1.0)
-        v = _side_by_side(v, place)
+        v, p = batch.ramp.at(1.0)
+        v = _side_by_side(v, batch.place)
         if converged is None and step.sets_down and len(self._contacts):  # placed one by one, without contact
             left = (product(v, response.T.T) + product(p, response.L.T)).reshape(left.shape)
             anchor = left[:, :, 1:]
-        reading, reaction = self._outcome(response, v, p, _side_by_side(force.reshape(len(force), -1), stop))
+        force = _side_by_side(batch.force.reshape(len(left), -1), batch.stop)
+        reading, reaction = self._outcome(response, v, p, force)
         return ProcessState(
             reading=reading,
-            force=force,
+            force=batch.force,
             left=left,
             anchor=anchor,
             failed=state.failed if converged is None else state.failed | ~converged,
@@ -395,20 +384,15 @@ class PreparedStage:
             value=Values(columns_before.rows, v),
             reaction=Values(columns_before.rows, reaction),
             push=Values(columns_before.loads, drive.push[:, step.loads]),
-            stop=Values(columns_before.stops, stop),
+            stop=Values(columns_before.stops, batch.stop),
             frozen=columns_before.weld_values(state, drive),
         )
 
-    def ramp(self, step: Step, state: ProcessState, drive: Drive) -> Ramp:
-        """The ramp of a step, from the current readings and forces to those prescribed."""
-        return self._columns_for(step, state, drive).ramp(state, drive)
-
     def _columns_for(self, step: Step, state: ProcessState, drive: Drive) -> RampColumns:
         """Columns for a step after a state with these rows; cached for the stage's own steps."""
-        before = row_names(state)
-        key = (id(step), *map(id, before))
+        key = (id(step), *row_names(state))
         found = self._ramp_column_cache.get(key)
-        if found is None or found.step is not step or found.known != before:
+        if found is None or found.step is not step:
             if len(self._ramp_column_cache) >= CACHED_COLUMNS * len(self.steps):
                 self._ramp_column_cache.clear()
             found = self._ramp_column_cache[key] = RampColumns.of(step, state, drive, self._joints)
@@ -419,64 +403,59 @@ class PreparedStage:
         none = np.zeros(len(state.failed))
         return columns(len(none), [state.stop.get(stop.row, none) for stop in step.stops])
 
-    def unloaded(self, eliminated: EliminatedStep, drive: Drive, ramp: Ramp, place: np.ndarray, s: float) -> np.ndarray:
+    def unloaded(self, batch: BatchStep, s: float) -> np.ndarray:
         """(n, d m + s) b of contacts and stops, at s of the ramp; linear."""
-        response, contacts = eliminated.response, len(self._contacts) * self._dimension
-        v, p = ramp.at(s)
-        b = product(_side_by_side(v, place), response.T.T) + product(p, response.L.T)
-        b[:, : contacts : self._dimension] += drive.gap
-        for j, limit in enumerate(eliminated.step.stops):
-            b[:, contacts + j] += limit.sign * self._position(limit, drive)
+        response, contacts = batch.eliminated.response, len(self._contacts) * self._dimension
+        v, p = batch.ramp.at(s)
+        b = product(_side_by_side(v, batch.place), response.T.T) + product(p, response.L.T)
+        b[:, : contacts : self._dimension] += batch.drive.gap
+        for j, limit in enumerate(batch.eliminated.step.stops):
+            b[:, contacts + j] += limit.sign * self._position(limit, batch.drive)
         return b
 
-    def overlap(self, eliminated: EliminatedStep, state: ProcessState, drive: Drive, start: np.ndarray) -> np.ndarray:
+    def overlap(self, batch: BatchStep, start: np.ndarray) -> np.ndarray:
         """(n, d m + s) overlap at a step's start of the contacts that close during it, negative if open; others 0.
 
-        It is linear in its arguments.
+        It is linear in its arguments; `start` is b there.
         """
-        step, contacts = eliminated.step, len(self._contacts) * self._dimension
+        step, state, contacts = batch.eliminated.step, batch.state, len(self._contacts) * self._dimension
         found = np.zeros_like(start)
         if step.settles:
             touching = np.zeros_like(start)
             touching[:, :contacts] = state.force.reshape(len(start), -1)
             normal = slice(0, contacts, self._dimension)
-            found[:, normal] = -(start + eliminated.response.S.under(touching))[:, normal]
+            found[:, normal] = -(start + batch.eliminated.response.S.under(touching))[:, normal]
         for j, limit in enumerate(step.stops):
             if limit.row not in state.stop:  # starts from the part, which may lie beyond the position
                 kind, row = limit.row
-                found[:, contacts + j] = limit.sign * (state.reading[kind][:, row] - self._position(limit, drive))
+                found[:, contacts + j] = limit.sign * (state.reading[kind][:, row] - self._position(limit, batch.drive))
         return found
 
-    def _resolve(self, eliminated, state, drive, ramp, place) -> tuple[PathSolution, np.ndarray, np.ndarray]:
+    def _resolve(self, batch: BatchStep) -> tuple[PathSolution, np.ndarray, np.ndarray]:
         """Follow the ramp, or closing overlaps, with the contact solver.
 
-        Returns the contacts' path, the forces (n, s) of the stops, and the positions (n, k) of the resting parts, which
-        start at `place`.
+        Returns the contacts' path, the forces (n, s) of the stops, and the positions (n, k) of the resting parts.
         """
-        response, rest, step, n = eliminated.response, eliminated.rest, eliminated.step, len(drive)
-        contacts, anchor = state.left[0].size, state.anchor
-        force = _side_by_side(state.force.reshape(n, -1), self.stop_forces(step, state))
-
-        def unloaded(s, place):
-            return self.unloaded(eliminated, drive, ramp, place, s)
-
-        if step.settles and rest.soft.any():
-            place, anchor = self.separating_motion(eliminated, state, unloaded(0.0, place), place)
-        start, end = unloaded(0.0, place), unloaded(1.0, place)
-        lift = np.maximum(0.0, self.overlap(eliminated, state, drive, start))
+        eliminated, n, contacts = batch.eliminated, len(batch.drive), batch.left[0].size
+        response, rest = eliminated.response, eliminated.rest
+        force = _side_by_side(batch.force.reshape(n, -1), batch.stop)
+        if eliminated.step.settles and rest.soft.any():
+            batch.place, batch.anchor = self.separating_motion(batch, self.unloaded(batch, 0.0))
+        start, end = self.unloaded(batch, 0.0), self.unloaded(batch, 1.0)
+        lift = np.maximum(0.0, self.overlap(batch, start))
         follow = partial(self.follow, eliminated)
 
         if not rest.soft.any():
-            solution, force = follow(start + lift, end, force, anchor, self.path)
-            return solution, force[:, contacts:], place
+            solution, force = follow(start + lift, end, force, batch.anchor, self.path)
+            return solution, force[:, contacts:], batch.place
 
         def segment(s0, s1) -> Segment:
             """The part of the step from s0 to s1: b, and the loads on the rest rows."""
-            left = [rest.pushed(response, ramp.at(s)[1]) for s in (s0, s1)]
-            return Segment(unloaded(s0, place) + (1 - s0) * lift, unloaded(s1, place) + (1 - s1) * lift, *left)
+            left = [rest.pushed(response, batch.ramp.at(s)[1]) for s in (s0, s1)]
+            return Segment(*(self.unloaded(batch, s) + (1 - s) * lift for s in (s0, s1)), *left)
 
         segments, s0 = rest.segments(self.path, self.solver(eliminated).law), 0.0
-        pieces, begin, at = [], place[:, rest.soft], place[:, rest.soft]
+        anchor, pieces, begin, at = batch.anchor, [], batch.place[:, rest.soft], batch.place[:, rest.soft]
         for s1, path in segments:
             solution, force, at = rest.settle(response, segment(s0, s1), begin, at, force, anchor, follow, path)
             anchor, trace = solution.anchor, solution.trace.weighted((s1 - s0) * len(segments))
@@ -485,7 +464,7 @@ class PreparedStage:
                 trace = replace(trace, error=np.zeros(n))
             pieces.append(replace(solution, trace=trace))
             s0 = s1
-        place = place.copy()
+        place = batch.place.copy()
         place[:, rest.soft] = at
         return PathSolution.join(pieces), force[:, contacts:], place
 
@@ -509,15 +488,15 @@ class PreparedStage:
         excluded = self._contacts.excluded(eliminated.step.nuggets, eliminated.step.away)
         return np.where(excluded[:, None, None], 0.0, G)
 
-    def separating_motion(self, eliminated, state, unloaded, place) -> tuple[np.ndarray, np.ndarray]:
+    def separating_motion(self, batch: BatchStep, unloaded: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Positions (n, k) at which unloaded resting parts overlap nowhere, and anchors that move with them."""
-        rest, (_, m, d) = eliminated.rest, state.force.shape
-        G = self.contact_motions(eliminated)
+        soft, (_, m, d) = batch.eliminated.rest.soft, batch.force.shape
+        G = self.contact_motions(batch.eliminated)
         touched = np.abs(G[:, 0]).max(axis=1, initial=0.0) > 0
-        place, anchor = place.copy(), state.anchor.copy()
-        for sample in np.flatnonzero(~state.force[:, touched].any(axis=(1, 2))):
+        place, anchor = batch.place.copy(), batch.anchor.copy()
+        for sample in np.flatnonzero(~batch.force[:, touched].any(axis=(1, 2))):
             moved = separating_motion(unloaded[sample, : m * d : d], G[:, 0])
-            place[sample, rest.soft] += moved
+            place[sample, soft] += moved
             anchor[sample] += G[:, 1:] @ moved
         return place, anchor
 
@@ -535,11 +514,7 @@ class PreparedStage:
             state=classify(end.force, bound),
             # Sticking contacts inherit the error of the paths before; sliding ones lose it.
             trace=replace(whole.trace, error=start.path_error + whole.trace.error),
-            residual=whole.residual,
-            converged=whole.converged,
-            iterations=whole.iterations,
-            status=whole.status,
-            rung=whole.rung,
+            **{name: getattr(whole, name) for name in ("residual", "converged", "iterations", "status", "rung")},
             reaction=end.reaction.take(self.plan.bilateral),
             unseen=unseen,
             unseen_at=at,

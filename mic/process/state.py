@@ -7,17 +7,68 @@ previous step.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Hashable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
-from mic.process.row_values import Names, Values
+__all__ = ["Names", "ProcessState", "Values", "columns"]
 
-__all__ = ["ProcessState"]
-
-NO_ROWS = Names(())
 ROW_VALUES = ("value", "reaction", "push", "stop", "frozen")
+
+
+class Names:
+    """Names of columns; one object for all values with the same columns.
+
+    Attributes
+    ----------
+    column : dict
+        The column of each name.
+    """
+
+    def __init__(self, names):
+        self.column = {name: j for j, name in enumerate(names)}
+
+    def __len__(self) -> int:
+        return len(self.column)
+
+
+class Values(Mapping[Any, np.ndarray]):
+    """(n,) values by name: views of the columns of one array, so that a step reads or writes them all at once.
+
+    Attributes
+    ----------
+    names : Names
+    table : (n, k) array
+        At least one column for each name.
+    """
+
+    __slots__ = ("names", "table")
+
+    def __init__(self, names: Names, table: np.ndarray):
+        self.names, self.table = names, table
+
+    def __getitem__(self, name: Hashable) -> np.ndarray:
+        return self.table[:, self.names.column[name]]
+
+    def take(self, names: Iterable[Hashable]) -> np.ndarray:
+        """(n, k) values of some of the names."""
+        return self.table[:, [self.names.column[name] for name in names]]
+
+    def __contains__(self, name: object) -> bool:
+        return name in self.names.column
+
+    def __iter__(self) -> Iterator[Any]:
+        return iter(self.names.column)
+
+    def __len__(self) -> int:
+        return len(self.names)
+
+
+def columns(n: int, values: list[np.ndarray]) -> np.ndarray:
+    """(n, k) array of k columns (n,); k may be 0."""
+    return np.array(values).T if values else np.zeros((n, 0))
 
 
 @dataclass(frozen=True)
@@ -34,7 +85,7 @@ class ProcessState:
         Relative displacement δ of each contact at the end, mm.
     anchor : (n, m, d - 1) array
         Anchor of each contact's slip, mm (`mic.contact.path`).
-    value : Values, or any mapping of (str, int) to (n,) array
+    value : Values of (str, int)
         Values that the bilateral rows hold.
     reaction : Values of (str, int)
         Forces of the bilateral rows on the parts, N or N mm.
@@ -63,15 +114,9 @@ class ProcessState:
     stop: Values
     frozen: Values
 
-    def __post_init__(self):
-        for name in ROW_VALUES:
-            values = getattr(self, name)
-            if not isinstance(values, Values):
-                object.__setattr__(self, name, Values.of(values, len(self.failed)))
-
     @classmethod
     def start(cls, n: int, m: int, d: int, rows: Mapping[str, int]) -> ProcessState:
         """Free, unloaded parts: n assemblies, m contacts of dimension d, and the number of rows of each kind."""
         reading = {kind: np.zeros((n, count)) for kind, count in rows.items()}
-        zero, empty = np.zeros((n, m, d)), dict.fromkeys(ROW_VALUES, Values(NO_ROWS, np.zeros((n, 0))))
+        zero, empty = np.zeros((n, m, d)), dict.fromkeys(ROW_VALUES, Values(Names(()), np.zeros((n, 0))))
         return cls(reading, zero, zero.copy(), np.zeros((n, m, d - 1)), np.zeros(n, dtype=bool), np.zeros(n), **empty)

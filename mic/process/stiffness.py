@@ -280,10 +280,10 @@ def with_shape(
         Those that give the shape.
     """
     gap, weld_gap = _gap_changes(model, assembly, fields, deviations)
-    coefficients_by_part = [own[part.name] for part in assembly.parts]
+    H, G = (tuple(getattr(own[part.name], key) for part in assembly.parts) for key in ("H", "G"))
     return replace(
         model,
-        compliance=Blocks(tuple(one.H for one in coefficients_by_part), tuple(one.G for one in coefficients_by_part)),
+        compliance=Blocks(H, G),
         contacts=replace(model.contacts, gap=assembly.contacts.gap + gap),
         weld_gap=assembly.weld_gap + weld_gap,
         slopes=None,

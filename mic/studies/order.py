@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import tomllib
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import chain
 from pathlib import Path
@@ -20,7 +21,7 @@ from pydantic import ValidationError
 from mic.contact.laws import LAWS
 from mic.contact.states import OPEN
 from mic.errors import SceneError
-from mic.process.actions import Close, Hold, Open, Press, Push, Withdraw, stage_moves, together
+from mic.process.actions import Close, Join, Open, stage_moves, together
 from mic.process.evaluation import Evaluation
 from mic.process.model import ReducedModel
 from mic.results.sample_tables import zone_motion
@@ -29,6 +30,7 @@ from mic.scene import Scene
 from mic.scene.settings import FOLLOWING
 from mic.statistics.draw import draw
 from mic.statistics.paired_differences import mean_change, six_sigma_change, standard_error
+from mic.studies.samples import first_frictional
 
 __all__ = [
     "PERMUTATIONS",
@@ -82,16 +84,18 @@ def orders(scene: Scene, permutations: int = PERMUTATIONS, seed: int = 1) -> lis
     seed : int
         Seed of the random orders.
     """
-    candidates = [(STATED, scene), *_clamp_orders(scene), *_weld_orders(scene), *_release_orders(scene)]
+    candidates = [(STATED, scene)]
+    candidates += [(name, _reordered(scene, kind, change)) for name, kind, change in _named_orders(scene)]
     settle = scene.stages[0].settle
     name = "parts settle while the first item closes" if settle else "parts settle first"
     candidates.append((name, _with_stages(scene, {0: {"settle": not settle}})))
     stream = np.random.default_rng(seed)
     shuffle = lambda groups: [groups[i] for i in stream.permutation(len(groups))]
     candidates += [(f"random {i + 1}", _reordered(scene, "clamp", shuffle)) for i in range(permutations)]
-    unique: list[Order] = []
+    unique, known = [], []
     for name, variant in candidates:
-        if not any(_moves(order.scene) == _moves(variant) for order in unique):
+        if (moves := _moves(variant)) not in known:
+            known.append(moves)
             unique.append(Order(name, variant))
     return unique
 
@@ -155,33 +159,29 @@ def _moves(scene: Scene):
     return stages, scene.stages[0].settle
 
 
-def _clamp_orders(scene: Scene) -> Iterator[tuple[str, Scene]]:
+def _named_orders(scene: Scene) -> Iterator[tuple[str, str, Callable[[Groups], Groups]]]:
+    """Name of each order, the kind of stages whose groups it changes, and how."""
     locators = {locator.name for locator in scene.locators}
 
     def by_kind(groups: Groups, first: bool) -> Groups:
         """The groups split into locators and others; the locators come first if `first`."""
         kinds = (first, not first)
-        split = [[name for name in group if (name in locators) == kind] for kind in kinds for group in groups]
-        return [group for group in split if group]
+        return [[name for name in group if (name in locators) == kind] for kind in kinds for group in groups]
 
-    yield "reverse", _reordered(scene, "clamp", lambda groups: groups[::-1])
-    yield "locators first", _reordered(scene, "clamp", lambda groups: by_kind(groups, True))
-    yield "clamps first", _reordered(scene, "clamp", lambda groups: by_kind(groups, False))
-    yield "clamps first, in reverse", _reordered(scene, "clamp", lambda groups: by_kind(groups[::-1], False))
-    yield "all together", _reordered(scene, "clamp", lambda groups: [list(chain(*groups))])
-
-
-def _weld_orders(scene: Scene) -> Iterator[tuple[str, Scene]]:
-    """Orders of the welds; only welds that close their gaps or have guns move anything."""
-    if any(weld.close or weld.gun is not None for weld in scene.welds):
-        yield "welds one by one", _reordered(scene, "weld", lambda groups: [[name] for name in chain(*groups)])
-        yield "welds in reverse", _reordered(scene, "weld", lambda groups: [[n] for n in chain(*groups)][::-1])
-        yield "welds together", _reordered(scene, "weld", lambda groups: [list(chain(*groups))])
-
-
-def _release_orders(scene: Scene) -> Iterator[tuple[str, Scene]]:
-    yield "opened in the order of closing", _reordered(scene, "release", lambda groups: groups[::-1])
-    yield "opened all together", _reordered(scene, "release", lambda groups: [list(chain(*groups))])
+    reverse = lambda groups: groups[::-1]
+    all_together = lambda groups: [list(chain(*groups))]
+    one_by_one = lambda groups: [[name] for name in chain(*groups)]
+    yield "reverse", "clamp", reverse
+    yield "locators first", "clamp", lambda groups: by_kind(groups, True)
+    yield "clamps first", "clamp", lambda groups: by_kind(groups, False)
+    yield "clamps first, in reverse", "clamp", lambda groups: by_kind(groups[::-1], False)
+    yield "all together", "clamp", all_together
+    if any(weld.close or weld.gun is not None for weld in scene.welds):  # other welds move nothing
+        yield "welds one by one", "weld", one_by_one
+        yield "welds in reverse", "weld", lambda groups: one_by_one(groups)[::-1]
+        yield "welds together", "weld", all_together
+    yield "opened in the order of closing", "release", reverse
+    yield "opened all together", "release", all_together
 
 
 def _reordered(scene: Scene, kind: str, change: Callable[[Groups], Groups]) -> Scene:
@@ -200,18 +200,13 @@ def moved_names(scene: Scene, move) -> list[str]:
     names: list[str] = []
     for action in move:
         match action:
-            case Hold():
-                names += [scene.locators[i].name for i in action.locators]
-                names += [scene.clamps[i].name for i in action.strokes]
-            case Open():
-                names += [scene.locators[i].name for i in action.locators]
-            case Push():
-                names += [scene.clamps[i].name for i in action.forces]
-            case Press():
-                names += [scene.clamps[i].name for i in action.limited]
-            case Withdraw():
-                names += [scene.clamps[i].name for i in action.clamps]
             case Close():
+                names += [scene.locators[i].name for i in action.locators]
+                names += [scene.clamps[i].name for i in action.clamps]
+            case Open():
+                names += [scene.clamps[i].name for i in action.clamps]
+                names += [scene.locators[i].name for i in action.locators]
+            case Join():
                 names += [scene.welds[i].name for i in action.welds]
     return names
 
@@ -253,16 +248,14 @@ def compare(
         and ``six_sigma_change`` (mm) with jackknife standard errors ``mean_error`` and ``six_sigma_error``;
         ``samples``, the number of samples that failed under neither order.
     """
-    deviations = draw(model.scene, seed, 0, samples)
-    tables, base, base_failed = [], None, None
+    deviations, evaluated = draw(model.scene, seed, 0, samples), []
     for variant in others:
         reordered = replace(model, scene=variant.scene)
         evaluation = reordered.process(law, threads=threads).evaluate(deviations)
-        values = quantities(reordered, evaluation)
-        if base is None or base_failed is None:
-            base, base_failed = values, evaluation.failed
-        tables.append(_changes(variant.name, values, base, ~(evaluation.failed | base_failed)))
+        evaluated.append((variant.name, quantities(reordered, evaluation), evaluation.failed))
         done(variant.name)
+    _, base, base_failed = evaluated[0]
+    tables = [_changes(name, values, base, ~(failed | base_failed)) for name, values, failed in evaluated]
     table = pd.concat(tables, ignore_index=True)
     tolerance = {item.name: item.upper - item.lower for item in model.scene.measurements}
     table.insert(2, "tolerance", table["quantity"].map(tolerance).astype(float))
@@ -325,30 +318,18 @@ def quantities(model, evaluation: Evaluation) -> pd.DataFrame:
 
 def _changes(name: str, values: pd.DataFrame, base: pd.DataFrame, valid: np.ndarray) -> pd.DataFrame:
     """Changes of mean and 6σ of each column from the stated order, over the samples that are valid in both."""
-    a, b, n = values.to_numpy()[valid], base.to_numpy()[valid], int(valid.sum())
+    a, b, columns = values.to_numpy()[valid], base.to_numpy()[valid], {"order": name, "quantity": values.columns}
 
-    def statistics(x):
-        return x.mean(axis=0), 6 * x.std(axis=0, ddof=1) if len(x) > 1 else np.full(x.shape[1], np.nan)
+    def spread(x: np.ndarray) -> np.ndarray:
+        return 6 * x.std(axis=0, ddof=1) if len(x) > 1 else np.full(x.shape[1], np.nan)
 
-    mean, six_sigma = statistics(a)
-    base_mean, base_six_sigma = statistics(b)
-    mean_error, six_sigma_error = (
-        [standard_error(change(before, now)) for before, now in zip(b.T, a.T)]
-        for change in (mean_change, six_sigma_change)
-    )
-    return pd.DataFrame(
-        {
-            "order": name,
-            "quantity": values.columns,
-            "mean": mean,
-            "mean_change": mean - base_mean,
-            "mean_error": mean_error,
-            "six_sigma": six_sigma,
-            "six_sigma_change": six_sigma - base_six_sigma,
-            "six_sigma_error": six_sigma_error,
-            "samples": n,
-        }
-    )
+    for figure, of, change in (
+        ("mean", lambda x: x.mean(axis=0), mean_change),
+        ("six_sigma", spread, six_sigma_change),
+    ):
+        columns |= {figure: of(a), f"{figure}_change": of(a) - of(b)}
+        columns[f"{figure}_error"] = [standard_error(change(before, now)) for before, now in zip(b.T, a.T)]
+    return pd.DataFrame(columns | {"samples": len(a)})
 
 
 def _by_largest(table: pd.DataFrame) -> pd.DataFrame:
@@ -370,8 +351,8 @@ def doubts(model: ReducedModel) -> list[str]:
     model : ReducedModel
     """
     scene = model.scene
-    law = next((law for law in scene.report.laws if LAWS[law].frictional), None)
-    if law is None or model.contacts.dimension == 1 or not model.contacts.frictional:
+    law = first_frictional(scene.report.laws)
+    if not LAWS[law].frictional or model.contacts.dimension == 1 or not model.contacts.frictional:
         return []
     rough = {
         i: {"path": "increments", "increments": 1}
@@ -381,16 +362,14 @@ def doubts(model: ReducedModel) -> list[str]:
     stated = _with_stages(scene, rough)
     other = _with_stages(stated, {0: {"settle": not scene.stages[0].settle}})
     deviations = draw(scene, scene.monte_carlo.seed, 0, DOUBT_SAMPLES)
-    frictional, resettled = (
-        replace(model, scene=variant).process(law).evaluate(deviations) for variant in (stated, other)
-    )
-    try:
-        frictionless = replace(model, scene=stated).process("frictionless").evaluate(deviations)
-    except SceneError:  # without friction a part is unconstrained
-        sentences = []
-    else:
-        sentences = [_small_friction_effect(model, frictional, frictionless, s) for s in frictional.resolutions]
-    return [sentence for sentence in (*sentences, _settling_effect(model, frictional, resettled)) if sentence]
+    evaluate = lambda variant, law: replace(model, scene=variant).process(law).evaluate(deviations)
+    frictional, resettled = evaluate(stated, law), evaluate(other, law)
+    sentences = [_settling_effect(model, frictional, resettled)]
+    with suppress(SceneError):  # without friction a part is unconstrained
+        frictionless = evaluate(stated, "frictionless")
+        found = [_small_friction_effect(model, frictional, frictionless, stage) for stage in frictional.resolutions]
+        sentences = [*found, *sentences]
+    return [sentence for sentence in sentences if sentence]
 
 
 def _has_friction(contacts, stage: str) -> np.ndarray:

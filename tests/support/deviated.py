@@ -35,20 +35,3 @@ def hat(stiffness):
 def read(table, folder="lap_joint"):
     """The scene of such a table."""
     return read_table(table, MESHES / folder / "scene.toml")
-
-
-if __name__ == "__main__":  # on several processes: the model of the lap joint to first order into a folder
-    import sys
-
-    from mpi4py import MPI
-
-    from mic.execution.ranks import on_first
-    from mic.model.assembly import assemble
-    from mic.process.model import ReducedModel
-    from mic.process.stiffness import coefficients
-
-    place = Path(sys.argv[1])
-    assembly = on_first(MPI.COMM_WORLD, lambda: assemble(read(lap("first-order")), place))
-    found, _ = coefficients(assembly, place, comm=MPI.COMM_WORLD)
-    if MPI.COMM_WORLD.rank == 0:
-        ReducedModel.build(assembly, found).save(place / "model.npz")

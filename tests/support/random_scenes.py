@@ -40,10 +40,10 @@ class Case:
             write_deck(folder / f"{name}.inp", {"SHEET": (points, triangles)})
         return Scene(**self.table, folder=folder)
 
-    def measurements(self, folder: Path, law: str) -> np.ndarray:
-        """(n, k) measurements at the case's deviations."""
+    def measurements(self, folder: Path, *laws: str) -> np.ndarray:
+        """(laws, n, k) measurements at the case's deviations."""
         model = mic.reduce(self.scene(folder / "scene"), folder / "cache")
-        return model.evaluate(self.deviations, law).measurements
+        return np.array([model.evaluate(self.deviations, law).measurements for law in laws])
 
 
 def random_case(seed: int, patch=None, points: bool = False, watched: bool = False) -> Case:

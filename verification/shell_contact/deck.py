@@ -1,4 +1,4 @@
-"""A case as plain data for any code: the coarse mesh as an input deck of Abaqus and CalculiX, all else as JSON."""
+"""A case as plain data for any code: the coarse mesh as an Abaqus and CalculiX deck, everything else as JSON."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from mic.model.assembly import assemble
-from mic.process.actions import Action, Close, Hold, Open, PlaceParts, Press, Push, Withdraw
+from mic.process.actions import Action, Close, Join, Open, PlaceParts
 from mic.process.description import sentences
 from verification.shell_contact.case import Case
 
@@ -18,7 +18,7 @@ __all__ = ["data", "mesh"]
 
 
 def mesh(case: Case, cache: Path) -> str:
-    """Nodes and triangles of the middle surfaces, an element set for each part, its material and its section."""
+    """Input deck with the middle surfaces; element set, material and section for each part."""
     assembly = assemble(case.scene("coarse"), cache)
     lines, first, element = ["** mm, N, MPa; middle surfaces", "*NODE"], 1, 1
     elements, sections = [], []
@@ -61,12 +61,12 @@ def data(case: Case, cache: Path) -> str:
         "probes": [_taken(one, place) for one in scene.measurements],
     }
     text = json.dumps(content, indent=1)
-    # Lists of numbers and names in one line each
+    # each list of numbers or names on one line
     return re.sub(r"\[\s+([^\[\]{}]*?)\s+\]", lambda found: "[" + re.sub(r"\n\s+", " ", found[1]) + "]", text) + "\n"
 
 
 def _taken(item, keys: Iterable[str]) -> dict:
-    """What an item states of these keys."""
+    """The given keys that an item states."""
     values = {key: getattr(item, key) for key in keys}
     return {key: _plain(value) for key, value in values.items() if value is not None}
 
@@ -78,22 +78,16 @@ def _plain(value):
 
 
 def _step(scene, move: Iterable[Action]) -> dict:
-    """What closes and opens in a step, by name."""
+    """Names of the items that close and open in a step."""
     closes, opens, welds = [], [], []
     for one in move:
         if isinstance(one, PlaceParts):
             closes += [scene.locators[i].name for i in one.locators]
-        elif isinstance(one, Hold):
-            closes += [scene.locators[i].name for i in one.locators] + [scene.clamps[i].name for i in one.strokes]
-        elif isinstance(one, Push):
-            closes += [scene.clamps[i].name for i in one.forces]
-        elif isinstance(one, Press):
-            closes += [scene.clamps[i].name for i in one.limited]
-        elif isinstance(one, Open):
-            opens += [scene.locators[i].name for i in one.locators]
-        elif isinstance(one, Withdraw):
-            opens += [scene.clamps[i].name for i in one.clamps]
         elif isinstance(one, Close):
+            closes += [scene.locators[i].name for i in one.locators] + [scene.clamps[i].name for i in one.clamps]
+        elif isinstance(one, Open):
+            opens += [scene.clamps[i].name for i in one.clamps] + [scene.locators[i].name for i in one.locators]
+        elif isinstance(one, Join):
             welds += [scene.welds[i].name for i in one.welds]
     return {key: names for key, names in (("closes", closes), ("opens", opens), ("welds", welds)) if names}
 

@@ -1,5 +1,5 @@
-"""The contact problem of the last stage of a case that ends in contact, on its coarse mesh and taken in one step:
-compliance, what contact would find without forces, friction, and the solution."""
+"""The contact problem of the last stage of a case that ends in contact, on its coarse mesh and in one step:
+compliance, gaps without contact forces, friction, and the solution."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ from verification.shell_contact.case import Case
 
 __all__ = ["contact_problem"]
 
-BITS = 36  # of the entries of W, which then pack well; the problem is the one of the rounded entries
-BESIDE = 8  # open contacts that stay at least
+BITS = 36  # bits of the entries of W, which then compress well; the problem is defined with the rounded entries
+OPEN = 8  # smallest number of open contacts
 
 
 def contact_problem(case: Case, cache: Path) -> dict:
-    """The problem as :func:`verification.shell_contact.fclib.write` takes it.
+    """The problem in the form of :func:`verification.shell_contact.fclib.write`.
 
-    Contacts that carry force are in it, and of those that are open the nearest, half as many. Others would be open in
-    its solution too.
+    It contains the contacts that carry force and the nearest open contacts, half as many. The other contacts would be
+    open in its solution too.
 
     Raises
     ------
@@ -34,14 +34,14 @@ def contact_problem(case: Case, cache: Path) -> dict:
     stage = next(one for one in reversed(model.process("coulomb").stages) if one.plan.name in touching)
     last, contacts = touching[stage.plan.name], model.contacts
     force, displacement = last.force[0], last.displacement[0]
-    W = stage.response.S.whole()[: force.size, : force.size]
+    W = stage.steps[-1].response.S.whole()[: force.size, : force.size]
     q = displacement.ravel() - W @ force.ravel()
     own = _taken(force, displacement, contacts.excluded(stage.steps[-1].step.nuggets))
     rows = (3 * own[:, None] + np.arange(3)).ravel()
     W, q, mu = _rounded(W[np.ix_(rows, rows)]), q[rows], contacts.friction_in(stage.plan.name).coefficient[own]
     solution = ContactSolver(W, mu).solve(q)
     if not solution.converged:
-        raise ValueError(f"{case.name}: its contact problem was not solved")
+        raise ValueError(f"{case.name}: its contact problem did not converge")
     r = solution.force.ravel()
     return {
         "W": W,
@@ -56,14 +56,14 @@ def contact_problem(case: Case, cache: Path) -> dict:
 
 
 def _taken(force: np.ndarray, displacement: np.ndarray, out: np.ndarray) -> np.ndarray:
-    """Numbers of the contacts that carry force, and of the nearest open ones."""
+    """Indices of the contacts that carry force and of the nearest open ones."""
     loaded = force[:, 0] > 0
     gap = np.where(loaded | out, np.inf, displacement[:, 0])
-    beside = np.argsort(gap, kind="stable")[: max(BESIDE, loaded.sum() // 2)]
-    return np.sort(np.concatenate([np.flatnonzero(loaded), beside[np.isfinite(gap[beside])]]))
+    nearest = np.argsort(gap, kind="stable")[: max(OPEN, loaded.sum() // 2)]
+    return np.sort(np.concatenate([np.flatnonzero(loaded), nearest[np.isfinite(gap[nearest])]]))
 
 
 def _rounded(W: np.ndarray) -> np.ndarray:
-    """Symmetric, with so many bits to an entry."""
+    """Make symmetric and round to the given number of bits per entry."""
     mantissa, exponent = np.frexp(0.5 * (W + W.T))
     return np.ldexp(np.round(mantissa * 2.0**BITS) / 2.0**BITS, exponent)
