@@ -270,7 +270,7 @@ class Jobs:
         self.time, self.weight = stream.uniform(1, 10, count), stream.uniform(1, 10, count)
         self.budget, self.spent, self._known = budget, 0, {}
         self.groups, self.points = [tuple((str(i),) for i in range(count))], []
-        self.stated = Design((), (None,), ())
+        self.space, self.stated = self, Design((), (None,), ())
         self.low = self.high = np.zeros(0)
 
     def settable(self, settings):
@@ -295,7 +295,7 @@ class Jobs:
 @pytest.mark.parametrize("count", [20, 30])
 def test_orders_of_thirty_come_near_the_best_that_is_known_and_random_ones_of_equal_cost_do_not(count):
     jobs = Jobs(count, 3000)
-    best = local_search(jobs.stated, jobs, jobs, np.random.default_rng(1), lambda design: None)
+    best = local_search(jobs.stated, jobs, np.random.default_rng(1), lambda design: None)
     known = jobs.total(np.argsort(jobs.time / jobs.weight))
     chance = Jobs(count, jobs.spent)
     stream = np.random.default_rng(2)
@@ -736,7 +736,7 @@ def test_a_copy_is_written_only_after_a_gain(tmp_path, monkeypatch, gained):
     scene = tmp_path / "scene.toml"
     scene.write_text('[[clamps]]\nname = "C"\nforce = 20\n')
     model = pushed({"objective": "cpk" if gained else "largest-six-sigma", "forces": [FORCE], "of": ["M"]})
-    monkeypatch.setattr("mic.commands.optimise.load_model", lambda console, source: (model, None))
+    monkeypatch.setattr("mic.commands.invocation.load_model", lambda console, source: (model, None))
     options = ["optimise", str(scene), "--save", str(tmp_path / "better.toml"), "--out", str(tmp_path / "out")]
     done = CliRunner().invoke(app, [*options, "--law", "frictionless"])
     assert done.exit_code == 0, done.output

@@ -25,6 +25,7 @@ __all__ = [
     "as_deviations",
     "deviation_tables",
     "with_adjustments",
+    "with_changes",
     "new_names",
     "adjustment_tables",
 ]
@@ -189,6 +190,11 @@ def with_adjustments(model: ReducedModel, available: Sequence[Adjustment]) -> tu
     additional = as_deviations(model.scene, available, [0.0] * len(available))
     scene = model.scene.model_copy(update={"deviations": [*model.scene.deviations, *additional]})
     return model.varied(scene), [item.name for item in additional]
+
+
+def with_changes(deviations: np.ndarray, changes: Sequence[float] | np.ndarray) -> np.ndarray:
+    """(n, p + a) samples (n, p) of a model with the same changes (a,) of the adjustments in each."""
+    return np.column_stack([deviations, np.tile(np.asarray(changes, dtype=float), (len(deviations), 1))])
 
 
 def adjustment_tables(scene, changes: Mapping[Adjustment, float]) -> str:

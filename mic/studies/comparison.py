@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -123,24 +124,18 @@ def compare(
     if len(laws) > 2:
         raise SceneError(f"law: {len(laws)} laws are given for two sides; give one for both, or one for each")
     law_a, law_b = _law_of(a, laws[0] if laws else None), _law_of(b, laws[-1] if laws else None)
-    group = None
     if isinstance(a, Outcome) and isinstance(b, Outcome) and samples is None:
-        before, after, group = _stored(a, law_a, b, law_b)
+        (before, after), group = _stored(((a, law_a), (b, law_b)))
     else:
-        paired = _paired_deviations(models[0].scene, models[1].scene, samples or SAMPLES, seed)
+        paired, group = _paired_deviations(models[0].scene, models[1].scene, samples or SAMPLES, seed), None
         before, after = (
             _evaluated(model, source, law, deviations, threads, progress)
             for model, source, law, deviations in zip(models, (a, b), (law_a, law_b), paired)
         )
     table, valid = differences(before, after, group)
-    return Comparison(
-        before,
-        after,
-        table,
-        scene_differences(before.scene, after.scene),
-        int((~valid).sum()),
-        sorted(str(name) for name in set(before.values) ^ set(after.values)),
-    )
+    changes = scene_differences(before.scene, after.scene)
+    alone = sorted(str(name) for name in set(before.values) ^ set(after.values))
+    return Comparison(before, after, table, changes, int((~valid).sum()), alone)
 
 
 def differences(before: Side, after: Side, group: np.ndarray | None = None) -> tuple[pd.DataFrame, np.ndarray]:
@@ -252,24 +247,23 @@ def _evaluated(model, source, law, deviations, threads, progress) -> Side:
     return Side(name, model.scene, law, pd.concat(frames, ignore_index=True), outcome)
 
 
-def _stored(a: Outcome, law_a: str, b: Outcome, law_b: str) -> tuple[Side, Side, np.ndarray | None]:
+def _stored(runs: Sequence[tuple[Outcome, str]]) -> tuple[list[Side], np.ndarray | None]:
     """Two runs on their common valid samples, and the groups of these if a design generated them together."""
-    runs = ((a, law_a), (b, law_b))
-    common = np.intersect1d(a.sample_numbers(law_a), b.sample_numbers(law_b))
+    first, second = (outcome.sample_numbers(law) for outcome, law in runs)
+    common = np.intersect1d(first, second)
     _check_same_draws(runs, common)
     sides = []
     for outcome, law in runs:
         scene = outcome.model.scene
         columns = {item.name: outcome.measured(law, item.name, common) for item in scene.measurements}
         if outcome.has_slip and LAWS[law].frictional:
-            for stage in outcome.stages:
-                for zone in outcome.zones:
-                    slip = outcome.slip(law, stage, zone, common)
-                    if np.isfinite(slip).any():
-                        columns[f"slip {stage} {zone}"] = slip
+            for stage, zone in product(outcome.stages, outcome.zones):
+                slip = outcome.slip(law, stage, zone, common)
+                if np.isfinite(slip).any():
+                    columns[f"slip {stage} {zone}"] = slip
         sides.append(Side(str(outcome.folder), scene, law, pd.DataFrame(columns), outcome))
-    together = max(a.together, b.together)
-    return sides[0], sides[1], common // together if together > 1 else None
+    together = max(outcome.together for outcome, _ in runs)
+    return sides, common // together if together > 1 else None
 
 
 def _check_same_draws(runs, common: np.ndarray) -> None:
@@ -321,24 +315,23 @@ def check_comparable(a: Scene, b: Scene) -> None:
 def _rows(a: Side, b: Side, valid: np.ndarray, group: np.ndarray | None) -> Iterator[dict[str, Any]]:
     """Rows of the whole assembly, then of the common key characteristics, then of the common slips."""
     items = [{item.name: item for item in side.scene.measurements} for side in (a, b)]
-    common = [name for name in a.values if name in b.values]
-    measured = [name for name in common if name in items[0] and name in items[1]]
-    outside = [
-        np.any([_outside(side.values[name].to_numpy()[valid], by_name[name].bounds) for name in measured], axis=0)
-        for side, by_name in zip((a, b), items)
-    ]
-    yield {"quantity": "", **_outside_change(outside[0], outside[1], group)}
-    for name in common:
-        x, y = (side.values[name].to_numpy()[valid] for side in (a, b))
+    samples = {name: [side.values[name].to_numpy()[valid] for side in (a, b)] for name in a.values if name in b.values}
+    outside = {
+        name: [_outside(x, item[name].bounds) for x, item in zip(pair, items)]
+        for name, pair in samples.items()
+        if name in items[0] and name in items[1]
+    }
+    yield {"quantity": ""} | _outside_change([np.any(side, axis=0) for side in zip(*outside.values())], group)
+    for name, (x, y) in samples.items():
         row: dict[str, Any] = {"quantity": name}
         row |= _change("mean", x.mean(), y.mean(), mean_change(x, y, group))
         row |= _change("six_sigma", six_sigma(x).value, six_sigma(y).value, six_sigma_change(x, y, group))
-        if name in measured:
+        if name in outside:
             first, second = items[0][name].bounds, items[1][name].bounds
             row["tolerance"] = items[0][name].upper - items[0][name].lower
             change = centred_capability_change(x, y, first, second, group)
             row |= _change("cpk", centred_capability(x, *first).value, centred_capability(y, *second).value, change)
-            row |= _outside_change(_outside(x, first), _outside(y, second), group)
+            row |= _outside_change(outside[name], group)
         yield row
 
 
@@ -347,7 +340,9 @@ def _outside(x: np.ndarray, bounds: tuple[float, float]) -> np.ndarray:
     return (x < bounds[0]) | (x > bounds[1])
 
 
-def _outside_change(a: np.ndarray, b: np.ndarray, group: np.ndarray | None) -> dict[str, Any]:
+def _outside_change(sides: Sequence[np.ndarray], group: np.ndarray | None) -> dict[str, Any]:
+    """Columns of the shares of samples outside, from (n,) whether each lies outside."""
+    a, b = sides
     return _change("outside", a.mean(), b.mean(), share_change(a, b, group))
 
 

@@ -16,7 +16,6 @@ References
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -47,11 +46,10 @@ SPANNED = 4.0  # scaled range of an adjustment between its bounds
 FORMAT = Format("set of training assemblies", 1, ABSENT)
 
 
-@dataclass(frozen=True)
 class AssemblyEmulator:
     """Emulator of the key characteristics of assemblies, or of the changes that adjustments cause.
 
-    Attributes
+    Parameters
     ----------
     mean, scale : (p,) array
         Mean and scale of the deviations, followed by those of the adjustments; the scale of constants is 0.
@@ -61,29 +59,23 @@ class AssemblyEmulator:
         Values at them, mm.
     validation : (n,) array of bool
         Points that are used for cross-validation.
+
+    Attributes
+    ----------
+    error_bound : (k,) array
+        Bound of 95 % of the errors at the median distance, mm.
     """
 
-    mean: np.ndarray
-    scale: np.ndarray
-    x: np.ndarray
-    h: np.ndarray
-    validation: np.ndarray
-    emulator: Emulator = field(init=False, repr=False)
-    error_bound: np.ndarray = field(init=False)  #: (k,) bound of 95 % of the errors at the median distance, mm
-    _midst: float = field(init=False)
-    _farthest: float = field(init=False)
-
-    def __post_init__(self):
-        u = self._scaled(self.x)
-        emulator = Emulator(u, self.h)
-        errors, distance = (array[self.validation] for array in emulator.leave_one_out())
-        median = float(np.median(distance))
-        shares = np.abs(errors) / np.maximum(distance / median, 1.0)[:, None]
+    def __init__(self, mean: np.ndarray, scale: np.ndarray, x: np.ndarray, h: np.ndarray, validation: np.ndarray):
+        self.mean, self.scale, self.x, self.h, self.validation = mean, scale, x, h, validation
+        u = self._scaled(x)
+        self.emulator = Emulator(u, h)
+        errors, distance = (array[validation] for array in self.emulator.leave_one_out())
+        self._midst = float(np.median(distance))
+        shares = np.abs(errors) / np.maximum(distance / self._midst, 1.0)[:, None]
         rank = min(int(binom.ppf(LEVEL, len(shares), LEVEL)), len(shares) - 1)
-        object.__setattr__(self, "emulator", emulator)
-        object.__setattr__(self, "error_bound", np.sort(shares, axis=0)[rank])
-        object.__setattr__(self, "_midst", median)
-        object.__setattr__(self, "_farthest", float(np.linalg.norm(u[self.validation], axis=1).max()))
+        self.error_bound = np.sort(shares, axis=0)[rank]
+        self._farthest = float(np.linalg.norm(u[validation], axis=1).max())
 
     def covers(self, x: np.ndarray) -> bool:
         """Whether an assembly (p,) lies within the range of the training."""
@@ -93,9 +85,8 @@ class AssemblyEmulator:
     def __call__(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Key characteristics (m, k) of assemblies (m, p), and bounds of their errors (m, k), mm."""
         u = self._scaled(x)
-        return self.emulator(u), np.maximum(self.emulator.relative_sigma(u) / self._midst, 1.0)[
-            :, None
-        ] * self.error_bound
+        distance = np.maximum(self.emulator.relative_sigma(u) / self._midst, 1.0)
+        return self.emulator(u), distance[:, None] * self.error_bound
 
     def _scaled(self, x: np.ndarray) -> np.ndarray:
         varied = self.scale > 0
@@ -136,16 +127,16 @@ def train_emulator(
     scale = np.array(
         [item.sigma for item in scene.deviations] + [(item.high - item.low) / SPANNED for item in available]
     )
-    stored, key = _cache_entry(cache, model, law, available, base)
+    stored = None if cache is None else Cache(cache, "answers", FORMAT)
+    key = _cache_key(model, law, available, base)
     if stored is not None and (entry := stored.load(key)) is not None:
         return AssemblyEmulator(mean, scale, *(entry[1][name] for name in ("x", "h", "judged")))
     stream = np.random.default_rng([0, a])
     process = (with_adjustments(model, available)[0] if available else model).process(law)
-    x, h, drawn = np.empty((0, p + a)), np.empty((0, len(scene.measurements))), 0
-    if base is not None:
-        x = np.pad(_training_points(scene, stream, MIN_ASSEMBLIES), ((0, 0), (0, a)))
-        h = np.zeros((MIN_ASSEMBLIES, h.shape[1]))
-    given, emulator = len(x), None
+    # The effect of no adjustment is 0.
+    given = 0 if base is None else MIN_ASSEMBLIES
+    x = np.pad(_training_points(scene, stream, given), ((0, 0), (0, a)))
+    h, drawn, emulator = np.zeros((given, len(scene.measurements))), 0, None
     for count in (max(MIN_ASSEMBLIES, p + p // 2 + 3 * a), *[BATCH] * BATCHES):
         numbers = np.arange(drawn, drawn + count)
         points = _training_points(scene, stream, count) if base is None else base.x[numbers % len(base.x)]
@@ -186,12 +177,8 @@ def _training_changes(available: Sequence[Adjustment], numbers: np.ndarray, stre
     return changes
 
 
-def _cache_entry(
-    cache: Path | None, model, law: str, available, base: AssemblyEmulator | None
-) -> tuple[Cache | None, str]:
-    """The cache and the key of the training assemblies, a checksum of all inputs."""
-    if cache is None:
-        return None, ""
+def _cache_key(model, law: str, available, base: AssemblyEmulator | None) -> str:
+    """A checksum of all inputs of the training."""
     inputs = {
         "model": identity(model, 0),
         "law": law,
@@ -200,4 +187,4 @@ def _cache_entry(
         "how": [REACH, SPREAD, MIN_ASSEMBLIES, BATCH, BATCHES, FINE, SPANNED],
         "limits": [[float(end) for end in item.bounds] for item in model.scene.measurements],
     }
-    return Cache(cache, "answers", FORMAT), fingerprint(inputs)
+    return fingerprint(inputs)

@@ -11,7 +11,7 @@ from __future__ import annotations
 import csv
 import io
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -165,59 +165,29 @@ class Exploration:
         available = adjustments(model, shim, factor, fixture) if fixture else []
         fixture_model, names = with_adjustments(model, available)
         zones_with_friction = _frictions(fixture_model.scene, model, law)
-        scene = fixture_model.scene.model_copy(
-            update={"deviations": [*fixture_model.scene.deviations, *(item for _, item in zones_with_friction)]}
-        )
+        frictions = [item for _, item in zones_with_friction]
+        scene = fixture_model.scene.model_copy(update={"deviations": [*fixture_model.scene.deviations, *frictions]})
         self.model = fixture_model.varied(scene)
-        # By control: its column in the deviations of `model`, and its value in the scene.
-        self._columns: dict[str, tuple[int, float]] = {}
-        controls = self._sources() + self._adjustments(available, names) + self._coefficients(zones_with_friction)
-        reach = np.array([max(item.high - item.now, item.now - item.low) for item in controls])
-        self.controls = self._ordered(controls, reach)
         self.stages = [str(stage.name) for stage in scene.stages]
+        # Each control with its deviation of `model`; the value of a source is that of its deviation.
+        found = [(control, control.name) for control in _source_controls(model.scene)]
+        found += [(_fixture_control(item), name) for item, name in zip(available, names)]
+        found += [(_friction_control(zone), item.name) for zone, item in zones_with_friction]
+        # By control: its column in the deviations of `model`, and its value in the scene.
+        self._columns = {
+            control.name: (self.model.parameters.index(name), 0.0 if control.group == "sources" else control.now)
+            for control, name in found
+        }
+        self.controls = self._ordered([control for control, _ in found])
 
-    def _sources(self) -> list[Control]:
-        controls = []
-        for j, item in enumerate(self.scene_model.scene.deviations):
-            if not item.sigma > 0:
-                continue
-            low, high = (float(quantile(item, np.array([ndtr(z)]))[0]) for z in (-REACH, REACH))
-            self._columns[item.name] = j, 0.0
-            controls.append(Control(item.name, "sources", _unit(item, self.scene_model.scene), item.mean, low, high))
-        return controls
-
-    def _adjustments(self, available: Sequence[Adjustment], names: Sequence[str]) -> list[Control]:
-        controls = []
-        for adjustment, name in zip(available, names):
-            self._columns[adjustment.name] = self.model.parameters.index(name), adjustment.now
-            group = "locators" if adjustment.kind == "locator" else "clamps"
-            controls.append(
-                Control(
-                    adjustment.name,
-                    group,
-                    adjustment.unit,
-                    adjustment.now,
-                    adjustment.now + adjustment.low,
-                    adjustment.now + adjustment.high,
-                )
-            )
-        return controls
-
-    def _coefficients(self, zones: Sequence[tuple[Zone, FrictionDeviation]]) -> list[Control]:
-        controls = []
-        for zone, item in zones:
-            now, name = float(zone.coefficient("default")), f"zones.{zone.name}.friction"
-            self._columns[name] = self.model.parameters.index(item.name), now
-            controls.append(Control(name, "friction", "", now, 0.0, max(2 * now, now + ROUGHER)))
-        return controls
-
-    def _ordered(self, controls: list[Control], reach: np.ndarray) -> list[Control]:
+    def _ordered(self, controls: list[Control]) -> list[Control]:
         scene = self.scene_model.scene
         if not controls:
             raise SceneError(f"scene {scene.name!r} has neither deviations nor a fixture: there is nothing to explore")
         if scene.measurements:
-            names = [self.model.parameters[self._columns[control.name][0]] for control in controls]
+            names = [self.model.parameters[column] for column, _ in self._columns.values()]
             J = np.nan_to_num(self.model.sensitivities({}, self.law, names).jacobian[0])  # (k, c)
+            reach = np.array([max(control.high - control.now, control.now - control.low) for control in controls])
             effect = np.abs(J * reach / half_tolerances(scene)[:, None]).max(axis=0)
             controls = [replace(control, matters=float(value)) for control, value in zip(controls, effect)]
         return sorted(controls, key=lambda control: (GROUPS.index(control.group), -control.matters))
@@ -262,23 +232,27 @@ class Exploration:
             For unknown names of controls or of stages, and values that are not finite.
         """
         start = time.perf_counter()
-        stage = stage or self.stages[-1]
+        values, stage = dict(values or {}), stage or self.stages[-1]
         if stage not in self.stages:
             raise ValueError(f"there is no stage {stage!r}; known: {', '.join(self.stages)}")
-        x = self.deviations(values or {})
+        x = self.deviations(values)
         evaluation = (self._coarse if coarse else self._process).attempt(x[None], stage)
         items = self.scene_model.scene.measurements
         y = evaluation.measurements[0] if evaluation.measurements.shape[1] else np.full(len(items), np.nan)
-        rows = [(item.name, value, item.lower, item.upper) for item, value in zip(items, y)]
-        table = pd.DataFrame(rows, columns=["measurement", "value", "lower", "upper"])
-        table["within"] = (table["value"] >= table["lower"]) & (table["value"] <= table["upper"])
-        all_values = {control.name: control.now for control in self.controls} | dict(values or {})
-        stages = self.stages[: self.stages.index(stage) + 1]
-        resolved = [name for name in stages if name in evaluation.resolutions]
-        seconds = time.perf_counter() - start
-        points = self.model.contacts.point
+        rows = [
+            (item.name, value, item.lower, item.upper, item.lower <= value <= item.upper)
+            for item, value in zip(items, y)
+        ]
+        resolved = [name for name in self.stages[: self.stages.index(stage) + 1] if name in evaluation.resolutions]
         return ExploredAssembly(
-            all_values, stage, resolved[-1] if resolved else "", evaluation, coarse, points, table, seconds
+            {control.name: control.now for control in self.controls} | values,
+            stage,
+            resolved[-1] if resolved else "",
+            evaluation,
+            coarse,
+            self.model.contacts.point,
+            pd.DataFrame(rows, columns=["measurement", "value", "lower", "upper", "within"]),
+            time.perf_counter() - start,
         )
 
     @cached_property
@@ -375,6 +349,22 @@ def explore(model: ReducedModel, law: str | None = None, shim: float = SHIM, fac
         If the bounds allow no change.
     """
     return Exploration(model, law or model.scene.report.laws[0], shim, factor)
+
+
+def _source_controls(scene) -> Iterator[Control]:
+    for item in scene.deviations:
+        if item.sigma > 0:
+            low, high = quantile(item, ndtr([-REACH, REACH])).tolist()
+            yield Control(item.name, "sources", _unit(item, scene), item.mean, low, high)
+
+
+def _fixture_control(item: Adjustment) -> Control:
+    return Control(item.name, f"{item.kind}s", item.unit, item.now, item.now + item.low, item.now + item.high)
+
+
+def _friction_control(zone: Zone) -> Control:
+    now = float(zone.coefficient("default"))
+    return Control(f"zones.{zone.name}.friction", "friction", "", now, 0.0, max(2 * now, now + ROUGHER))
 
 
 def _frictions(scene, model: ReducedModel, law: str) -> list[tuple[Zone, FrictionDeviation]]:

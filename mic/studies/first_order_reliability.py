@@ -30,13 +30,14 @@ import numpy as np
 import pandas as pd
 from scipy.special import ndtr, ndtri
 
+from mic.errors import SceneError
 from mic.process.model import ReducedModel
 from mic.results.schema import DESIGN_POINTS
 from mic.statistics.draw import number_count
 from mic.statistics.normal_space import from_normal, normal_derivatives
 from mic.studies.samples import Progress, half_tolerances
 
-__all__ = ["DesignPoints", "design_points", "differentiable", "union_probability", "first_order", "find_design_points"]
+__all__ = ["DesignPoints", "design_points", "union_probability", "first_order", "find_design_points"]
 
 ROUNDS = 20
 ENOUGH = 1e-3  # relative tolerance of g and of β
@@ -155,7 +156,6 @@ def design_points(
     Parameters
     ----------
     model : ReducedModel
-        Must not resample measured parts, which have no derivatives.
     law : str, optional
     z, y : (n, d), (n, k) array
         Numbers and key characteristics of samples. The search starts at the most likely violation of each limit, or at
@@ -174,9 +174,11 @@ def design_points(
     Raises
     ------
     SceneError
-        If parts are held by contact alone.
+        If measured parts are resampled, which leaves no derivatives, or parts are held by contact alone.
     """
     scene = model.scene
+    if number_count(scene) != len(scene.deviations):
+        raise SceneError("resampled measured parts have no derivatives")
     limits = [
         (k, side)
         for k, item in enumerate(scene.measurements)
@@ -203,15 +205,10 @@ def design_points(
     length = np.linalg.norm(z, axis=1)[:, None]
     first = np.where(g > 0, FARTHEST**2 - length, g - np.abs(g).max(where=np.isfinite(g), initial=1.0)).argmax(axis=0)
     design = find_design_points(slopes, z[first])
-    return _table(scene, law or scene.report.laws[0], design, limits), design, limits
-
-
-def _table(scene, law: str, design: DesignPoints, limits: Sequence[tuple[int, str]]) -> pd.DataFrame:
-    """One row for each limit and deviation."""
     values = from_normal(scene, design.z.clip(-FARTHEST, FARTHEST))
     rows = [
         {
-            "law": law,
+            "law": law or scene.report.laws[0],
             "measurement": scene.measurements[k].name,
             "limit": side,
             "beta": float(design.beta[i]),
@@ -225,15 +222,10 @@ def _table(scene, law: str, design: DesignPoints, limits: Sequence[tuple[int, st
         for i, (k, side) in enumerate(limits)
         for j, item in enumerate(scene.deviations)
     ]
-    return pd.DataFrame(rows, columns=DESIGN_POINTS.names)
+    return pd.DataFrame(rows, columns=DESIGN_POINTS.names), design, limits
 
 
 def first_order(design: DesignPoints, limits: Sequence[tuple[int, str]], group: Sequence[int]) -> float:
     """First-order probability that any limit of some characteristics, given by number, is violated."""
     selected = np.isin([k for k, _ in limits], list(group)) & np.isfinite(design.beta)
     return union_probability(design.direction[selected], design.beta[selected])
-
-
-def differentiable(scene) -> bool:
-    """Whether the deviations are differentiable functions of the numbers z."""
-    return number_count(scene) == len(scene.deviations)

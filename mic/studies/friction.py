@@ -6,6 +6,7 @@ variants use the same samples, so that the differences are effects of friction a
 
 from __future__ import annotations
 
+from contextlib import nullcontext, suppress
 from dataclasses import replace
 
 import numpy as np
@@ -69,15 +70,10 @@ def friction_effects(
     if len(frictional) > 1:
         variants += [(scene.zones[z].name, np.array([z]), factor) for z in frictional for factor in FACTORS if factor]
     for name, zones, factor in variants:
-        try:
-            other = evaluate(
-                with_scaled_friction(model, zones, factor), _scaled_deviations(scene, deviations, zones, factor)
-            )
-        except SceneError:  # without friction a part is unconstrained
-            if factor > 0:
-                raise
-            continue
-        frames.append(_changes(scene, base, other).assign(law=law, zone=name, factor=factor))
+        with suppress(SceneError) if factor == 0 else nullcontext():  # without friction a part is unconstrained
+            x = _scaled_deviations(scene, deviations, zones, factor)
+            other = evaluate(with_scaled_friction(model, zones, factor), x)
+            frames.append(_changes(scene, base, other).assign(law=law, zone=name, factor=factor))
     return pd.concat(frames, ignore_index=True)[FRICTION_EFFECTS.names]
 
 

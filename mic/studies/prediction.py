@@ -34,6 +34,7 @@ from mic.studies.smallest_adjustment import AdjustmentSearch
 __all__ = ["FARTHEST", "Predictor", "predict"]
 
 FARTHEST = 6.0  #: standard deviations from the mean beyond which an assembly is refused
+NOTHING = (np.nan,) * 3  # value, low and high of a whole assembly
 
 
 class Predictor:
@@ -131,29 +132,22 @@ class Predictor:
         distance = self._distance(x)
         farthest = int(distance.argmax())
         if distance[farthest] > FARTHEST:
-            return self._single_row(
-                "refused", f"{names[farthest]} is {distance[farthest]:.3g} σ off its mean", distance[farthest]
-            )
+            said = f"{names[farthest]} is {distance[farthest]:.3g} σ off its mean"
+            return self._table([("", *NOTHING, "refused", "", said)], distance)
         unknown_variance = self._slope**2 @ np.where(given, 0.0, self._sigma) ** 2
         half = float(ndtri(0.5 + LEVEL / 2)) * np.sqrt(self.error**2 + unknown_variance)
         y, error, source = self._key_characteristics(x, half)
         if y is None:
-            return self._single_row("failed", "its contact problems could not be solved", distance[farthest])
+            return self._table([("", *NOTHING, "failed", "", "its contact problems could not be solved")], distance)
         width = np.hypot(half, error)
-        verdict, proposal, sources = self._verdicts(y, width), "", [source] * (len(y) + 1)
+        verdict, proposal, assembly_source = self._verdicts(y, width), "", source
         if self._adjustment_search is not None and (verdict != "accepted").any():
             adjustment = self._adjustment_search.propose(x, y, half, error, self._covers(x))
-            proposal, sources[-1] = str(adjustment), "evaluated" if adjustment.evaluated else source
+            proposal, assembly_source = str(adjustment), "evaluated" if adjustment.evaluated else source
         worst = "rejected" if "rejected" in verdict else "open" if "open" in verdict else "accepted"
-        items = self.model.scene.measurements
-        return self._table(
-            [*(item.name for item in items), ""],
-            np.append([y, y - width, y + width], np.full((3, 1), np.nan), axis=1),
-            [*verdict, worst],
-            sources,
-            [*("" for _ in items), proposal],
-            distance[farthest],
-        )
+        items = [item.name for item in self.model.scene.measurements]
+        rows = [(*row, source, "") for row in zip(items, y, y - width, y + width, verdict)]
+        return self._table([*rows, ("", *NOTHING, worst, assembly_source, proposal)], distance)
 
     def _distance(self, x: np.ndarray) -> np.ndarray:
         """(p,) distance of the deviations from their means, in standard deviations."""
@@ -182,17 +176,10 @@ class Predictor:
         beyond = (y + half < self._lower) | (y - half > self._upper)
         return np.where(within, "accepted", np.where(beyond, "rejected", "open")).astype(object)
 
-    def _single_row(self, verdict: str, remark: str, distance: float) -> pd.DataFrame:
-        """The table of an assembly that is not predicted."""
-        return self._table([""], np.full((3, 1), np.nan), [verdict], [""], [remark], distance)
-
-    def _table(self, names, values: np.ndarray, verdicts, sources, remarks, distance: float):
-        """The table of results, from values, low and high ends (3, rows)."""
-        columns = {"file": "", "row": 0, "model": "", "law": self.law, "measurement": names}
-        columns |= dict(zip(("value", "low", "high"), values, strict=True)) | {"verdict": verdicts}
-        return pd.DataFrame(
-            columns | {"way": sources, "said": remarks, "far": float(distance)}, columns=PREDICTIONS.names
-        )
+    def _table(self, rows: list[tuple], distance: np.ndarray) -> pd.DataFrame:
+        """The table of an assembly with deviations (p,) at these distances."""
+        table = pd.DataFrame(rows, columns=["measurement", "value", "low", "high", "verdict", "way", "said"])
+        return table.assign(file="", row=0, model="", law=self.law, far=float(distance.max()))[PREDICTIONS.names]
 
 
 def predict(

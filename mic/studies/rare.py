@@ -34,7 +34,7 @@ from mic.results.schema import DESIGN_POINTS, RARE
 from mic.statistics import estimates
 from mic.statistics.draw import at_probabilities, number_count
 from mic.statistics.estimates import LEVEL
-from mic.studies.first_order_reliability import design_points, differentiable, first_order
+from mic.studies.first_order_reliability import design_points, first_order
 from mic.studies.samples import Progress, half_tolerances, valid
 
 __all__ = ["RareFailures", "Subset", "agree", "rare", "subset_simulation"]
@@ -213,20 +213,12 @@ def rare(
             [process.law, name, subset.probability, subset.low, subset.high, subset.levels, subset.evaluations, failed]
         )
     z, y = (np.concatenate(each) for each in zip(*evaluated))
-    table = pd.DataFrame(rows, columns=RARE.names[: len(rows[0])])
-    points, order, why_not = _first_order(model, process.law, z, y, list(groups.values()), progress)
-    table["first_order"] = order
+    table = pd.DataFrame(rows, columns=RARE.names[: len(rows[0])]).assign(first_order=np.nan)
+    points, why_not = DESIGN_POINTS.empty(), ""
+    try:
+        points, design, limits = design_points(model, process.law, z, y, progress)
+        table["first_order"] = [first_order(design, limits, group) for group in groups.values()]
+    except SceneError as problem:
+        why_not = str(problem)
     table["agrees"] = [agree(row) for row in table.to_dict("records")]
     return RareFailures(table, points, why_not)
-
-
-def _first_order(model, law, z, y, groups, progress):
-    """Design points, first-order probability of each group of characteristics, and the reason if there are none."""
-    unknown = np.full(len(groups), np.nan)
-    if not differentiable(model.scene):
-        return DESIGN_POINTS.empty(), unknown, "resampled measured parts have no derivatives"
-    try:
-        points, design, limits = design_points(model, law, z, y, progress)
-    except SceneError as problem:
-        return DESIGN_POINTS.empty(), unknown, str(problem)
-    return points, np.array([first_order(design, limits, group) for group in groups]), ""

@@ -25,6 +25,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 import pandas as pd
@@ -36,7 +37,7 @@ from mic.statistics import estimates
 from mic.statistics.capability import centred_capability, outside
 from mic.statistics.draw import draw
 from mic.statistics.estimates import LEVEL
-from mic.studies.adjustment import FACTOR, SHIM, Adjustment, adjustments, with_adjustments
+from mic.studies.adjustment import FACTOR, SHIM, Adjustment, adjustments, with_adjustments, with_changes
 from mic.studies.samples import Progress, derivatives, half_tolerances, key_characteristics
 from mic.studies.samples import limits as scene_limits
 
@@ -240,6 +241,7 @@ class _Search:
         self.process = self.extended.process(law, threads=threads)
         self.low, self.high = (np.array([getattr(item, end) for item in available]) for end in ("low", "high"))
         self.deviations = self._draw(0)[:DERIVATIVE_SAMPLES]
+        self.unchanged = cache(lambda batch: self.values(batch, np.zeros(len(available))))
 
     def _draw(self, batch: int) -> np.ndarray:
         """(n, p) deviations of a set of samples: 0 for the search, others are fresh."""
@@ -252,18 +254,21 @@ class _Search:
         deviations = self._draw(batch)
         if not len(deviations):
             return np.zeros((0, len(self.scene.measurements)))
-        whole = np.column_stack([deviations, np.tile(x, (len(deviations), 1))])
-        return key_characteristics(self.process, whole, self.progress)
+        return key_characteristics(self.process, with_changes(deviations, x), self.progress)
 
     def linearise(self, x: np.ndarray, moving: np.ndarray) -> _Linearisation:
         """The valid samples at changes (a,), with derivatives by the adjustments with the numbers `moving`."""
-        whole = np.column_stack([self.deviations, np.tile(x, (len(self.deviations), 1))])
         names = [self.names[i] for i in moving]
-        y, jacobian = derivatives(self.extended, whole, self.law, self.progress, names)
+        y, jacobian = derivatives(self.extended, with_changes(self.deviations, x), self.law, self.progress, names)
         known = np.isfinite(y).all(axis=1) & np.isfinite(jacobian).all(axis=(1, 2))
         slopes = np.zeros((int(known.sum()), y.shape[1], len(self.available)))
         slopes[:, :, moving] = jacobian[known]
         return _Linearisation(x, y[known], slopes)
+
+    def bounds(self, moving: Sequence[int] | np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Bounds (a,) of the changes if only the adjustments with the numbers `moving` change."""
+        free = np.isin(np.arange(len(self.available)), moving)
+        return np.where(free, self.low, 0.0), np.where(free, self.high, 0.0)
 
     def excess(self, y: np.ndarray, margin: np.ndarray) -> float:
         """Largest excess of samples over the required margin, relative to half the tolerance."""
@@ -274,8 +279,7 @@ class _Search:
 
     def _minimise(self, moving: np.ndarray, margin: np.ndarray, start: _Linearisation) -> tuple[_Linearisation, int]:
         """The best changes of some adjustments on the samples of the search, and the number of linearisations."""
-        free = np.isin(np.arange(len(self.available)), moving)
-        low, high = np.where(free, self.low, 0.0), np.where(free, self.high, 0.0)
+        low, high = self.bounds(moving)
         size = np.maximum(-low, high).clip(np.finfo(float).tiny)
         at, trust = start, UNBOUNDED
         best, rounds = (max(0.0, self.excess(at.y, margin)), float(np.abs(at.x / size).sum()), at), 0
@@ -297,44 +301,34 @@ class _Search:
                 trust = step / 3
         return best[2], rounds
 
-    def remedy(self, name: str, moving: np.ndarray, required: np.ndarray, at: _Linearisation, before: dict) -> Remedy:
-        """The remedy of the required characteristics, rounded to changes that can be set and checked on fresh samples.
+    def remedy(self, name: str, moving: np.ndarray, required: np.ndarray, at: _Linearisation) -> Remedy:
+        """The remedy of some characteristics, rounded to changes that can be set and checked on fresh samples.
 
         Parameters
         ----------
         name : str
         moving : int array
             Numbers of the adjustments.
-        required : (k,) bool array
+        required : (k,) array
+            Required margin, mm; -∞ for characteristics without a requirement.
         at : _Linearisation
             Start of the search.
-        before : dict of int to (n, k) array
-            Key characteristics without changes by set of samples; missing sets are added.
         """
-        margin, rounds = np.where(required, 0.0, -np.inf), 0
+        margin, rounds = required, 0
         for batch in range(1, MAX_CHECKS + 1):
             at, more = self._minimise(moving, margin, at)
             rounds += more
             x = np.array([item.settable(change) for item, change in zip(self.available, at.x)])
-            for b in (0, batch):
-                if b not in before:
-                    before[b] = self.values(b, np.zeros(len(x)))
-            after = [self.values(b, x) for b in (0, batch)]
-            fresh = after[1] if len(after[1]) else after[0]
-            excess = self.excess(fresh, np.where(required, 0.0, -np.inf))
+            sets = [(self.unchanged(b), self.values(b, x)) for b in (0, batch)]
+            sets = [pair for pair in sets if len(pair[1])]
+            fresh = sets[-1][1]
+            excess = self.excess(fresh, required)
             if excess <= TOLERATED or self.excess(at.y, margin) > TOLERATED:  # reached, or out of reach
                 break
             known = fresh[np.isfinite(fresh).all(axis=1)]
             margin = margin + np.maximum(0.0, -self.limits.margin(known))
-        nonempty = [i for i, y in enumerate(after) if len(y)]
-        return Remedy(
-            name,
-            {item: float(change) for item, change in zip(self.available, x) if change},
-            excess <= TOLERATED,
-            rounds,
-            [[before[0], before[batch]][i] for i in nonempty],
-            [after[i] for i in nonempty],
-        )
+        changes = {item: float(change) for item, change in zip(self.available, x) if change}
+        return Remedy(name, changes, excess <= TOLERATED, rounds, [a for a, _ in sets], [b for _, b in sets])
 
 
 def remedies(
@@ -381,8 +375,7 @@ def remedies(
         raise ValueError(f"scene {scene.name!r} has nothing to adjust besides the datum of its measurements")
     limits = Limits(*scene_limits(scene), half_tolerances(scene), 3 * capability)
     search = _Search(model, law, available, limits, samples, seed, threads, progress)
-    before = {0: search.values(0, np.zeros(len(available)))}
-    known = before[0][np.isfinite(before[0]).all(axis=1)]
+    known = search.unchanged(0)[np.isfinite(search.unchanged(0)).all(axis=1)]
     if not len(known):
         raise ValueError(f"scene {scene.name!r}: every sample fails without any change; see the messages of `mic run`")
     excess = -limits.margin(known) / limits.half
@@ -390,28 +383,26 @@ def remedies(
     found: list[Remedy] = []
     if excess[worst] > TOLERATED:
         start = search.linearise(np.zeros(len(available)), every)
-        only_worst = np.arange(len(excess)) == worst
-        for i in _promising(search, start, only_worst):
-            found.append(search.remedy(available[i].name, np.array([i]), only_worst, start, before))
+        required = np.where(np.arange(len(excess)) == worst, 0.0, -np.inf)
+        found = [
+            search.remedy(available[i].name, np.array([i]), required, start)
+            for i in _promising(search, start, required)
+        ]
         found.sort(key=lambda remedy: (not remedy.reached, sum(abs(x) / a.size for a, x in remedy.changes.items())))
-        together = search.remedy(TOGETHER, every, np.ones(len(excess), dtype=bool), start, before)
+        together = search.remedy(TOGETHER, every, np.zeros(len(excess)), start)
         if not any(remedy.changes == together.changes for remedy in found):
             found.append(together)
-    name = scene.measurements[worst].name if excess[worst] > TOLERATED else ""
-    law = search.process.law
-    return Remedies(
-        law, name, len(available), found, _change_table(law, found), _effect_table(scene, law, limits, found)
-    )
+    name, law = scene.measurements[worst].name if found else "", search.process.law
+    tables = _change_table(law, found), _effect_table(scene, law, limits, found)
+    return Remedies(law, name, len(available), found, *tables)
 
 
 def _promising(search: _Search, start: _Linearisation, required: np.ndarray) -> list[int]:
     """Numbers of the adjustments that alone, by their derivatives, bring the required characteristics within their
     limits, the smallest first; if there is none, the one with the smallest excess."""
-    margin, results = np.where(required, 0.0, -np.inf), []
+    results = []
     for i, item in enumerate(search.available):
-        free = np.arange(len(search.available)) == i
-        low, high = np.where(free, search.low, 0.0), np.where(free, search.high, 0.0)
-        x, excess = smallest(start.y, start.slopes, search.limits, low, high, margin=margin)
+        x, excess = smallest(start.y, start.slopes, search.limits, *search.bounds([i]), margin=required)
         results.append((excess, abs(x[i]) / item.size, i))
     sufficient = sorted((cost, i) for excess, cost, i in results if excess <= TOLERATED)
     return [i for _, i in sufficient[:MAX_SINGLES]] or [min(results)[2]]
@@ -424,16 +415,17 @@ def _change_table(law: str, found: Sequence[Remedy]) -> pd.DataFrame:
         for remedy in found
         for item, change in remedy.changes.items()
     ]
-    types = {"change": "float64", "value": "float64", "reached": "bool", "rounds": "int64"}
-    return pd.DataFrame(rows, columns=REMEDIES.names).astype(types)
+    return pd.DataFrame(rows, columns=REMEDIES.names) if rows else REMEDIES.empty()
 
 
 def _effect_table(scene, law: str, limits: Limits, found: Sequence[Remedy]) -> pd.DataFrame:
     """One row for each remedy, set of samples and key characteristic."""
-    rows = []
-    for remedy in found:
-        for i, (a, b) in enumerate(zip(remedy.before, remedy.after)):
-            rows += _effects(scene, limits, a, b, {"law": law, "remedy": remedy.name, "fresh": i == 1})
+    rows = [
+        row
+        for remedy in found
+        for i, (a, b) in enumerate(zip(remedy.before, remedy.after))
+        for row in _effects(scene, limits, a, b, {"law": law, "remedy": remedy.name, "fresh": i == 1})
+    ]
     return pd.DataFrame(rows, columns=REMEDY_EFFECTS.names) if rows else REMEDY_EFFECTS.empty()
 
 

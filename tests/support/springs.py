@@ -159,14 +159,27 @@ def contacts_at(points, frames, zone, friction, gap) -> Contacts:
     )
 
 
+def clamped(names, gap, friction=0.0, **keys):
+    """Model of parts that their locators hold to the end; the face of each is a zone with the next one's, `gap` above
+    it: zone z with two parts, z1, z2 … with more."""
+    pairs = list(zip(names, names[1:]))
+    scene = {
+        "parts": [{"name": name, "mesh": f"{name}.stl", "thickness": 1.0} for name in names],
+        "locators": [locator for name in names for locator in six(name)],
+        "zones": [
+            {"name": f"z{i}" if len(pairs) > 1 else "z", "parts": list(pair), "friction": friction, "pairs": 1}
+            for i, pair in enumerate(pairs, 1)
+        ],
+        "stages": stage_list("locate", "clamp", "measure"),
+    }
+    return spring_model([gap] * len(pairs), **scene | keys)
+
+
 def dragged(**changes):
     """b is lifted by h = P/2 at its face and presses on t, which moves along x by D and drags it by μ h/4: M and N read
     b and t along x."""
     scene = {
-        "parts": [{"name": name, "mesh": f"{name}.stl", "thickness": 1.0} for name in "bt"],
-        "locators": [*six("b"), *six("t")],
         "clamps": [at_face("t", (1, 0, 0), name="T", stroke=0.0)],
-        "zones": [{"name": "z", "parts": ["b", "t"], "friction": MU, "pairs": 1}],
         "measurements": [
             at_face("b", (1, 0, 0), name="M", lower=-1, upper=1),
             at_face("t", (1, 0, 0), name="N", lower=PULL - 1, upper=PULL + 1),
@@ -175,6 +188,5 @@ def dragged(**changes):
             {"name": "P", "kind": "locator", "target": "bl1", "mean": 2 * LIFT, "sigma": 0.1},
             {"name": "D", "kind": "clamp", "target": "T", "mean": PULL, "sigma": 0.05},
         ],
-        "stages": stage_list("locate", "clamp", "measure"),
     }
-    return spring_model([0.0], **scene | changes)
+    return clamped("bt", 0.0, **{"friction": MU} | scene | changes)

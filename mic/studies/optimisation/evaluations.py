@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import replace
-from functools import lru_cache
+from functools import lru_cache, partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -15,9 +15,12 @@ from mic.errors import SceneError
 from mic.process.model import ReducedModel
 from mic.results.run_identity import identity
 from mic.statistics.draw import draw
+from mic.statistics.estimates import jackknife_error
+from mic.studies.adjustment import with_changes
 from mic.studies.optimisation.design import Design, Space
 from mic.studies.optimisation.moved_items import RelocatedModels
 from mic.studies.optimisation.objective import Objective
+from mic.studies.samples import derivatives
 from mic.system.files import append_text
 
 __all__ = ["EvaluationLog", "BudgetExceeded", "DesignEvaluator"]
@@ -33,7 +36,7 @@ class BudgetExceeded(Exception):
 
 
 class EvaluationLog:
-    """Log of evaluated blocks of samples, from which an interrupted optimisation resumes.
+    """Arrays of evaluated blocks of samples, in memory and in a file, from which an interrupted optimisation resumes.
 
     Parameters
     ----------
@@ -41,33 +44,35 @@ class EvaluationLog:
         File of JSON lines; None stores nothing.
     stamp : str
         Identifies model, seed and law; records with another stamp are ignored and stay in the file.
+
+    Attributes
+    ----------
+    used : set of str
+        Keys that were requested.
     """
 
     def __init__(self, path: Path | None, stamp: str):
-        self.path, self.stamp = path, stamp
-        self._records: dict[str, dict[str, Any]] = {}
+        self.path, self.stamp, self.used = path, stamp, set[str]()
+        self._known: dict[str, dict[str, np.ndarray]] = {}
         if path is not None and path.is_file():
             for line in path.read_text(encoding="utf-8").splitlines():
-                try:
+                with suppress(ValueError, KeyError, TypeError):  # incomplete record of an interrupted run
                     record = json.loads(line)
                     if record["stamp"] == stamp:
-                        self._records[record["key"]] = record["arrays"]
-                except (ValueError, KeyError, TypeError):  # incomplete record of an interrupted run
-                    continue
+                        arrays = {name: np.array(value, dtype=float) for name, value in record["arrays"].items()}
+                        self._known[record["key"]] = arrays
             if not path.read_bytes().endswith(b"\n"):
                 append_text(path, "\n")
 
-    def find(self, key: str) -> dict[str, np.ndarray] | None:
-        """Arrays of a key, or None."""
-        arrays = self._records.get(key)
-        return None if arrays is None else {name: np.array(value, dtype=float) for name, value in arrays.items()}
-
-    def store(self, key: str, arrays: dict[str, np.ndarray]) -> None:
-        """Append arrays to the file under a key; they are on disk on return."""
-        if self.path is None:
-            return
-        lists = {name: np.asarray(value, dtype=float).tolist() for name, value in arrays.items()}
-        append_text(self.path, json.dumps({"stamp": self.stamp, "key": key, "arrays": lists}) + "\n")
+    def arrays(self, key: str, evaluate: Callable[[], dict[str, np.ndarray]]) -> dict[str, np.ndarray]:
+        """Arrays of a key: known ones, or evaluated and appended to the file; they are on disk on return."""
+        self.used.add(key)
+        if key not in self._known:
+            self._known[key] = evaluate()
+            if self.path is not None:
+                lists = {name: value.tolist() for name, value in self._known[key].items()}
+                append_text(self.path, json.dumps({"stamp": self.stamp, "key": key, "arrays": lists}) + "\n")
+        return self._known[key]
 
 
 class DesignEvaluator:
@@ -115,11 +120,9 @@ class DesignEvaluator:
         # Paired intervals require independent samples.
         carlo = model.scene.monte_carlo.model_copy(update={"design": "independent"})
         self._drawing = model.scene.model_copy(update={"monte_carlo": carlo})
-        self._ledger = EvaluationLog(ledger, f"{identity(model, seed)} {law}")
+        self._log = EvaluationLog(ledger, f"{identity(model, seed)} {law}")
         self._bases = {(0,) * len(space.items): space.with_setting_deviations(model)}
         self._ordered_model = lru_cache(maxsize=MODELS)(self._build_model)
-        self._blocks: dict[tuple[Design, int], tuple[np.ndarray, np.ndarray]] = {}
-        self._slopes: dict[Design, tuple[np.ndarray, np.ndarray]] = {}
 
     # --------------------------------------------------------------------------------------------------- samples
 
@@ -140,43 +143,39 @@ class DesignEvaluator:
             self._bases[design.places] = self.space.with_setting_deviations(relocated)
         return self.space.with_orders_of(self._bases[design.places][0], design)
 
-    def evaluate(self, design: Design, deviations: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Key characteristics (n, k) of samples (n, p) under a design, and which failed or could not be built."""
-        model, names = self.model(design)
-        settings = np.tile(np.array(design.settings, dtype=float).reshape(1, len(names)), (len(deviations), 1))
-        process = model.process(self.law, threads=self.threads)
-        evaluation = process.attempt(np.column_stack([deviations, settings]))
+    def evaluate(self, design: Design, deviations: np.ndarray) -> dict[str, np.ndarray]:
+        """Key characteristics ``y`` (n, k) of samples (n, p) under a design; ``unfit`` (n,) is 1 for those that failed
+        or could not be built."""
+        process = self.model(design)[0].process(self.law, threads=self.threads)
+        evaluation = process.attempt(with_changes(deviations, design.settings))
         self.progress(len(deviations))
         unfit = evaluation.failed | ~evaluation.built
-        return np.where(evaluation.failed[:, None], 0.0, evaluation.measurements), unfit
+        y = np.where(evaluation.failed[:, None], 0.0, evaluation.measurements)
+        return {"y": y, "unfit": unfit.astype(float)}
 
     def block(self, design: Design, number: int) -> tuple[np.ndarray, np.ndarray]:
         """Key characteristics and failures of a block of samples under a design: from memory, log or evaluation."""
-        if (design, number) not in self._blocks:
 
-            def evaluate() -> dict[str, np.ndarray]:
-                deviations = self.draw_deviations(number * BLOCK, BLOCK)
-                try:
-                    y, unfit = self.evaluate(design, deviations)
-                except SceneError:  # with this order a part is unconstrained
-                    y = np.zeros((len(deviations), len(self.space.scene.measurements)))
-                    unfit = np.ones(len(deviations), bool)
-                return {"y": y, "unfit": unfit.astype(float)}
+        def evaluate() -> dict[str, np.ndarray]:
+            deviations = self.draw_deviations(number * BLOCK, BLOCK)
+            try:
+                return self.evaluate(design, deviations)
+            except SceneError:  # with this order a part is unconstrained
+                n, k = len(deviations), len(self.space.scene.measurements)
+                return {"y": np.zeros((n, k)), "unfit": np.ones(n)}
 
-            arrays = self.load_or_evaluate(design, f"values {number}", evaluate)
-            self._blocks[design, number] = arrays["y"].reshape(len(arrays["unfit"]), -1), arrays["unfit"].astype(bool)
-        return self._blocks[design, number]
+        return self.load_or_evaluate(design, f"values {number}", evaluate)
 
     def load_or_evaluate(
         self, design: Design, what: str, evaluate: Callable[[], dict[str, np.ndarray]]
-    ) -> dict[str, np.ndarray]:
-        """Arrays of a design from the log, or evaluated and stored there."""
-        key = f"{json.dumps([str(change) for change in self.space.changes(design)])} {what}"
-        arrays = self._ledger.find(key)
-        if arrays is None:
-            arrays = evaluate()
-            self._ledger.store(key, arrays)
-        return arrays
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Key characteristics and failures of samples of a design from the log, or evaluated and stored there."""
+        arrays = self._log.arrays(self._key(design, what), evaluate)
+        return arrays["y"], arrays["unfit"].astype(bool)
+
+    def _key(self, design: Design, what: str) -> str:
+        changes = [(change.kind, change.targets, change.after) for change in self.space.changes(design)]
+        return f"{json.dumps(changes)} {what}"
 
     def values(self, design: Design, first: int, count: int) -> tuple[np.ndarray, np.ndarray]:
         """Key characteristics and failures of samples under a design; they do not count towards the budget."""
@@ -195,9 +194,8 @@ class DesignEvaluator:
         BudgetExceeded
         """
         count = self.samples if count is None else min(count, self.samples)
-        blocks = -(-count // BLOCK)
-        missing = sum((design, number) not in self._blocks for number in range(blocks)) * BLOCK
-        self._spend(min(missing, self.samples))
+        keys = {self._key(design, f"values {number}") for number in range(-(-count // BLOCK))}
+        self._spend(min(len(keys - self._log.used) * BLOCK, self.samples))
         return self.values(design, 0, count)
 
     def values_with_derivatives(self, design: Design) -> tuple[np.ndarray, np.ndarray]:
@@ -207,32 +205,22 @@ class DesignEvaluator:
         ------
         BudgetExceeded
         """
-        if design not in self._slopes:
-            deviations = self.draw_deviations(0, self.samples)
-            self._spend(len(deviations) * (DERIVATIVE_COST + SETTING_COST * len(self.space.settings)))
-            pieces = [self._derivative_block(design, deviations, first) for first in range(0, len(deviations), BLOCK)]
-            y, slopes = (np.concatenate(arrays) for arrays in zip(*pieces))
-            known = np.isfinite(y).all(axis=1) & np.isfinite(slopes).all(axis=(1, 2))
-            self._slopes[design] = y[known], slopes[known]
-        return self._slopes[design]
+        if self._key(design, "slopes 0") not in self._log.used:
+            self._spend(self.samples * (DERIVATIVE_COST + SETTING_COST * len(self.space.settings)))
 
-    def _derivative_block(self, design: Design, deviations: np.ndarray, first: int) -> tuple[np.ndarray, np.ndarray]:
-        block = deviations[first : first + BLOCK]
-
-        def evaluate() -> dict[str, np.ndarray]:
+        def evaluate(first: int) -> dict[str, np.ndarray]:
             model, names = self.model(design)
-            x = np.column_stack([block, np.tile(np.array(design.settings), (len(block), 1))])
-            result = model.sensitivities(x, self.law, names)
-            self.progress(len(block))
-            valid = ~result.failed[:, None]
-            return {
-                "y": np.where(valid, result.measurements, np.nan),
-                "slopes": np.where(valid[..., None], result.jacobian, np.nan),
-            }
+            deviations = self.draw_deviations(first, min(BLOCK, self.samples - first))
+            x = with_changes(deviations, design.settings)
+            return dict(zip(("y", "slopes"), derivatives(model, x, self.law, self.progress, names)))
 
-        arrays = self.load_or_evaluate(design, f"slopes {first}", evaluate)
-        k, a = len(self.space.scene.measurements), len(self.space.settings)
-        return arrays["y"].reshape(len(block), k), arrays["slopes"].reshape(len(block), k, a)
+        blocks = [
+            self._log.arrays(self._key(design, f"slopes {first}"), partial(evaluate, first))
+            for first in range(0, self.samples, BLOCK)
+        ]
+        y, slopes = (np.concatenate([block[name] for block in blocks]) for name in ("y", "slopes"))
+        known = np.isfinite(y).all(axis=1) & np.isfinite(slopes).all(axis=(1, 2))
+        return y[known], slopes[known]
 
     def merit(self, design: Design, count: int | None = None) -> float:
         """Merit of a design on the first samples; infinite if more of them fail than under the stated scene.
@@ -245,7 +233,7 @@ class DesignEvaluator:
         _, stated = self.values(self.space.stated, 0, len(unfit))
         if unfit.sum() > stated.sum() and self.objective.kind not in ("yield", "cost"):
             return np.inf
-        return self.objective.merit(y, unfit, np.array(design.settings))
+        return self.objective.merit(y, unfit, design.settings)
 
     def is_better(self, design: Design, other: Design) -> bool:
         """Whether a design is better than another on the samples of the search.
@@ -270,17 +258,13 @@ class DesignEvaluator:
         groups = np.arange(part) % min(10, part)
 
         def difference(selected: np.ndarray) -> float:
-            a, b = (
-                self.objective.merit(y[selected], unfit[selected], np.array(candidate.settings))
-                for candidate, y, unfit in sides
-            )
-            return a - b
+            merits = [
+                self.objective.merit(y[selected], unfit[selected], candidate.settings) for candidate, y, unfit in sides
+            ]
+            return merits[0] - merits[1]
 
         without = np.array([difference(groups != g) for g in np.unique(groups)])
-        if not np.isfinite(without).all():
-            return False
-        error = np.sqrt((len(without) - 1) * np.mean((without - without.mean()) ** 2))
-        return bool(difference(groups >= 0) > error)
+        return bool(np.isfinite(without).all() and difference(groups >= 0) > jackknife_error(without))
 
     def _spend(self, count: float) -> None:
         if self.spent + count > self.budget:

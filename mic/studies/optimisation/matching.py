@@ -124,28 +124,22 @@ def _read(name: str, path: Path, scene: Scene, names: list[str]) -> Kind:
             f"{path}: row 1: there is no deviation {unknown[0]!r} in this scene; known: {', '.join(names)}"
         )
     columns = [names.index(str(column)) for column in cells.columns]
-    values, rows = [], []
-    for number, record in enumerate(cells.to_numpy().tolist(), 2):
-        if not any(str(cell).strip() for cell in record):
-            continue
-        numbers = [read_number(str(cell).strip(), separator) for cell in record]
-        for j, value, cell in zip(columns, numbers, record):
-            item = scene.deviations[j]
-            if not np.isfinite(value):
-                raise SceneError(
-                    f"{path}: row {number}, column {item.name}: {cell!r} is not a finite number; correct it"
-                )
-            if abs(value - item.mean) > FARTHEST * item.sigma:
-                raise SceneError(
-                    f"{path}: row {number}, column {item.name}: {value:g} is more than {FARTHEST:g} standard "
-                    f"deviations ({item.sigma:g}) off the mean, {item.mean:g}; give the parts of this scene, or "
-                    "increase the sigma of the deviation"
-                )
-        values.append(numbers)
-        rows.append(number)
-    if len(rows) < 2:
+    cells = cells.apply(lambda column: column.str.strip())
+    cells = cells[(cells != "").any(axis=1)]
+    values = np.array([[read_number(cell, separator) for cell in row] for row in cells.to_numpy().tolist()])
+    for (i, j), value in np.ndenumerate(values):
+        item = scene.deviations[columns[j]]
+        at = f"{path}: row {cells.index[i] + 2}, column {item.name}"
+        if not np.isfinite(value):
+            raise SceneError(f"{at}: {cells.iat[i, j]!r} is not a finite number; correct it")
+        if abs(value - item.mean) > FARTHEST * item.sigma:
+            raise SceneError(
+                f"{at}: {value:g} is more than {FARTHEST:g} standard deviations ({item.sigma:g}) off the mean, "
+                f"{item.mean:g}; give the parts of this scene, or increase the sigma of the deviation"
+            )
+    if len(values) < 2:
         raise SceneError(f"{path}: the file has fewer than two parts; add rows")
-    return Kind(name, columns, np.array(values), rows)
+    return Kind(name, columns, values, [row + 2 for row in cells.index])
 
 
 def assign_parts(kinds: Sequence[Kind], cost: Callable[[np.ndarray], np.ndarray]) -> Matched:
@@ -176,11 +170,7 @@ def assign_parts(kinds: Sequence[Kind], cost: Callable[[np.ndarray], np.ndarray]
 def _reassign(kinds, matching: np.ndarray, t: int, cost) -> tuple[np.ndarray, float]:
     """Reassign the parts of kind `t` to the combinations of the others; two kinds are assigned as a whole."""
     if len(kinds) == 2:
-        first, second = len(kinds[0].values), len(kinds[1].values)
-        pairs = np.stack(np.meshgrid(np.arange(first), np.arange(second), indexing="ij"), axis=-1).reshape(-1, 2)
-        table = cost(pairs).reshape(first, second)
-        rows, columns = linear_sum_assignment(table)
-        return np.column_stack([rows, columns]), float(table[rows, columns].mean())
+        matching = np.tile(np.arange(len(kinds[0].values))[:, None], (1, 2))
     count = len(kinds[t].values)
     candidates = np.repeat(matching, count, axis=0)
     candidates[:, t] = np.tile(np.arange(count), len(matching))
@@ -215,8 +205,7 @@ def match_parts(
     remaining = (evaluator.budget - evaluator.spent) // combinations(kinds)
     samples = int(min(evaluator.samples, max(1, remaining)))
     result = assign_parts(kinds, lambda parts: losses.evaluate(parts, 0, samples).mean(axis=1))
-    numbers = [{row: i for i, row in enumerate(kind.rows)} for kind in kinds]
-    matching = np.array([[number[row] for number, row in zip(numbers, rows)] for rows in result.rows.tolist()])
+    matching = np.column_stack([np.searchsorted(kind.rows, rows) for kind, rows in zip(kinds, result.rows.T)])
     if not losses.varying:
         return result, Estimate.of(np.zeros(1), result.before - result.after, np.nan, np.nan)
     in_file_order = np.tile(np.arange(len(matching))[:, None], (1, len(kinds)))
@@ -251,25 +240,19 @@ class _LossTable:
         step = max(1, BLOCK // len(deviations))
         for start in range(0, len(missing), step):
             batch = missing[start : start + step]
-            x = np.tile(deviations, (len(batch), 1))
-            for i, combination in enumerate(batch):
-                for kind, number in zip(self.kinds, combination):
-                    x[i * len(deviations) : (i + 1) * len(deviations), kind.columns] = kind.values[number]
-            loss = self._losses(x).reshape(len(batch), -1)
-            self._known.update({(combination, first): values for combination, values in zip(batch, loss)})
+            x = np.tile(deviations, (len(batch), 1, 1))
+            for t, kind in enumerate(self.kinds):
+                x[:, :, kind.columns] = kind.values[[combination[t] for combination in batch], None]
+            self._known.update(zip(((combination, first) for combination in batch), self._losses(x)))
         return np.array([self._known[combination, first] for combination in combinations])
 
     def _losses(self, x: np.ndarray) -> np.ndarray:
-        objective = self.evaluator.objective
-
-        def evaluate() -> dict[str, np.ndarray]:
-            y, unfit = self.evaluator.evaluate(self.design, x)
-            return {"y": y, "unfit": unfit.astype(float)}
-
-        arrays = self.evaluator.load_or_evaluate(self.design, f"parts {fingerprint(x.tobytes())}", evaluate)
-        y, unfit = arrays["y"].reshape(len(x), -1), arrays["unfit"].astype(bool)
+        """(c, n) losses of combinations with deviations (c, n, p)."""
+        objective, deviations = self.evaluator.objective, x.reshape(-1, x.shape[2])
+        evaluate = lambda: self.evaluator.evaluate(self.design, deviations)
+        y, unfit = self.evaluator.load_or_evaluate(self.design, f"parts {fingerprint(x.tobytes())}", evaluate)
         squares = (self.weight * ((y - self.centre) / objective.half) ** 2).sum(axis=1)
         loss = np.where(unfit, squares.max(initial=0.0) + UNFIT, squares)
         if objective.kind in ("yield", "cost"):
             loss = (objective.outside(y) | unfit) + SHARE * loss
-        return loss
+        return loss.reshape(x.shape[:2])

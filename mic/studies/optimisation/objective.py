@@ -15,7 +15,7 @@ The gradient takes the share outside smoothed over a quarter of each σ, with Φ
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -29,9 +29,15 @@ __all__ = ["PENALTY", "ConstraintCheck", "Figures", "Objective"]
 
 PENALTY = 1e3
 WORDS = {"cpk": "Cpk", "six-sigma": "6σ"}
+#: Statistics that a constraint on a quantity bounds.
+FIGURES = {"cpk": ("above", "below"), "six-sigma": ("six_sigma",), "mean": ("mean",)}
 TOLERATED = 1e-6  # relative violation of a constraint that counts as none
 SMOOTH = 0.25  # smoothing length relative to σ
 LEAST = 1e-9  # mm: lower bound of σ
+
+Settings = Sequence[float] | np.ndarray
+#: Name, sign (1 for a lower bound, −1 for an upper), bound and scale; values with their derivatives.
+Bound = tuple[str, float, float, float, list[tuple[float, np.ndarray]]]
 
 
 @dataclass(frozen=True)
@@ -78,6 +84,10 @@ class Figures:
     outside: float
     slopes: dict[str, np.ndarray]
 
+    def at(self, name: str, k: int) -> tuple[float, np.ndarray]:
+        """A statistic of measurement k, and its derivatives (a,), empty if they were not computed."""
+        return float(getattr(self, name)[k]), self.slopes[name][k] if self.slopes else np.zeros(0)
+
 
 class Objective:
     """Objective and constraints of a scene.
@@ -93,9 +103,6 @@ class Objective:
     tightening : dict of str to float
         Amount by which a constraint is tightened, by its name, in its unit.
     """
-
-    #: Statistics that a constraint on a quantity bounds.
-    FIGURES = {"cpk": ("above", "below"), "six-sigma": ("six_sigma",), "mean": ("mean",)}
 
     def __init__(self, space: Space):
         scene, request = space.scene, space.request
@@ -147,7 +154,7 @@ class Objective:
 
     # --------------------------------------------------------------------------------------------------- merit
 
-    def value(self, y: np.ndarray, unfit: np.ndarray, settings: np.ndarray) -> float:
+    def value(self, y: np.ndarray, unfit: np.ndarray, settings: Settings) -> float:
         """The objective of samples (n, k), to be minimised.
 
         Parameters
@@ -172,94 +179,73 @@ class Objective:
             return float(outside)
         return float(self.space.costs @ np.abs(settings) + self.request.reject * outside)
 
-    def as_reported(self, value: float) -> float:
-        """The objective with the sign of the reported quantity: Cpk and yield are maximised."""
+    def reported_value(self, y: np.ndarray, unfit: np.ndarray, settings: Settings) -> float:
+        """The objective as it is reported: Cpk and yield are maximised."""
+        value = self.value(y, unfit, settings)
         if self.kind == "cpk":
             return -value
         return 1 - value if self.kind == "yield" else value
 
-    def check_constraints(self, y: np.ndarray, unfit: np.ndarray, settings: np.ndarray) -> list[ConstraintCheck]:
+    def check_constraints(
+        self, y: np.ndarray, unfit: np.ndarray, settings: Settings, tightened: bool = True
+    ) -> list[ConstraintCheck]:
         """Value and violation of each constraint."""
-        return [
-            ConstraintCheck(name, value, bound, max(0.0, gap + tightening), max(0.0, gap + tightening) / scale)
-            for name, value, bound, gap, scale in self._gaps(y[~unfit], settings)
-            for tightening in [self.tightening.get(name, 0.0)]
-        ]
+        if not self.request.constraints:
+            return []
+        checks = []
+        for name, sign, bound, scale, pairs in self._bounds(self.figures(y[~unfit]), settings):
+            value = float(min(value for value, _ in pairs))
+            gap = sign * (bound - value) + tightened * self.tightening.get(name, 0.0)
+            checks.append(ConstraintCheck(name, value, bound, max(0.0, gap), max(0.0, gap) / scale))
+        return checks
 
-    def merit(self, y: np.ndarray, unfit: np.ndarray, settings: np.ndarray) -> float:
+    def merit(self, y: np.ndarray, unfit: np.ndarray, settings: Settings) -> float:
         """Objective plus penalty for constraint violations; designs are compared by it."""
         value = self.value(y, unfit, settings)
-        if not np.isfinite(value) or not self.request.constraints:
-            return value
-        return value + PENALTY * self.violation(y, unfit, settings)
+        return value + PENALTY * self.violation(y, unfit, settings) if np.isfinite(value) else value
 
-    def violation(self, y: np.ndarray, unfit: np.ndarray, settings: np.ndarray) -> float:
+    def violation(self, y: np.ndarray, unfit: np.ndarray, settings: Settings) -> float:
         """Sum of the relative constraint violations."""
-        return sum(check.share for check in self.check_constraints(y, unfit, settings) if check.share > TOLERATED)
+        shares = [check.share for check in self.check_constraints(y, unfit, settings)]
+        return sum((share for share in shares if share > TOLERATED), 0.0)
 
-    def _gaps(self, y: np.ndarray, settings: np.ndarray) -> Iterator[tuple[str, float, float, float, float]]:
-        """Name, value, bound, violation (negative if satisfied) and scale of each constraint."""
-        if not self.request.constraints:
-            return
-        figures = self.figures(y)
-        cpk = np.minimum(figures.above, figures.below)
-        value = {"cpk": cpk, "six-sigma": figures.six_sigma, "mean": figures.mean}
+    def _bounds(self, figures: Figures, settings: Settings) -> Iterator[Bound]:
+        """Each bound of each constraint, for each of its measurements."""
         for constraint in self.request.constraints:
-            force = constraint.quantity == "force"
-            for k in self._numbers(constraint):
-                actual = self.force(constraint, settings) if force else float(value[constraint.quantity][k])
-                for name, sign, bound, scale in self._bounds(constraint, k):
-                    yield name, actual, bound, sign * (bound - actual), scale
+            quantity, of = constraint.quantity, constraint.of
+            bounds = [("at least", 1.0, constraint.at_least), ("at most", -1.0, constraint.at_most)]
+            targets = [k for k, name in enumerate(self.names) if not of or name in of]
+            for k in [0] if quantity == "force" else targets:
+                if quantity == "force":
+                    what = f"force of {' and '.join(of) if of else 'all clamps'}"
+                    pairs = [self._force(constraint, settings)]
+                else:
+                    what = f"{WORDS.get(quantity, quantity)} of {self.names[k]}"
+                    pairs = [figures.at(name, k) for name in FIGURES[quantity]]
+                for comparison, sign, bound in bounds:
+                    if bound is not None:
+                        scale = {"cpk": 1.0, "force": max(abs(bound), 1.0)}.get(quantity, float(self.half[k]))
+                        yield f"{what} {comparison} {bound:g}", sign, bound, scale, pairs
 
-    def _bounds(self, constraint, k: int) -> Iterator[tuple[str, float, float, float]]:
-        """Name, sign (1 for a lower bound, −1 for an upper), bound and scale of each bound of a constraint."""
-        what = f"{WORDS.get(constraint.quantity, constraint.quantity)} of {self.names[k]}"
-        if constraint.quantity == "force":
-            what = f"force of {' and '.join(constraint.of) if constraint.of else 'all clamps'}"
-        for comparison, sign, bound in (("at least", 1.0, constraint.at_least), ("at most", -1.0, constraint.at_most)):
-            if bound is not None:
-                scale = {"cpk": 1.0, "force": max(abs(bound), 1.0)}.get(constraint.quantity, float(self.half[k]))
-                yield f"{what} {comparison} {bound:g}", sign, bound, scale
-
-    def force(self, constraint, settings: np.ndarray) -> float:
-        """The sum of forces that a constraint bounds, N."""
-        return sum(clamp.force for clamp in clamps_with_force(self.space.scene, constraint)) + float(
-            self.force_slopes(constraint) @ np.asarray(settings, dtype=float)
-        )
-
-    def force_slopes(self, constraint) -> np.ndarray:
-        """(a,) derivative of that sum by each setting."""
-        names = [clamp.name for clamp in clamps_with_force(self.space.scene, constraint)]
-        return np.array([float(sum(name in names for name in setting.targets)) for setting in self.space.settings])
-
-    def _numbers(self, constraint) -> list[int]:
-        """Numbers of the measurements of a constraint; [0] for a sum of forces."""
-        if constraint.quantity == "force":
-            return [0]
-        return [k for k, name in enumerate(self.names) if not constraint.of or name in constraint.of]
+    def _force(self, constraint, settings: Settings) -> tuple[float, np.ndarray]:
+        """The sum of forces that a constraint bounds, N, and its derivative (a,) by each setting."""
+        clamps = clamps_with_force(self.space.scene, constraint)
+        names = [clamp.name for clamp in clamps]
+        slopes = np.array([float(sum(name in names for name in item.targets)) for item in self.space.settings])
+        return sum(clamp.force for clamp in clamps) + float(slopes @ settings), slopes
 
     # ------------------------------------------------------------------------------------------------ gradient
 
-    def inequalities(self, figures: Figures, settings: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def inequalities(self, figures: Figures, settings: Settings) -> tuple[np.ndarray, np.ndarray]:
         """Relative constraints c ≥ 0 (q,), scaled as in :class:`ConstraintCheck`, and their derivatives (q, a)."""
         values: list[float] = []
         slopes: list[np.ndarray] = []
-
-        for constraint in self.request.constraints:
-            for k in self._numbers(constraint):
-                if constraint.quantity == "force":
-                    pairs = [(self.force(constraint, settings), self.force_slopes(constraint))]
-                else:
-                    names = self.FIGURES[constraint.quantity]
-                    pairs = [(float(getattr(figures, name)[k]), figures.slopes[name][k]) for name in names]
-                for bound_name, sign, bound, scale in self._bounds(constraint, k):
-                    finite = [(value, slope) for value, slope in pairs if np.isfinite(value)]
-                    values += [
-                        (sign * (value - bound) - self.tightening.get(bound_name, 0.0)) / scale for value, _ in finite
-                    ]
-                    slopes += [sign * slope / scale for _, slope in finite]
-        a = len(self.space.settings)
-        return np.array(values), np.array(slopes).reshape(-1, a)
+        for name, sign, bound, scale, pairs in self._bounds(figures, settings):
+            for value, slope in pairs:
+                if np.isfinite(value):
+                    values.append((sign * (value - bound) - self.tightening.get(name, 0.0)) / scale)
+                    slopes.append(sign * slope / scale)
+        return np.array(values), np.array(slopes).reshape(-1, len(self.space.settings))
 
     def objective_terms(self, figures: Figures) -> tuple[np.ndarray, np.ndarray]:
         """Values (q,) whose maximum is the objective, and their derivatives (q, a); one value if the objective is

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from itertools import count as counted
 from pathlib import Path
 
 import numpy as np
@@ -240,29 +241,17 @@ def _search_with_tightening(
     stream = np.random.default_rng(evaluator.seed)
     for _ in range(MAX_SEARCHES):
         best = _search(evaluator, best, stream, history, better)
-        if best == space.stated:
+        if best == space.stated or not space.request.constraints:
             break
-        y, unfit = evaluator.values(best, 0, evaluator.samples)
-        violated = _violated_constraints(evaluator, best, first, fresh)
-        if not violated or objective.violation(y, unfit, np.array(best.settings)):
+        checks = objective.check_constraints(*evaluator.values(best, first, fresh), best.settings, tightened=False)
+        violated = [check for check in checks if check.share > CONSTRAINT_TOLERANCE]
+        if not violated or objective.violation(*evaluator.values(best, 0, evaluator.samples), best.settings):
             break
-        objective.tightening = {
-            check.name: objective.tightening.get(check.name, 0.0) + check.short for check in violated
-        }
+        for check in violated:
+            objective.tightening[check.name] = objective.tightening.get(check.name, 0.0) + check.short
         if space.scene.monte_carlo.values is None:
             first += fresh
     return best, first, history
-
-
-def _violated_constraints(evaluator: DesignEvaluator, best: Design, first: int, fresh: int) -> list[ConstraintCheck]:
-    """The constraints, without tightening, that fresh samples violate."""
-    if not evaluator.space.request.constraints:
-        return []
-    objective = evaluator.objective
-    tightening, objective.tightening = objective.tightening, {}
-    checks = objective.check_constraints(*evaluator.values(best, first, fresh), np.array(best.settings))
-    objective.tightening = tightening
-    return [check for check in checks if check.share > CONSTRAINT_TOLERANCE]
 
 
 def _search(
@@ -272,9 +261,7 @@ def _search(
     space = evaluator.space
 
     def record(design: Design) -> None:
-        y, unfit = evaluator.search_values(design)
-        objective = evaluator.objective
-        value = objective.as_reported(objective.value(y, unfit, np.array(design.settings)))
+        value = evaluator.objective.reported_value(*evaluator.search_values(design), design.settings)
         history.append((int(evaluator.spent), value))
         better(space.changes(design), value)
 
@@ -282,13 +269,13 @@ def _search(
         return best
     try:
         record(best)
-        round_number, finished = 0, False
-        while not finished:
+        for round_number in counted():
             before = best
             if space.discrete:
                 best = _search_discrete(evaluator, best, stream, record, exhaustive=round_number == 0)
             best = descend(best, evaluator, record)
-            round_number, finished = round_number + 1, best == before or not (space.discrete and space.settings)
+            if best == before or not (space.discrete and space.settings):
+                break
     except BudgetExceeded:
         if not history:
             raise SceneError(
@@ -307,10 +294,10 @@ def _search_discrete(evaluator: DesignEvaluator, best: Design, stream, record, e
         return best
     if designs is not None and _halving_cost(len(designs), evaluator.samples) <= allowance:
         candidates = [best, *(replace(design, settings=best.settings) for design in designs if design != best)]
-        return successive_halving(candidates, evaluator, evaluator.samples, BLOCK, record)
+        return successive_halving(candidates, evaluator, record)
     evaluator.budget = evaluator.spent + allowance
     try:
-        return local_search(best, evaluator.space, evaluator, stream, record)
+        return local_search(best, evaluator, stream, record)
     finally:
         evaluator.budget = budget
 
@@ -344,36 +331,37 @@ def evaluate_design(
     kinds : sequence of Kind
         Measured parts to be matched under this design.
     """
-    space, objective = evaluator.space, evaluator.objective
+    space, objective, settings = evaluator.space, evaluator.objective, best.settings
     objective.tightening = {}
-    stated, settings = space.stated, np.array(best.settings)
     searched = bool(space.settings) or space.discrete
-    k = len(space.scene.measurements)
 
     def values(design: Design, start: int, count: int) -> tuple[np.ndarray, np.ndarray]:
-        return evaluator.values(design, start, count) if searched else (np.zeros((0, k)), np.zeros(0, dtype=bool))
+        if searched:
+            return evaluator.values(design, start, count)
+        return np.zeros((0, len(objective.names))), np.zeros(0, dtype=bool)
 
-    a, unfit_a = values(stated, first, fresh)
-    b, unfit_b = values(best, first, fresh) if best != stated else (a, unfit_a)
-    y, unfit = values(best, 0, evaluator.samples)
-    report = lambda y, unfit, at: objective.as_reported(objective.value(y, unfit, at))
+    a, unfit_a = values(space.stated, first, fresh)
+    b, unfit_b = values(best, first, fresh)
     before, after = (
-        Side(name, space.scene, evaluator.law, _frame(space.scene, measured, failed))
-        for name, measured, failed in (("as it is", a, unfit_a), ("optimised", b, unfit_b))
+        Side(
+            name, space.scene, evaluator.law, pd.DataFrame(np.where(unfit[:, None], np.nan, y), columns=objective.names)
+        )
+        for name, y, unfit in (("as it is", a, unfit_a), ("optimised", b, unfit_b))
     )
+    pairs = np.concatenate([a, b], axis=1)[~(unfit_a | unfit_b)]
     combination, combination_gain = match_parts(evaluator, best, kinds, fresh) if kinds else (None, None)
     return Optimum(
         law=evaluator.law,
         objective=objective.kind,
         changes=space.changes(best),
         scene=space.with_design(best),
-        gain=_gain(objective, a, b, unfit_a, unfit_b, settings),
-        before=report(a, unfit_a, np.zeros(len(settings))),
-        after=report(b, unfit_b, settings),
+        gain=_share_gain(objective, a, b, unfit_a, unfit_b, settings) or _decrease(objective.value, pairs, settings),
+        before=objective.reported_value(a, unfit_a, space.stated.settings),
+        after=objective.reported_value(b, unfit_b, settings),
         table=differences(before, after)[0] if searched else COMPARISON.empty(),
         kept=objective.check_constraints(b, unfit_b, settings) if len(b) > 1 else [],
-        relief=_violation_reduction(objective, a, b, ~(unfit_a | unfit_b), settings),
-        found=report(y, unfit, settings),
+        relief=_decrease(objective.violation, pairs, settings),
+        found=objective.reported_value(*values(best, 0, evaluator.samples), settings),
         samples=evaluator.samples,
         fresh=len(a),
         evaluations=int(np.ceil(evaluator.spent)),
@@ -383,30 +371,22 @@ def evaluate_design(
     )
 
 
-def _frame(scene: Scene, y: np.ndarray, unfit: np.ndarray) -> pd.DataFrame:
-    """Samples by measurement; NaN for samples that failed or could not be built."""
-    return pd.DataFrame(np.where(unfit[:, None], np.nan, y), columns=[item.name for item in scene.measurements])
+def _share_gain(objective: Objective, a, b, unfit_a, unfit_b, settings: Sequence[float]) -> Estimate | None:
+    """Improvement of an objective that is a share, or its cost, with its confidence interval; None for others."""
+    if objective.kind not in ("yield", "cost"):
+        return None
+    change = share_change(objective.outside(a) | unfit_a, objective.outside(b) | unfit_b)
+    reject = objective.request.reject if objective.kind == "cost" else 1.0
+    cost = float(objective.space.costs @ np.abs(settings)) if objective.kind == "cost" else 0.0
+    return Estimate.of(a[:, 0], *(-reject * end - cost for end in (change.value, change.high, change.low)))
 
 
-def _gain(objective: Objective, a, b, unfit_a, unfit_b, settings: np.ndarray) -> Estimate:
-    """Improvement of the objective with its confidence interval."""
-    if objective.kind in ("yield", "cost"):
-        outside = [objective.outside(y) | unfit for y, unfit in ((a, unfit_a), (b, unfit_b))]
-        change = share_change(*outside)
-        reject = objective.request.reject if objective.kind == "cost" else 1.0
-        cost = float(objective.space.costs @ np.abs(settings)) if objective.kind == "cost" else 0.0
-        return Estimate.of(a[:, 0], *(-reject * end - cost for end in (change.value, change.high, change.low)))
-    valid = ~(unfit_a | unfit_b)
-    k, unchanged = a.shape[1], np.zeros(len(settings))
-    value = lambda y: objective.value(y, np.zeros(len(y), dtype=bool), unchanged)
-    return jackknife(np.concatenate([a[valid], b[valid]], axis=1), lambda y: value(y[:, :k]) - value(y[:, k:]))
+def _decrease(statistic: Callable[..., float], pairs: np.ndarray, settings: Sequence[float]) -> Estimate:
+    """Decrease of a statistic from stated samples (n, k) to those with settings, side by side, with its interval."""
+    stated, k = np.zeros(len(settings)), pairs.shape[1] // 2
 
+    def decrease(y: np.ndarray) -> float:
+        fit = np.zeros(len(y), dtype=bool)
+        return statistic(y[:, :k], fit, stated) - statistic(y[:, k:], fit, settings)
 
-def _violation_reduction(objective: Objective, a, b, valid: np.ndarray, settings: np.ndarray) -> Estimate:
-    """Reduction of the sum of relative constraint violations with its confidence interval."""
-    if not objective.request.constraints:
-        return Estimate.of(np.zeros(len(a)), 0.0, 0.0, 0.0)
-    k, unchanged = a.shape[1], np.zeros(len(settings))
-    violation = lambda y, settings: objective.violation(y, np.zeros(len(y), dtype=bool), settings)
-    reduction = lambda y: violation(y[:, :k], unchanged) - violation(y[:, k:], settings)
-    return jackknife(np.concatenate([a[valid], b[valid]], axis=1), reduction)
+    return jackknife(pairs, decrease)

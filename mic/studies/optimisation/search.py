@@ -23,7 +23,7 @@ from itertools import permutations, product
 import numpy as np
 
 from mic.studies.optimisation.design import Design, Sequenced, Space
-from mic.studies.optimisation.evaluations import BudgetExceeded, DesignEvaluator
+from mic.studies.optimisation.evaluations import BLOCK, BudgetExceeded, DesignEvaluator
 
 __all__ = ["FEW", "all_designs", "local_search", "random_design", "successive_halving"]
 
@@ -37,10 +37,9 @@ def all_designs(space: Space, limit: int = FEW) -> list[Design] | None:
     count = math.prod(math.factorial(len(groups)) for groups in space.groups) * math.prod(map(len, space.points))
     if count > limit:
         return None
-    stated = space.stated
     orders = product(*([None, *permutations(groups)] for groups in space.groups))
     places = list(product(*(range(len(points)) for points in space.points)))
-    designs = [Design(stated.settings, tuple(order), numbers) for order in orders for numbers in places]
+    designs = [Design(space.stated.settings, order, numbers) for order in orders for numbers in places]
     return [design for design in designs if not _repeats_stated_order(space, design)]
 
 
@@ -51,9 +50,7 @@ def _repeats_stated_order(space: Space, design: Design) -> bool:
     )
 
 
-def successive_halving(
-    designs: list[Design], evaluator: DesignEvaluator, samples: int, block: int, better: Callable[[Design], None]
-) -> Design:
+def successive_halving(designs: list[Design], evaluator: DesignEvaluator, better: Callable[[Design], None]) -> Design:
     """The best of some designs, by successive halving.
 
     Parameters
@@ -61,40 +58,31 @@ def successive_halving(
     designs : list of Design
         The first is the best so far.
     evaluator : DesignEvaluator
-    samples, block : int
-        Numbers of samples of the last comparison, and of the first.
     better : callable
         Called with the best design if it is not the first.
     """
-    remaining, count = designs, block
+    first, remaining, count = designs[0], designs, BLOCK
     while len(remaining) > 1:
         merits = [evaluator.merit(design, count) for design in remaining]
-        if count >= samples:
-            best = remaining[int(np.argmin(merits))]
+        if count >= evaluator.samples:
+            remaining = [remaining[int(np.argmin(merits))]]
             break
         ranked = [remaining[i] for i in np.argsort(merits, kind="stable")[: max(2, -(-len(remaining) // 2))]]
-        remaining = [remaining[0], *(design for design in ranked if design != remaining[0])]
-        count = min(2 * count, samples)
-    else:
-        best = remaining[0]
-    if best != designs[0]:
-        better(best)
-    return best
+        remaining = [first, *(design for design in ranked if design != first)]
+        count = min(2 * count, evaluator.samples)
+    if remaining[0] != first:
+        better(remaining[0])
+    return remaining[0]
 
 
 def local_search(
-    start: Design,
-    space: Space,
-    evaluator: DesignEvaluator,
-    stream: np.random.Generator,
-    better: Callable[[Design], None],
+    start: Design, evaluator: DesignEvaluator, stream: np.random.Generator, better: Callable[[Design], None]
 ) -> Design:
     """The best design of an iterated local search, until the budget is spent or perturbations no longer help.
 
     Parameters
     ----------
     start : Design
-    space : Space
     evaluator : DesignEvaluator
     stream : numpy.random.Generator
     better : callable
@@ -103,7 +91,7 @@ def local_search(
     best, current, fruitless = start, start, 0
     try:
         while fruitless <= MAX_FRUITLESS:
-            neighbours = _moves(current, space, stream)
+            neighbours = _moves(current, evaluator.space, stream)
             improvement = next((design for design in neighbours if evaluator.is_better(design, current)), None)
             if improvement is not None:
                 current = improvement
@@ -113,7 +101,7 @@ def local_search(
                 continue
             current, fruitless = best, fruitless + 1
             for _ in range(KICKS):
-                current = next(_moves(current, space, stream), current)
+                current = next(_moves(current, evaluator.space, stream), current)
     except BudgetExceeded:
         pass
     return best
