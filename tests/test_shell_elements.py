@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from support.panels import grid
+from support.panels import grid, panel, some_normals
 from support.shells import at, supported_solution, vertex
 
 from fem_reference.shell.part import ELEMENTS, ShellPart
@@ -78,7 +78,7 @@ def plane_stress_energy(strain):
     return vector @ D @ vector
 
 
-@pytest.mark.parametrize("stretch", [1, 10, 100])
+@pytest.mark.parametrize("stretch", [1, 100])
 @pytest.mark.parametrize("field", [membrane_field, bending_field])
 @pytest.mark.parametrize("element", ELEMENTS)
 def test_patch(element, field, stretch):
@@ -94,38 +94,30 @@ def test_patch(element, field, stretch):
     assert u @ part.stiffness_csr() @ u / 2 == pytest.approx(energy * surface.areas.sum(), rel=rounding)
 
 
-def curved(n=5):
-    return grid(n, n, lambda X, Y: np.column_stack([40 * X, 30 * Y, 9 * np.sin(2 * X + Y)]), jitter=0.3)
-
-
 def junction():
     """Three sheets on one edge."""
-    flange = [
-        grid(3, 3, lambda X, Y, d=d: np.column_stack([9 * X * d[0], 10 * Y, 9 * X * d[1]]))
-        for d in ((1, 0), (-1, 0), (0, 1))
-    ]
-    points = np.concatenate([surface.points for surface in flange])
-    triangles = np.concatenate([surface.triangles + i * 16 for i, surface in enumerate(flange)])
-    unique, number = np.unique(np.round(points, 9), axis=0, return_inverse=True)
-    return Surface(unique, number.ravel()[triangles])
+    return Surface(np.random.default_rng(1).normal(size=(5, 3)), [[0, 1, 2], [1, 0, 3], [1, 0, 4]])
 
 
 def single_triangle():
     return Surface([[0, 0, 0], [5, 1, 2], [1, 6, -1]], [[0, 1, 2]])
 
 
-@pytest.mark.parametrize("surface", [curved, junction, single_triangle])
+@pytest.mark.parametrize("surface", [panel, junction, single_triangle])
 @pytest.mark.parametrize("element", ELEMENTS)
 def test_exactly_six_zero_energy_modes(element, surface):
-    part = ShellPart(surface(), T, E, NU, element)
+    """Whatever the normals at the corners of the triangles."""
+    drawn = surface()
+    surface = Surface(drawn.points, drawn.triangles, some_normals(drawn))
+    part = ShellPart(surface, T, E, NU, element)
     K = part.stiffness_csr().toarray()
     assert abs(K - K.T).max() < 1e-13 * abs(K).max()
     assert abs(K @ part.rigid_modes).max() < 1e-11 * abs(K).max() * abs(part.rigid_modes).max()
     # rotations weighed with a length of the mesh, so that the spectrum has one unit
-    scale = np.where(part.dof_component < 3, 1.0, 1 / 5.0)
+    scale = np.where(part.dof_component < 3, 1.0, 1 / np.sqrt(surface.areas.mean()))
     spectrum = np.linalg.eigvalsh(scale[:, None] * K * scale)
     assert abs(spectrum[:6]).max() < 1e-13 * spectrum[-1]
-    assert spectrum[6] > 1e-7 * spectrum[-1]
+    assert spectrum[6] > 1e-8 * spectrum[-1]
 
 
 def felippa_opt_stiffness(x, y, t):
@@ -139,17 +131,8 @@ def felippa_opt_stiffness(x, y, t):
     for j, i, k in ((1, 3, 2), (2, 1, 3), (3, 2, 1)):
         L[3 * j - 3] = [Y(k, i), 0, X(i, k)]
         L[3 * j - 2] = [0, X(i, k), Y(k, i)]
-        L[3 * j - 1] = (
-            α
-            / 6
-            * np.array(
-                [
-                    Y(k, i) * (Y(j, i) - Y(k, j)),
-                    X(i, k) * (X(i, j) - X(j, k)),
-                    2 * (X(i, j) * Y(j, i) - X(k, j) * Y(j, k)),
-                ]
-            )
-        )
+        rotation = [Y(k, i) * (Y(j, i) - Y(k, j)), X(i, k) * (X(i, j) - X(j, k))]
+        L[3 * j - 1] = α / 6 * np.array([*rotation, 2 * (X(i, j) * Y(j, i) - X(k, j) * Y(j, k))])
     L *= t / 2
     basic = L @ D @ L.T / (t * A)
     l2 = {(i, j): X(i, j) ** 2 + Y(i, j) ** 2 for i, j in ((2, 1), (3, 2), (1, 3))}
@@ -190,8 +173,7 @@ def test_membrane_equals_the_published_matrices():
     assert abs(K - expected).max() < 1e-12 * abs(expected).max()
 
 
-@pytest.mark.parametrize("poisson", [0.0, 0.3, 0.49])
-@pytest.mark.parametrize("sides", [(1, 1), (10, 1), (100, 1), (1, 100)])
+@pytest.mark.parametrize("sides, poisson", [((1, 1), 0.0), ((100, 1), 0.3), ((1, 100), 0.49)])
 def test_in_plane_bending_energy_at_any_aspect_ratio(sides, poisson):
     """A rectangle a × b of two triangles bent in its plane stores E I κ² a/2, what OPT is optimal for (Felippa 2003).
 
@@ -205,10 +187,7 @@ def test_in_plane_bending_energy_at_any_aspect_ratio(sides, poisson):
     assert energy == pytest.approx(E * T * b**3 / 12 * κ**2 * a / 2, rel=1e-6)
 
 
-@pytest.mark.parametrize(
-    ("t", "jitter"),
-    [(10.0, 0.0), (1.0, 0.0), (0.1, 0.0), (0.01, 0.0), (0.001, 0.0), (10.0, 0.1), (1.0, 0.1), (0.1, 0.1)],
-)
+@pytest.mark.parametrize(("t", "jitter"), [(10.0, 0.0), (0.001, 0.0), (10.0, 0.1), (0.1, 0.1)])
 @pytest.mark.parametrize("element", ELEMENTS)
 def test_pinched_ring_from_thick_to_thin(element, t, jitter):
     """t/R = 1e-1 … 1e-5 with triangle sides along the generators, 1e-1 … 1e-3 without. ν = 0.
@@ -222,7 +201,7 @@ def test_pinched_ring_from_thick_to_thin(element, t, jitter):
     """
     R, b = 100.0, 40.0
     shape = lambda X, Y: np.column_stack([R * np.sin(np.pi / 2 * X), b * Y, R * np.cos(np.pi / 2 * X)])
-    part = ShellPart(grid(32, 8, shape, jitter=jitter, pattern="cross"), t, E, 0.0, element)
+    part = ShellPart(grid(32, 4, shape, jitter=jitter, pattern="cross"), t, E, 0.0, element)
     on_crown = np.flatnonzero(abs(part.surface.points[:, 0]) < 1e-9)
     P = 1.0
     share = np.full(len(on_crown), 1 / (len(on_crown) - 1))

@@ -32,8 +32,8 @@ def test_two_codes_and_three_elements_agree_within_their_own_errors(name):
 
 @pytest.mark.parametrize("name", KEPT)
 def test_shells_of_the_reference_reproduce_the_stored_values(name):
-    for size, kept in list(zip(KEPT[name]["sizes"], KEPT[name]["methods"]["p2-cr"]["off"]))[:2]:
-        assert off(references.by_shells(references.CASES[name], size, "p2-cr"), name) == pytest.approx(kept, rel=1e-2)
+    size, kept = KEPT[name]["sizes"][0], KEPT[name]["methods"]["p2-cr"]["off"][0]
+    assert off(references.by_shells(references.CASES[name], size, "p2-cr"), name) == pytest.approx(kept, rel=1e-2)
 
 
 def crown(points):
@@ -50,14 +50,13 @@ def test_the_production_element_meets_the_reference(name, size, normals, bar):
     """Its theory, Kirchhoff's, ends 0.4 % beside the panel's reference.  On 5 mm it leaves 3.0 %; with normals that are
     estimated 1.303 % on 2.5 mm."""
     error = off(references.by_shells(references.CASES[name], size, "dkt-opt-curved", normals), name)
-    print(name, size, error)
     assert error < bar
 
 
 def test_quadrilaterals_are_split_so_that_little_is_lost():
     """The same points with all diagonals one way leave half as much again."""
     case = references.CASES["crowned panel"]
-    coordinates, cells = case.grid(5)
+    coordinates, cells = case.grid(10)
     cells = np.sort(cells, axis=1)[:, [0, 1, 3, 2]]  # the lowest number first, whatever the reference made of them
     points = case.shape(coordinates)
     one_way = np.concatenate([cells[:, [0, 1, 2]], cells[:, [0, 2, 3]]])
@@ -66,7 +65,6 @@ def test_quadrilaterals_are_split_so_that_little_is_lost():
         off(references.on_triangles(case, *mesh, "dkt-opt-curved"), "crowned panel")
         for mesh in ((points, one_way), split[:2])
     ]
-    print(errors)
     assert errors[1] < 0.7 * errors[0]
 
 

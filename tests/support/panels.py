@@ -42,6 +42,12 @@ def panel(n=8):
     )
 
 
+def some_normals(surface, seed=0):
+    """Arbitrary normals (k, 3, 3) at the corners, some ten degrees off the triangles' own."""
+    normals = surface.normals[:, None] + 0.2 * np.random.default_rng(seed).normal(size=(len(surface.triangles), 3, 3))
+    return normals / np.linalg.norm(normals, axis=2, keepdims=True)
+
+
 def functionals(surface, places, radius):
     """Twelve rows at every place: displacements at the three levels (side −1, 0, 1) and rotations, x, y, z each."""
     patches = tuple(surface.patch(place, radius) for place in places)
