@@ -13,7 +13,7 @@ from mic.report.driver_sentences import friction_words
 from mic.results.schema import FRICTION_EFFECTS
 from mic.studies.friction import friction_effects, friction_needed, with_scaled_friction
 
-MU, LIFT, PULL = 0.3, 0.4, 2.0
+MU, LIFT, PULL, SAMPLES = 0.3, 0.4, 2.0, 10
 
 
 @pytest.fixture(scope="module")
@@ -42,14 +42,14 @@ def dragged():
 
 @pytest.fixture(scope="module")
 def effects(dragged):
-    return friction_effects(dragged, "coulomb", 30, seed=2)
+    return friction_effects(dragged, "coulomb", SAMPLES, seed=2)
 
 
 @pytest.mark.slow
 def test_changes_agree_with_the_closed_form(dragged, effects):
     """The drag, and with it mean and 6σ, goes as μ of the zone above; the zone below never touches."""
     FRICTION_EFFECTS.check(effects, "memory", "mend it")
-    lift = mic.statistics.draw.draw(dragged.scene, 2, 0, 30)[:, 0] / 2
+    lift = mic.statistics.draw.draw(dragged.scene, 2, 0, SAMPLES)[:, 0] / 2
     for row in effects.to_dict("records"):
         change = 0.0 if row["zone"] == "below" else row["factor"] - 1
         assert row["mean_change"] == pytest.approx(change * MU * lift.mean() / 4, abs=1e-9)
@@ -78,15 +78,12 @@ def test_the_zone_that_decides_and_how_well_its_friction_must_be_known(effects):
 @pytest.mark.slow
 def test_friction_that_varies_is_scaled_with_its_mean(dragged):
     """μ of every sample goes by the factor, so the drag of every sample does."""
-    rough = {"name": "R", "kind": "friction", "target": "above", "sigma": 0.05}
-    items = [*dragged.scene.model_dump(mode="json")["deviations"], rough]
-    scene = mic.Scene(**dragged.scene.model_dump(mode="json") | {"deviations": items})
-    none = np.zeros((dragged.compliance.size, 3))
-    varied = replace(dragged, scene=scene, shape=none, shape_forces=none)
-    found = friction_effects(varied, "coulomb", 20, seed=2)
-    mean = varied.process("coulomb").evaluate(mic.statistics.draw.draw(scene, 2, 0, 20)).measurements.mean()
+    rough = mic.scene.deviation.FrictionDeviation(name="R", kind="friction", target="above", sigma=0.05)
+    varied = dragged.varied(dragged.scene.model_copy(update={"deviations": [*dragged.scene.deviations, rough]}))
+    found = friction_effects(varied, "coulomb", 6, seed=2)
+    mean = varied.evaluate(mic.statistics.draw.draw(varied.scene, 2, 0, 6), "coulomb").measurements.mean()
     own = found[found["zone"] == ""].set_index("factor")
-    assert (own["samples"] == 20).all()  # none has less than no friction
+    assert (own["samples"] == 6).all()  # none has less than no friction
     np.testing.assert_allclose(own["mean_change"], [-mean, -mean / 2, mean], rtol=1e-8)
 
 
@@ -94,9 +91,8 @@ def test_friction_without_effect_is_reported_so(lap_model):
     found = friction_effects(lap_model, "coulomb", 6, seed=1)
     assert set(found["zone"]) == {""} and (found["six_sigma_change"] != 0).all()
     first, second = friction_words(found, friction_needed(found))
-    assert first.startswith("Friction has little effect") and second.startswith(
-        "Results change by less than a tenth of 6σ"
-    )
+    assert first.startswith("Friction has little effect")
+    assert second.startswith("Results change by less than a tenth of 6σ")
 
 
 def test_friction_by_pressure_is_scaled_with_the_rest(lap_model):
@@ -113,10 +109,10 @@ def test_friction_by_pressure_is_scaled_with_the_rest(lap_model):
 @pytest.mark.slow
 def test_the_command_prints_effects_and_refuses_a_frictionless_law(dragged, tmp_path):
     dragged.save(tmp_path / "model.npz")
-    arguments = ["friction", str(tmp_path / "model.npz"), "--samples", "10"]
+    arguments = ["friction", str(tmp_path / "model.npz"), "--samples", "4"]
     done = CliRunner().invoke(app, arguments, env={"COLUMNS": "160"})
     assert done.exit_code == 0, done.output
-    found = friction_effects(dragged, "coulomb", 10, dragged.scene.monte_carlo.seed)
+    found = friction_effects(dragged, "coulomb", 4, dragged.scene.monte_carlo.seed)
     for sentence in friction_words(found, friction_needed(found)):
         assert sentence in " ".join(done.output.split())
     refused = CliRunner().invoke(app, [*arguments, "--law", "frictionless"])

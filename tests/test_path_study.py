@@ -1,5 +1,6 @@
 """What the path left in a run's results: its first samples on a tighter path, against the same by another route."""
 
+import shutil
 from dataclasses import replace
 
 import numpy as np
@@ -18,7 +19,7 @@ from mic.results.table_writer import write_path_study, write_tables
 from mic.runs import sample_into
 from mic.statistics.draw import draw
 
-SAMPLES, SEED = 20, 5
+SAMPLES, SEED = path_error.SAMPLES + 4, 5
 
 
 def with_increments(model, count):
@@ -37,9 +38,29 @@ def folder(lap_model, tmp_path_factory):
     # No more than are repeated: of the same batch every product is rounded alike.
     model = with_increments(lap_model, 2)
     sample_into(folder, model, ["coulomb", "associated", "frictionless"], path_error.SAMPLES, SEED)
-    write_path_study(read_outcome(folder))
+    studied(folder)
     write_tables(read_outcome(folder))
     return folder
+
+
+@pytest.fixture(scope="module")
+def samples(lap_model, tmp_path_factory):
+    """A run of two increments a step, and more samples than are repeated."""
+    folder = tmp_path_factory.mktemp("samples")
+    sample_into(folder, with_increments(lap_model, 2), ["coulomb", "frictionless"], SAMPLES, SEED)
+    return folder
+
+
+@pytest.fixture
+def own(samples, tmp_path):
+    """The same, to be changed."""
+    return shutil.copytree(samples, tmp_path / "run")
+
+
+def studied(folder):
+    """The study of a run, written and read."""
+    write_path_study(read_outcome(folder))
+    return read_outcome(folder).path_study
 
 
 @pytest.fixture(scope="module")
@@ -62,11 +83,8 @@ def test_a_tighter_path_is_of_the_same_kind():
 @pytest.mark.slow
 def test_the_first_samples_stand_beside_themselves_on_the_tighter_path(folder, on_both, lap_model):
     study = read_outcome(folder).path_study
-    assert {law: study.repeated(law) for law in ("coulomb", "associated", "frictionless")} == {
-        "coulomb": path_error.SAMPLES,
-        "associated": path_error.SAMPLES,
-        "frictionless": 0,
-    }
+    repeated = [study.repeated(law) for law in ("coulomb", "associated", "frictionless")]
+    assert repeated == [path_error.SAMPLES, path_error.SAMPLES, 0]
     pairs = study.pairs[study.pairs["law"] == "coulomb"].set_index(["quantity", "stage", "name"]).sort_index()
     for column, evaluation in zip(("value", "tighter"), on_both):
         for k, item in enumerate(lap_model.scene.measurements):
@@ -146,11 +164,9 @@ def test_one_sample_has_no_spread_to_change():
     assert mean.change == pytest.approx(0.1) and np.isnan(spread.change)
 
 
-def test_the_first_valid_samples_are_repeated_and_failed_ones_are_not(lap_model, tmp_path):
-    sample_into(tmp_path, with_increments(lap_model, 2), ["coulomb"], SAMPLES, SEED)
-    fail(tmp_path, "coulomb", {3: ("clamp", "not converged")})
-    write_path_study(read_outcome(tmp_path))
-    found = read_outcome(tmp_path).path_study.pairs["sample"].unique()
+def test_the_first_valid_samples_are_repeated_and_failed_ones_are_not(own):
+    fail(own, "coulomb", {3: ("clamp", "not converged")})
+    found = studied(own).pairs["sample"].unique()
     assert found.tolist() == [i for i in range(path_error.SAMPLES + 1) if i != 3]
 
 
@@ -161,8 +177,7 @@ def test_a_study_is_the_same_whenever_it_is_made(folder):
     assert [(folder / "tables" / name).read_bytes() for name in names] == before
 
 
-def test_a_repetition_that_breaks_is_lost_alone(lap_model, tmp_path, monkeypatch):
-    sample_into(tmp_path, with_increments(lap_model, 2), ["coulomb"], SAMPLES, SEED)
+def test_a_repetition_that_breaks_is_lost_alone(lap_model, own, monkeypatch):
     target, evaluate = draw(lap_model.scene, SEED, 2, 1), Process.evaluate
 
     def breaks(self, deviations, *at):
@@ -171,40 +186,34 @@ def test_a_repetition_that_breaks_is_lost_alone(lap_model, tmp_path, monkeypatch
         return evaluate(self, deviations, *at)
 
     monkeypatch.setattr(Process, "evaluate", breaks)
-    write_path_study(read_outcome(tmp_path))
-    study = read_outcome(tmp_path).path_study
+    study = studied(own)
     assert study.left_out == 1 and study.repeated("coulomb") == path_error.SAMPLES - 1
 
 
 def test_without_friction_there_is_no_path_to_study(lap_model, tmp_path):
     sample_into(tmp_path, lap_model, ["frictionless"], 3, SEED)
-    write_path_study(read_outcome(tmp_path))
-    assert read_outcome(tmp_path).path_study is None and not (tmp_path / "tables" / "path.csv").exists()
+    assert studied(tmp_path) is None and not (tmp_path / "tables" / "path.csv").exists()
     row = read_outcome(tmp_path).zone_statistics.iloc[0]
     assert np.isnan(row["mean_rms_tangential_path"]) and row["mean_rms_tangential"] > 0
 
 
-def test_rescued_samples_are_counted_and_stay(lap_model, tmp_path):
-    sample_into(tmp_path, lap_model, ["coulomb", "frictionless"], SAMPLES, SEED)
-
+def test_rescued_samples_are_counted_and_stay(own):
     def rescued(frame):
         return frame.assign(rescued=frame["sample"].isin([4, 9]) & (frame["stage"] == "clamp"))
 
-    edit(tmp_path, RESOLUTIONS, "coulomb", rescued)
-    summary = read_outcome(tmp_path).summary()
+    edit(own, RESOLUTIONS, "coulomb", rescued)
+    summary = read_outcome(own).summary()
     assert summary["rescued_samples"] == {"coulomb": [4, 9], "frictionless": []}
     assert summary["laws"]["coulomb"]["rescued"] == 2 and summary["laws"]["coulomb"]["samples"] == SAMPLES
 
 
-def test_the_summary_shows_steps_and_errors_of_the_path(lap_model, tmp_path):
-    sample_into(tmp_path, lap_model, ["coulomb"], SAMPLES, SEED)
-
+def test_the_summary_shows_steps_and_errors_of_the_path(own):
     def told(frame):
         error = np.where(frame["stage"] == "clamp", 1e-4, 0.0) * (1 + frame["sample"])
         return frame.assign(path_error=error, steps=7, factorisations=np.int64(11))
 
-    edit(tmp_path, RESOLUTIONS, "coulomb", told)
-    path = read_outcome(tmp_path).summary()["laws"]["coulomb"]["path"]
+    edit(own, RESOLUTIONS, "coulomb", told)
+    path = read_outcome(own).summary()["laws"]["coulomb"]["path"]
     assert path["steps"] == 14 and path["factorisations"] == 22  # over both stages that resolve contact
     assert path["error"]["clamp"]["max"] == pytest.approx(1e-4 * SAMPLES)
     assert path["error"]["clamp"]["mean"] == pytest.approx(1e-4 * (SAMPLES + 1) / 2)

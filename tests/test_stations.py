@@ -16,6 +16,9 @@ def named(locators, name):
     return [item | {"name": f"{name}{i}"} for i, item in enumerate(locators)]
 
 
+ON_B = named(six("b", "measure"), "m")  #: an inspection on b's six
+
+
 def joined(inspection=(), keep="a", measured="ab", **change):
     """a and b, whose weld closes the gap between their faces; released, they are read on the inspection's locators."""
     keys = {
@@ -46,9 +49,8 @@ def test_another_inspection_fixture_adds_a_rigid_motion(keep, law):
     At y = 0 the supports hold a at nominal; b, g below a, must come up to nominal at y = 10: by g y/10, g/2 at the
     faces. Where it was released before makes no difference.
     """
-    on_b = [item | {"stage": "measure"} for item in named(six("b"), "m")]
-    np.testing.assert_allclose(joined(on_b, keep).evaluate({}, law).measurements[0], [GAP, 0.0], atol=1e-12)
-    tilted = [item | {"part": "b" if item["point"] == [0, 10, 0] else "a"} for item in on_b]
+    np.testing.assert_allclose(joined(ON_B, keep).evaluate({}, law).measurements[0], [GAP, 0.0], atol=1e-12)
+    tilted = [item | {"part": "b" if item["point"] == [0, 10, 0] else "a"} for item in ON_B]
     found = joined(tilted, keep).evaluate({}, law)
     np.testing.assert_allclose(found.measurements[0], [GAP / 2, -GAP / 2], atol=1e-12)
     assert not found.failed.any()
@@ -57,9 +59,8 @@ def test_another_inspection_fixture_adds_a_rigid_motion(keep, law):
 
 
 def test_an_inspection_locator_can_deviate():
-    on_b = [item | {"stage": "measure"} for item in named(six("b"), "m")]
     moved = {"name": "D", "kind": "locator", "target": "m2", "sigma": 0.1}
-    model = joined(on_b, deviations=[moved])
+    model = joined(ON_B, deviations=[moved])
     tilt = model.evaluate({"D": 0.1}).measurements[0] - model.evaluate({"D": 0.0}).measurements[0]
     np.testing.assert_allclose(tilt, [0.05, 0.05], atol=1e-12)  # 0.1 mm at y = 10, half of it at y = 5
 
@@ -72,15 +73,13 @@ def test_more_than_six_inspection_locators_strain_the_assembly():
 
 
 def test_an_inspection_with_free_motions_is_refused():
-    few = [item | {"stage": "measure"} for item in named(six("b"), "m")][:5]
-    model = joined(few)
+    model = joined(ON_B[:5])
     with pytest.raises(mic.SceneError, match=r"stages \(measure\): 1 rigid-body motions are free once"):
         plan_stages(model.scene, model.weld_size)
 
 
 def test_the_inspection_is_described_and_has_its_own_locators():
-    on_b = [item | {"stage": "measure"} for item in named(six("b"), "m")]
-    model = joined(on_b)
+    model = joined(ON_B)
     plan = plan_stages(model.scene, model.weld_size)[-1]
     assert sentences(model.scene, plan) == [
         "all locators and clamps open, and the assembly is placed on m0, m1, m2, m3, m4 and m5; "
@@ -95,15 +94,23 @@ def test_the_inspection_is_described_and_has_its_own_locators():
 STEP = 0.2  # mm, between a's face and c's as drawn
 
 
+THREE = [{"name": name, "mesh": f"{name}.stl", "thickness": 1.0} for name in "abc"]
+ADDED = [*six("a"), *six("b"), *six("c", "second")]  #: c comes to a and b where they are
+
+
+def zone(name, parts, **keys):
+    return {"name": name, "parts": list(parts), "pairs": 1} | keys
+
+
+def plans_of(model):
+    return {plan.name: plan for plan in plan_stages(model.scene, model.weld_size)}
+
+
 def stations(step=STEP, stages=None, clamps=(), fixtures=(), zones=(), gaps=(), friction=0.0, **change):
     """a and b are joined in the first station; c comes in the second, where they stand on b's six."""
-    zones = [
-        {"name": "Z", "parts": ["a", "b"], "friction": friction, "pairs": 1},
-        {"name": "Y", "parts": ["a", "c"], "friction": friction, "pairs": 1},
-        *zones,
-    ]
+    zones = [zone("Z", "ab", friction=friction), zone("Y", "ac", friction=friction), *zones]
     keys = {
-        "parts": [{"name": name, "mesh": f"{name}.stl", "thickness": 1.0} for name in "abc"],
+        "parts": THREE,
         "locators": [*six("a"), *six("b"), *named(six("b", "second"), "s"), *six("c", "second")],
         "clamps": list(clamps),
         "welds": [WELD],
@@ -162,15 +169,14 @@ def test_adding_a_part_to_a_station_does_not_move_the_others():
     """Only c has locators in the second stage: a and b stay clamped, and c finds a's face where they hold it."""
     hold = at_face("b", (0, 0, -1), name="H", force=30.0, stage="hold")
     stages = stage_list("locate", "clamp hold", "locate second", "clamp", "measure")
-    locators = [*six("a"), *six("b"), *six("c", "second")]
-    model = stations(-0.1, stages, [hold, push(0.0)], locators=locators, welds=[])
+    model = stations(-0.1, stages, [hold, push(0.0)], locators=ADDED, welds=[])
     found = model.evaluate({})
     pressed = (30.0 - STIFFNESS * GAP) / 2  # b's face on a's
     assert found.resolutions["hold"].force[0, 0, 0] == pytest.approx(pressed, rel=1e-9)
     assert found.resolutions["hold"].force[0, 1, 0] == 0.0
     # c's face, 0.1 mm within a's as drawn, meets it 0.15 mm lower: the way is free until H lets go.
     assert found.resolutions["clamp"].force[0, 1, 0] == 0.0
-    plans = {plan.name: plan for plan in plan_stages(model.scene, model.weld_size)}
+    plans = plans_of(model)
     assert sentences(model.scene, plans["second"]) == ["c is placed on cs0, cs1, cs2, cs3, cs4 and cs5"]
     assert plans["second"].steps[0].released == () and plans["second"].steps[0].loads == (0,)
     assert "second" not in found.resolutions
@@ -189,21 +195,11 @@ def test_overlap_in_a_later_station_settles_against_existing_contacts():
     stages = stage_list(
         "locate", "clamp hold", {"kind": "locate", "name": "second", "settle": False}, "clamp", "measure"
     )
-    locators = [*six("a"), *six("b"), *six("c", "second")]
-    rough = [
-        {"name": "Z", "parts": ["a", "b"], "friction": 0.5, "pairs": 1},
-        {"name": "Y", "parts": ["a", "c"], "friction": 0.2, "pairs": 1},
-    ]
+    rough = [zone("Z", "ab", friction=0.5), zone("Y", "ac", friction=0.2)]
     f, N = np.linalg.solve([[1, 2], [2, 1]], [0.35 * STIFFNESS, 30.0 - STIFFNESS * GAP])
     slip = (5.0 - 1.5 * 0.2 * N) / (2 * STIFFNESS)
-    model = spring_model(
-        [GAP, -0.35],
-        parts=[{"name": name, "mesh": f"{name}.stl", "thickness": 1.0} for name in "abc"],
-        locators=locators,
-        clamps=[hold, stick, drag],
-        zones=rough,
-        stages=stages,
-    )
+    clamps = [hold, stick, drag]
+    model = spring_model([GAP, -0.35], parts=THREE, locators=ADDED, clamps=clamps, zones=rough, stages=stages)
     closed = model.evaluate({}).resolutions["clamp"]
     np.testing.assert_allclose(closed.force[0, :, 0], [f, N], rtol=1e-9)
     np.testing.assert_allclose(closed.force[0, 1, 1], -0.2 * N, rtol=1e-9)
@@ -215,7 +211,7 @@ def test_a_fixture_acts_only_in_its_station():
     """A pad 0.1 mm below b's face, z = 0 in the first station: pressed by P there, gone in the second."""
     pads = [{"name": name, "point": [5, 5, -1], "normal": [0, 0, 1], "radius": 1.0} for name in ("one", "two")]
     pads[1]["stage"] = "second"
-    zones = [{"name": pad["name"], "parts": [pad["name"], "b"], "pairs": 1} for pad in pads]
+    zones = [zone(pad["name"], [pad["name"], "b"]) for pad in pads]
     down = [at_face("b", (0, 0, -1), name=name, force=15.0, stage=name) for name in ("first", "again")]
     stages = stage_list("locate", "clamp first", "weld", release_to("a"), "locate second", "clamp again", "measure")
     found = stations(5.0, stages, down, pads, zones, [0.1, 0.2]).evaluate({})
@@ -236,9 +232,7 @@ def test_slip_persists_between_stations():
         "locate second",
         "measure",
     )
-    welds = [WELD | {"close": False}]
-    model = stations(5.0, stages, [press, drag], friction=0.02, welds=welds)
-    found = model.evaluate({})
+    found = stations(5.0, stages, [press, drag], friction=0.02, welds=[WELD | {"close": False}]).evaluate({})
     slid, moved = found.resolutions["slide"], found.resolutions["second"]
     assert slid.trace.slip[0, 0, 0] > 1e-3
     np.testing.assert_allclose(moved.trace.slip[0, 0], 0.0, atol=1e-9)
@@ -247,7 +241,7 @@ def test_slip_persists_between_stations():
 
 def test_stations_are_described_in_words():
     model = stations(clamps=[push(1.0)])
-    plans = {plan.name: plan for plan in plan_stages(model.scene, model.weld_size)}
+    plans = plans_of(model)
     assert sentences(model.scene, plans["locate"]) == [
         "a is placed on al0, al1, al2, al3, al4 and al5; b is placed on bl0, bl1, bl2, bl3, bl4 and bl5"
     ]

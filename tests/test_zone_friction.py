@@ -61,9 +61,6 @@ def ratio(resolution):
 
 @pytest.mark.slow
 def test_each_stage_has_its_own_friction(evaluated):
-    _, same_everywhere = evaluated(friction={"clamp": 0.2, "release": 0.2, "default": 0.2})
-    _, constant = evaluated(friction=0.2)
-    same(same_everywhere, constant)
     model, by_stage = evaluated(friction={"clamp": 0.05, "default": 0.3})
     clamp, release = by_stage.resolutions["clamp"], by_stage.resolutions["release"]
     np.testing.assert_allclose(ratio(clamp), 0.05, rtol=1e-6)
@@ -85,9 +82,8 @@ def test_slipping_pairs_have_the_friction_of_their_pressure(evaluated, keys):
     for resolution in found.resolutions.values():
         f = resolution.force
         p = f[..., 0] / model.contacts.area
-        if "friction_table" in keys:
-            mu = np.interp(p, *np.array(TABLE).T)
-        else:
+        mu = np.interp(p, *np.array(TABLE).T)
+        if "friction_power" in keys:
             mu = np.clip(0.3 * (np.maximum(p, 1e-300) / 0.05) ** -0.3, 0.1, 0.6)
         traction = np.hypot(f[..., 1], f[..., 2])
         slips = resolution.state == 2
@@ -107,10 +103,10 @@ def test_a_table_of_one_point_is_coulombs_law(evaluated):
 
 
 @pytest.mark.slow
-@pytest.mark.slow
 def test_yielding_contacts_move_in_proportion_to_their_forces(evaluated):
     """A loaded pair moves relative to its slider by ``-c Δf_t``, ``c = 1/(k_t A)``; stiff pairs obey Coulomb's law."""
     model, found = evaluated("micro-slip", tangential_stiffness=YIELDING, friction=0.27)
+    np.testing.assert_array_equal(model.contacts.bearing, model.contacts.area)  # of a patch as large as its pair's
     _, coulomb = evaluated("coulomb", friction=0.27)
     c = 1.0 / (YIELDING * model.contacts.area)
     before, followed = np.zeros_like(found.resolutions["clamp"].force), 0
@@ -146,10 +142,7 @@ def test_zones_with_different_friction_functions_can_be_combined(lap_scene, cach
 
 
 @pytest.mark.slow
-@pytest.mark.slow
 def test_pressure_is_the_force_over_the_patch_area(lap_scene, cache):
-    tributary = assemble(with_zone(lap_scene), cache).contacts
-    np.testing.assert_array_equal(tributary.bearing, tributary.area)
     disc = assemble(with_zone(lap_scene, patch=3.0, tangential_stiffness=YIELDING), cache).contacts
     np.testing.assert_allclose(disc.bearing, np.pi * 9.0)
     np.testing.assert_allclose(disc.compliance, 1.0 / (YIELDING * np.pi * 9.0))
