@@ -88,21 +88,33 @@ class Assembly:
     parts = (part(),)
 
 
+class EntryPoint:
+    """A package's registration of a provider."""
+
+    name = "theirs"
+
+    def __init__(self, load):
+        self.load = load
+
+
 @pytest.fixture
-def springs(monkeypatch):
-    """The springs registered as a package would register them: by an entry point."""
+def register(monkeypatch):
+    """Registers one provider alone, by what loads its class."""
+
+    def registered(load):
+        points = [EntryPoint(load)]
+        monkeypatch.setattr(provider, "entry_points", lambda group: points if group == provider.GROUP else [])
+        provider.installed.cache_clear()
+
+    yield registered
+    provider.installed.cache_clear()
+
+
+@pytest.fixture
+def springs(register):
     made = Springs()
-
-    class Point:
-        name = "springs"
-
-        def load(self):
-            return lambda: made
-
-    monkeypatch.setattr(provider, "entry_points", lambda group: [Point()] if group == provider.GROUP else [])
-    provider.installed.cache_clear()
-    yield made
-    provider.installed.cache_clear()
+    register(lambda: lambda: made)
+    return made
 
 
 def test_another_program_can_provide_coefficients(springs, tmp_path):
@@ -111,30 +123,6 @@ def test_another_program_can_provide_coefficients(springs, tmp_path):
     assert found["p"].H == [[1.0]] and cached == {"p": False} and is_cached(part(), tmp_path)
     found, cached = influence_coefficients(Assembly, tmp_path)
     assert cached == {"p": True} and springs.calls == 1
-
-
-def test_truncated_coefficients_are_reported_and_computed_again(springs, tmp_path, caplog):
-    influence_coefficients(Assembly, tmp_path)
-    file = next((tmp_path / "influence").iterdir())
-    file.write_bytes(file.read_bytes()[:200])
-    assert not is_cached(part(), tmp_path)
-    caplog.clear()
-    found, cached = influence_coefficients(Assembly, tmp_path)
-    assert found["p"].H == [[1.0]] and cached == {"p": False} and springs.calls == 2
-    (line,) = caplog.messages
-    assert file.name in line and "counts as absent and is replaced" in line
-    assert influence_coefficients(Assembly, tmp_path)[1] == {"p": True}
-
-
-def test_cached_coefficients_of_another_part_are_ignored(springs, tmp_path):
-    influence_coefficients(Assembly, tmp_path)
-    (file,) = (tmp_path / "influence").iterdir()
-
-    class Thicker:
-        parts = (replace(part(), thickness=2.0),)
-
-    file.rename(file.with_name(f"{Thicker.parts[0].fingerprint()}.npz"))
-    assert influence_coefficients(Thicker, tmp_path)[1] == {"p": False} and springs.calls == 2
 
 
 class Rank:
@@ -166,7 +154,7 @@ def test_only_the_first_process_writes_the_cache(springs, tmp_path):
 
 def test_a_part_without_provider_is_refused_with_the_remedy(springs):
     springs.elements = ("springs", "beams")
-    words = r"part 'p': .*springs does not accept it.*apt-get install python3-dolfinx"
+    words = r"part 'p': .*theirs does not accept it.*apt-get install python3-dolfinx"
     with pytest.raises(MissingProvider, match=words):
         provider.find(part(element="beams"))
 
@@ -178,18 +166,11 @@ def test_an_unknown_element_is_refused_with_a_list_of_elements(springs):
     provider.check_element("springs")
 
 
-def test_a_provider_that_cannot_be_loaded_gives_the_reason(monkeypatch):
-    class Point:
-        name = "broken"
+def test_a_provider_that_cannot_be_loaded_gives_the_reason(register):
+    def load():
+        raise ImportError("No module named 'dolfinx'")
 
-        def load(self):
-            raise ImportError("No module named 'dolfinx'")
-
-    monkeypatch.setattr(provider, "entry_points", lambda group: [Point()])
-    provider.installed.cache_clear()
-    try:
-        with pytest.raises(MissingProvider, match="broken: No module named 'dolfinx'"):
-            provider.find(part())
-        provider.check_element("whatever")  # its elements are not known
-    finally:
-        provider.installed.cache_clear()
+    register(load)
+    with pytest.raises(MissingProvider, match="theirs: No module named 'dolfinx'"):
+        provider.find(part())
+    provider.check_element("whatever")  # its elements are not known

@@ -28,8 +28,6 @@ if __name__ == "__main__":
         if law.equation is not None:
             compiled(law.equation)
     one = csr_matrix(np.ones((1, 1)))
-    blocks = Blocks.single(np.ones((1, 1)), np.zeros((1, 6)))
-    blocks.gather(one, one)
-    blocks.diagonal(one)
+    Blocks((np.ones((1, 1)),), (np.zeros((1, 6)),)).gather(one, one)
     tangent_process.join()
     sys.exit(tangent_process.exitcode)

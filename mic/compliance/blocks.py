@@ -7,7 +7,7 @@ nonzeros of the two rows, and two rows of different parts cost nothing.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache, cached_property
 
@@ -16,6 +16,8 @@ from scipy.linalg import block_diag
 from scipy.sparse import csr_matrix
 
 __all__ = ["Blocks"]
+
+BATCH = 64  # rows whose diagonal is gathered at once
 
 
 @dataclass(frozen=True)
@@ -70,16 +72,13 @@ class Blocks:
         out = np.zeros((left.shape[0], right.shape[0]))
         if out.size:
             for first, H in zip(self.offsets, self.H):
-                _compiled()[0](H, first, *_entries(left), *_entries(right), out)
+                _compiled()(H, first, *_entries(left), *_entries(right), out)
         return out
 
     def diagonal(self, rows: csr_matrix) -> np.ndarray:
         """(r,) compliance of each row alone, the diagonal of ``rows H rowsᵀ``."""
-        out = np.zeros(rows.shape[0])
-        if out.size:
-            for first, H in zip(self.offsets, self.H):
-                _compiled()[1](H, first, *_entries(rows), out)
-        return out
+        some = (rows[first : first + BATCH] for first in range(0, rows.shape[0], BATCH))
+        return np.concatenate([np.zeros(0), *(np.diag(self.gather(own, own)) for own in some)])
 
     def displace(self, forces: np.ndarray) -> np.ndarray:
         """(n, F) elastic readings ``f H`` of forces (n, F), one sample per row."""
@@ -103,13 +102,6 @@ class Blocks:
         """H (F, F) and G (F, 6P) with all their zeros, for small models and inspection."""
         return block_diag(*self.H), block_diag(*self.G)
 
-    @classmethod
-    def single(cls, H: np.ndarray, G: np.ndarray, edges: Sequence[int] | None = None) -> Blocks:
-        """Blocks of dense H (F, F) and G (F, 6P), split at `edges` (default: one part)."""
-        edges = [0, len(H)] if edges is None else edges
-        blocks = [slice(a, b) for a, b in zip(edges, edges[1:])]
-        return cls(tuple(H[s, s] for s in blocks), tuple(G[s, 6 * p : 6 * p + 6] for p, s in enumerate(blocks)))
-
 
 def _entries(rows: csr_matrix) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Start of each row, and ascending columns and values of its entries."""
@@ -119,8 +111,8 @@ def _entries(rows: csr_matrix) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 @cache
-def _compiled() -> tuple[Callable[..., None], Callable[..., None]]:
-    """Functions that add one part's share to ``L H Rᵀ``, and to its diagonal for L = R.
+def _compiled() -> Callable[..., None]:
+    """The function that adds one part's share to ``L H Rᵀ``.
 
     Compiled, because slicing sparse matrices would take most of the time of setting up an assembly.
     """
@@ -156,23 +148,8 @@ def _compiled() -> tuple[Callable[..., None], Callable[..., None]]:
                             sum += L_value[k] * moved[p]
                     out[i, j] += sum
 
-    def diagonal(H, first, start, column, value, out):
-        n = len(H)
-        for i in range(len(out)):
-            sum = 0.0
-            for k in range(start[i], start[i + 1]):
-                p = column[k] - first
-                if 0 <= p < n:
-                    moved = 0.0
-                    for l in range(start[i], start[i + 1]):
-                        q = column[l] - first
-                        if 0 <= q < n:
-                            moved += value[l] * H[q, p]
-                    sum += value[k] * moved
-            out[i] += sum
-
     settings = {"nogil": True, "error_model": "numpy"}
     try:
-        return njit(gather, cache=True, **settings), njit(diagonal, cache=True, **settings)
+        return njit(gather, cache=True, **settings)
     except RuntimeError:  # no folder for the compiled code is writable
-        return njit(gather, **settings), njit(diagonal, **settings)
+        return njit(gather, **settings)

@@ -174,7 +174,9 @@ class _BilateralRows:
         self._further, self._R = rest[independent], R.select(independent)
         self.redundant = tuple(int(i) for i in np.delete(rest, independent))
         # H_RR = D⁻¹ C Cᵀ D⁻¹, so that H_CR H_RR⁻¹ H_RC = Z Zᵀ with Z = H_CR D C⁻ᵀ.
-        self._D, self._C = _cholesky(H_RR[np.ix_(independent, independent)])
+        H_RR = H_RR[np.ix_(independent, independent)]
+        self._D = 1 / np.sqrt(np.diag(H_RR))
+        self._C = np.linalg.cholesky(H_RR * np.outer(self._D, self._D))
         # λ_R = D C⁻ᵀ (C⁻¹ D (v_R - R Q v_A) - Zᵀ f), and λ_A = -(J Q)ᵀ f from the balance Gᵀ(Aᵀ λ_A + Jᵀ f) = 0.
         count = len(independent)
         values = np.zeros((count, self._count))
@@ -254,9 +256,3 @@ def _independent(matrix, reference):
     if scaled.diagonal().max() <= REDUNDANT:  # LAPACK accepts the first pivot without checking the tolerance
         rank = 0
     return np.sort(pivot[:rank] - 1)
-
-
-def _cholesky(matrix: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """D (k,) and the lower triangle C (k, k) with ``D M D = C Cᵀ``, D scaling its diagonal to 1."""
-    D = 1 / np.sqrt(np.diag(matrix))
-    return D, np.linalg.cholesky(matrix * np.outer(D, D))

@@ -15,7 +15,7 @@ import struct
 from collections.abc import Iterator
 
 import numpy as np
-from scipy.sparse import coo_matrix, csr_matrix
+from scipy.sparse import csr_matrix, lil_matrix
 
 from mic.errors import FormatError
 
@@ -42,17 +42,10 @@ def matrices(data: bytes) -> dict[str, csr_matrix]:
             columns, rows, kind, name = source.header()
             if kind not in (1, 2):
                 raise FormatError(f"{name} is complex; a stiffness is real")
-            strings = list(_strings(source, columns, rows, kind))
-            row, column, value = (
-                np.concatenate([np.zeros(0), *arrays])
-                for arrays in (
-                    [first - 1 + np.arange(len(values)) for _, first, values in strings],
-                    [np.full(len(values), number - 1) for number, _, values in strings],
-                    [values for _, _, values in strings],
-                )
-            )
-            indices = (row.astype(np.int64), column.astype(np.int64))
-            by_name[name] = coo_matrix((value, indices), shape=(abs(rows), columns)).tocsr()
+            transposed = lil_matrix((columns, abs(rows)))
+            for column, first, values in _strings(source, columns, rows, kind):
+                transposed[column - 1, first - 1 + np.arange(len(values))] = values
+            by_name[name] = transposed.T.tocsr()
     except FormatError:
         raise
     except (ValueError, IndexError, struct.error):
@@ -72,16 +65,11 @@ def _strings(source, columns: int, rows: int, kind: int) -> Iterator[tuple[int, 
             yield column, row, source.values(size if source.counts_values else size // kind, kind)
             continue
         while size > 0:
-            if two:
-                length, row = source.integers(2)
-                length, size = length - 1, size - length - 1
-            else:
-                (packed,) = source.integers(1)
-                length = (packed >> 16) - 1
-                row, size = packed - ((length + 1) << 16), size - length - 1
-            if length < kind:
+            length, row = source.integers(2) if two else divmod(source.integers(1)[0], BIG)
+            size -= length + two
+            if length <= kind:
                 raise ValueError("an empty string")
-            yield column, row, source.values(length // kind, kind)
+            yield column, row, source.values((length - 1) // kind, kind)
 
 
 class _Text:

@@ -158,18 +158,14 @@ def superelement(
     length, stress = unit
     key = "stiffness" if stiffness else "compliance"
     numbers = np.unique(given.node)
-    places = []
-    for number in numbers.tolist():
-        if number in given.places:
-            places.append(length * np.asarray(given.places[number], dtype=float))
-        elif number in numbered:
-            places.append(np.asarray(numbered[number]))
-        else:
-            raise SceneError(
-                f"part {name!r}: {key}: the coordinates of node {number} are unknown: it is neither in a node table "
-                "beside the file nor a node of the mesh; add the table, node, x, y, z"
-            )
-    points = np.array(places)
+    places = numbered | {number: length * np.array(place) for number, place in given.places.items()}
+    unknown = [number for number in numbers.tolist() if number not in places]
+    if unknown:
+        raise SceneError(
+            f"part {name!r}: {key}: the coordinates of node {unknown[0]} are unknown: it is neither in a node table "
+            "beside the file nor a node of the mesh; add the table, node, x, y, z"
+        )
+    points = np.array([places[number] for number in numbers.tolist()])
     freedom = np.full((len(numbers), 6), -1)
     freedom[np.searchsorted(numbers, given.node), given.component] = np.arange(len(given.node))
     # an energy of K is in N mm when displacements are in mm

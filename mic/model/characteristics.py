@@ -23,7 +23,6 @@ from typing import Self
 import numpy as np
 
 from mic.errors import SceneError
-from mic.geometry.measured_points import sheet_normals
 from mic.model.rows import Rows
 from mic.scene import Measurement, Scene
 from mic.scene.checks import entry
@@ -71,14 +70,10 @@ def retain(rows: Rows, scene: Scene, problems) -> None:
 def _readings(rows: Rows, key: str, item: Measurement) -> list[_Reading]:
     """The readings of one measurement, before any best fit."""
     if item.points is not None:
-        points = np.array(item.points)
-        feet, n = sheet_normals(rows.surfaces[item.part], points)
-        rows.check_points_on_part(key, item.name, item.part, points, feet)
-        along = n if item.kind == "profile" else np.tile(item.direction, (len(points), 1))
-        discs = [rows.disc(item.part, x, item.radius) for x in feet]
-        return [
-            _reading(rows, f"{item.name} at {k}", item.part, patch, d) for k, (patch, d) in enumerate(zip(discs, along))
-        ]
+        discs, normals = rows.item_discs(key, item)
+        along = normals if item.kind == "profile" else [np.array(item.direction)] * len(discs)
+        at = [f"{item.name} at {k}" for k in range(len(discs))]
+        return [_reading(rows, label, item.part, disc, d) for label, disc, d in zip(at, discs, along)]
     d = np.array(item.direction)
     first = _reading(rows, item.name, item.part, rows.item_patch(key, item.name, item), d)
     if item.to is None:

@@ -11,7 +11,7 @@ from mic.contact.laws.pressure_dependent import rescaled
 from mic.errors import Problems
 from mic.geometry.pairing import ContactPair, PressedPoint, Side, find_between
 from mic.model.assembly_types import Contacts, GapPoints
-from mic.model.overlap import close_overlap, thinner_sheet
+from mic.model.overlap import close_overlap
 from mic.model.rows import AXES, Rows
 from mic.model.zone_pairs import landmarks
 from mic.scene import Scene
@@ -44,8 +44,8 @@ def contact_rows(
     dimension = 3 if friction or scene.report.slip else 1
     pairs = [pair for zone_pairs in pairs_of_zones for pair in zone_pairs]
     zone_of = np.array([i for i, zone_pairs in enumerate(pairs_of_zones) for _ in zone_pairs], dtype=np.int64)
-    for k, (i, pair) in enumerate(zip(zone_of, pairs)):
-        zone = scene.zones[i]
+    zones = [scene.zones[i] for i in zone_of]
+    for k, (zone, pair) in enumerate(zip(zones, pairs)):
         _pair_rows(rows, "contact", f"{zone.name} {k}", zone, bodies, pair, dimension)
     area = np.array([pair.area for pair in pairs])
     gap = np.array([pair.gap for pair in pairs])
@@ -58,14 +58,13 @@ def contact_rows(
             continue
         key = f"zones[{i}] ({zone.name}): nominal_overlap"
         with problems:
-            thinner = thinner_sheet(scene, zone)
-            gap[in_zone] = close_overlap(key, zone.nominal_overlap, gap[in_zone], thinner, point[in_zone])
+            gap[in_zone] = close_overlap(scene, key, zone, zone.nominal_overlap, gap[in_zone], point[in_zone])
     by_stage = [zone.friction for zone in scene.zones if isinstance(zone.friction, dict)]
     stages = sorted({stage for table in by_stage for stage in table} - {"default"})
-    discs = [None if every_node or zone.patch == "tributary" else np.pi * zone.patch**2 for zone in scene.zones]
-    bearing = np.array([area[k] if discs[i] is None else discs[i] for k, i in enumerate(zone_of)])
-    stiffness = [scene.zones[i].tangential_stiffness for i in zone_of]
-    watched = np.array([every_node or scene.zones[i].candidates for i in zone_of], dtype=bool)
+    tributary = [every_node or zone.patch == "tributary" for zone in zones]
+    bearing = np.array([own if whole else np.pi * zone.patch**2 for own, whole, zone in zip(area, tributary, zones)])
+    stiffness = [zone.tangential_stiffness for zone in zones]
+    watched = np.array([every_node or zone.candidates for zone in zones], dtype=bool)
     through = [
         sum(part.thickness / (2 * part.young) for part in scene.parts if part.name in zone.parts)
         for zone in scene.zones
@@ -107,10 +106,8 @@ def gap_point_rows(
             _pair_rows(rows, "between", f"{zone.name} between {len(points)}", zone, bodies, point, 1)
             points.append(point)
             zones.append(i)
-            if zone.gap is not None:
-                gaps.append(zone.gap)
-            else:
-                gaps.append(point.gap if zone.nominal_overlap == "keep" else max(point.gap, 0.0))
+            drawn = point.gap if zone.nominal_overlap == "keep" else max(point.gap, 0.0)
+            gaps.append(drawn if zone.gap is None else zone.gap)
     return GapPoints(
         np.array(zones, dtype=np.int64),
         np.array(gaps, dtype=float),
@@ -123,16 +120,12 @@ def _pair_rows(rows: Rows, kind, label, zone, bodies, pair: ContactPair, dimensi
     """Add the rows n, t1, t2 of a pair: motion of its second body less that of its first."""
     terms: list[list[tuple[str, int, float]]] = [[] for _ in range(dimension)]
     for name, patch, side, sign in zip(zone.parts, pair.patches, pair.sides, (-1.0, 1.0)):
-        if bodies[name].rigid:
-            continue  # a rigid fixture does not move
-        index = rows.patch(name, patch)
-        for j in range(dimension):
-            reading = rows.functional(
-                name, index, pair.frame[:, j], f"{label} {AXES[j]}", side=0 if zone.mid_surface else side
-            )
-            terms[j].append((name, reading, sign))
-    for j in range(dimension):
-        rows.add(kind, f"{label} {AXES[j]}", *terms[j])
+        if not bodies[name].rigid:  # a rigid fixture does not move
+            index, side = rows.patch(name, patch), 0 if zone.mid_surface else side
+            for own, axis, direction in zip(terms, AXES, pair.frame.T):
+                own.append((name, rows.functional(name, index, direction, f"{label} {axis}", side=side), sign))
+    for own, axis in zip(terms, AXES):
+        rows.add(kind, f"{label} {axis}", *own)
 
 
 def _pressure_pieces(scene, zone_of, bearing) -> np.ndarray:

@@ -9,6 +9,7 @@ import numpy as np
 
 from mic.compliance.part import Part
 from mic.geometry.surface import Surface
+from mic.model.shape import dilation
 
 __all__ = ["deviated_parts", "gap_change"]
 
@@ -27,17 +28,18 @@ def deviated_parts(assembly, fields: Mapping[str, np.ndarray]) -> list[Part]:
     """
     surfaces = [_deviated(part.surface, fields[part.name]) for part in assembly.parts]
     direction = [part.functionals.direction.copy() for part in assembly.parts]
-    for kind in ("contact", "weld"):
-        rows = assembly.rows[kind]
-        for joint in _joints(assembly, kind):
-            p, first = _part_and_number(assembly, rows.indices[rows.indptr[joint.start]])
-            part = assembly.parts[p]
-            patch = part.functionals.patches[part.functionals.patch[first]]
+    contacts = assembly.contacts
+    for kind, sizes in (("contact", [contacts.dimension] * len(contacts)), ("weld", assembly.weld_size)):
+        rows, edges = assembly.rows[kind], np.concatenate([[0], np.cumsum(sizes)]).astype(int)
+        for start, stop in zip(rows.indptr[edges], rows.indptr[edges[1:]]):
+            columns = rows.indices[start:stop]
+            numbers = np.searchsorted(assembly.offsets, columns, side="right") - 1  # of the parts
+            p, part = numbers[0], assembly.parts[numbers[0]]
+            patch = part.functionals.patches[part.functionals.patch[columns[0] - assembly.offsets[p]]]
             turn = _rotation(
                 *(patch.weight @ surface.normals[patch.triangle] for surface in (part.surface, surfaces[p]))
             )
-            for column in np.unique(rows.indices[rows.indptr[joint.start] : rows.indptr[joint.stop]]):
-                q, i = _part_and_number(assembly, column)
+            for q, i in set(zip(numbers, columns - assembly.offsets[numbers])):
                 direction[q][i] = turn @ assembly.parts[q].functionals.direction[i]
     return [
         replace(part, surface=surface, functionals=replace(part.functionals, direction=d))
@@ -67,7 +69,7 @@ def gap_change(assembly, kind: str, parts: list[Part], read: np.ndarray) -> np.n
         before, after = (rows @ np.concatenate([of(part) for part in version]) for version in (assembly.parts, parts))
         return after - before
 
-    distance_change = change(_position)
+    distance_change = change(dilation)
     if kind == "contact":  # rotated directions cancel in a row, except in one with a fixture
         turned = change(_direction).reshape(len(assembly.contacts), -1, 3)
         distance_change -= np.einsum("kdi,ki->kd", turned, _fixture_points(assembly)).ravel()
@@ -91,34 +93,9 @@ def _deviated(surface, field):
     return Surface(surface.points + field[:, :3], surface.triangles, normals + np.cross(rotation, normals))
 
 
-def _position(part):
-    """(F,) position of each functional's patch along its direction, mm; zero for rotations."""
-    f = part.functionals
-    patches = [f.patches[i] for i in f.patch]
-    return np.array(
-        [
-            0.0 if rotation else d @ (patch.weight @ part.surface.at(patch.triangle, patch.barycentric))
-            for patch, d, rotation in zip(patches, f.direction, f.rotation)
-        ]
-    )
-
-
 def _direction(part):
     """(F, 3) direction of each functional; zero for rotations."""
     return np.where(part.functionals.rotation[:, None], 0.0, part.functionals.direction)
-
-
-def _joints(assembly, kind):
-    """Row slices of each contact or weld."""
-    sizes = assembly.weld_size if kind == "weld" else [assembly.contacts.dimension] * len(assembly.contacts)
-    edges = np.concatenate([[0], np.cumsum(sizes)]).astype(int)
-    return [slice(lo, hi) for lo, hi in zip(edges, edges[1:])]
-
-
-def _part_and_number(assembly, column):
-    """Part of a stacked functional, and its number within the part."""
-    p = int(np.searchsorted(assembly.offsets, column, side="right") - 1)
-    return p, int(column - assembly.offsets[p])
 
 
 def _rotation(a, b):

@@ -18,7 +18,7 @@ for a few per cent more nodes; finer elements in contact zones and at free edges
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from math import floor, log10, sqrt
 from pathlib import Path
 from typing import Any
@@ -90,20 +90,18 @@ def chosen_sizes(
         if number == 0:
             check(assembly)
         estimates = estimate_accuracy(assembly, cache, progress, stated)
-        missed = {one.part: one for one in estimates if SAFETY * one.worst > stated[one.part]}
+        missed = [one for one in estimates if SAFETY * one.worst > stated[one.part]]
         if not missed:
             disk_cache.store(identity, {"sizes": sizes}, {"none": np.zeros(0)})
             return sizes
-        finer = {
-            name: _graded(
-                scene, name, _rounded(sizes[name] * min(LEAST, MARGIN * sqrt(stated[name] / one.worst / SAFETY)))
-            )
-            for name, one in missed.items()
-        }
-        if any(one.mesh.nodes * (sizes[name] / finer[name]) ** 2 > LARGEST for name, one in missed.items()):
+        finer = {}
+        for one in missed:
+            share = min(LEAST, MARGIN * sqrt(stated[one.part] / one.worst / SAFETY))
+            finer[one.part] = _graded(scene, one.part, _rounded(sizes[one.part] * share))
+        if any(one.mesh.nodes * (sizes[one.part] / finer[one.part]) ** 2 > LARGEST for one in missed):
             break
         sizes |= finer
-    name, one = next(iter(missed.items()))
+    one, name = missed[0], missed[0].part
     raise SceneError(
         f"part {name!r}: accuracy: {stated[name]:g} is not reached: on the mesh of size {sizes[name]:g} mm "
         f"({one.mesh.nodes} nodes) the estimate is still {one.worst:.2g}, which may be a fifth too small; state a "
@@ -139,26 +137,26 @@ def _first_sizes(scene: Scene, cache: Path, stated) -> tuple[dict[str, GradedSiz
 def _graded(scene: Scene, part: str, size: float) -> GradedSize:
     """The size, limited to the radius of each disc that the scene has on a part."""
     forces = [item for item in scene.deviations if isinstance(item, ForceDeviation)]
-    items: list[Any] = [item for item in scene.welds if part in item.parts]
-    items += [item for item in scene.clamps if part in item.owners]
-    measured: list[Any] = [*scene.measurements, *(item.to for item in scene.measurements if item.to is not None)]
-    items += [item for table in (scene.locators, forces, measured) for item in table if item.part == part]
-    discs = [(_place(item), item.radius) for item in items if _place(item) is not None]
-    places, radii = zip(*[(point, radius) for point, radius in discs if radius > 0] or [((0.0, 0.0, 0.0), size)])
-    return GradedSize(size, places, radii)
+    seconds = [item.to for item in scene.measurements if item.to is not None]
+    tables = (scene.welds, scene.clamps, scene.locators, forces, scene.measurements, seconds)
+    discs = [(point, radius) for point, radius in _discs(part, *tables) if radius > 0]
+    return GradedSize(size, [point for point, _ in discs], [radius for _, radius in discs])
 
 
 def _extent(scene: Scene, part: str) -> float:
     """Diagonal of the bounding box of the scene's points on a part, mm."""
-    items: list[Any] = [item for table in (scene.locators, scene.measurements) for item in table if item.part == part]
-    items += [item for item in scene.clamps if part in item.owners]
-    points = np.array([_place(item) for item in items if _place(item) is not None])
-    return float(np.linalg.norm(np.ptp(points, axis=0)))
+    points = [point for point, _ in _discs(part, scene.locators, scene.measurements, scene.clamps)]
+    return float(np.linalg.norm(np.ptp(np.array(points), axis=0)))
 
 
-def _place(item: Any) -> Any:
-    """Approximate point of an item: a part meshed from its geometry may have holes, but no node numbers."""
-    return item.point or getattr(item, "hole", None)
+def _discs(part: str, *tables: Sequence[Any]) -> list[tuple[Any, float]]:
+    """Approximate points and radii of the items on a part.
+
+    A part meshed from its geometry may have holes, but no node numbers.
+    """
+    own = [item for table in tables for item in table if part in (getattr(item, "parts", None) or (item.part,))]
+    places = [(item.point or getattr(item, "hole", None), item.radius) for item in own]
+    return [(point, radius) for point, radius in places if point is not None]
 
 
 def _rounded(size: float) -> float:

@@ -24,7 +24,6 @@ import time
 from collections.abc import Callable, Collection
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from scipy.sparse import csr_matrix, vstack
@@ -166,25 +165,24 @@ def estimate_accuracy(
                 f"part {part.name!r}: geometry: the script makes no more triangles at half the size; let build(part, "
                 "size) use its argument size"
             )
-        if not _finer_everywhere(rows.part, _on_surface(rows.part, finer)):
-            finer = _halved(part.surface)
-        identity = fingerprint(
-            [part.fingerprint(), _digest(finer), rows.labels]
-            + [
-                [matrix.indices.tolist(), matrix.data.tolist()]
-                for matrix in (rows.pushing, rows.reading, rows.datum, rows.locators)
-            ]
-        )
+        other = _on_surface(rows.part, finer)
+        if not _finer_everywhere(rows.part, other):
+            other = _on_surface(rows.part, _halved(part.surface))
+        tables = (rows.pushing, rows.reading, rows.datum, rows.locators)
+        entries = [[table.indices.tolist(), table.data.tolist()] for table in tables]
+        identity = fingerprint([part.fingerprint(), other.fingerprint(), rows.labels, entries])
         cached = disk_cache.load(identity)
         if cached is not None:
-            estimates.append(_from_table(cached[0]["accuracy"]))
+            table = cached[0]["accuracy"]
+            quantities = tuple(Estimate(**one) for one in table["estimates"])
+            estimates.append(Accuracy(part.name, Mesh(**table["mesh"]), Mesh(**table["finer"]), quantities))
             continue
         if progress:
             progress(
                 f"accuracy of {part.name}: {len(rows.part.functionals)} functionals, "
-                f"{len(part.surface.points)} and {len(finer.points)} nodes"
+                f"{len(part.surface.points)} and {len(other.surface.points)} nodes"
             )
-        estimates.append(_estimate(rows, finer))
+        estimates.append(_estimate(rows, other))
         disk_cache.store(identity, {"accuracy": asdict(estimates[-1])}, {"none": np.zeros(0)})
     return tuple(estimates)
 
@@ -194,26 +192,12 @@ def with_halved_elements(assembly: Assembly) -> Assembly:
 
     Each triangle is divided into four on the curved surface. Superelements stay unchanged.
     """
-    parts = []
-    for part in assembly.parts:
-        if part.superelement is None:
-            part = _on_surface(part, _halved(part.surface))
-        parts.append(part)
-    return replace(assembly, parts=tuple(parts))
+    halves = [part if part.superelement else _on_surface(part, _halved(part.surface)) for part in assembly.parts]
+    return replace(assembly, parts=tuple(halves))
 
 
 def _halved(surface: Surface) -> Surface:
     return Surface(*halved(surface.points, surface.triangles, surface.corner_normals))
-
-
-def _from_table(table: dict[str, Any]) -> Accuracy:
-    estimates = tuple(Estimate(**one) for one in table["estimates"])
-    return Accuracy(table["part"], Mesh(**table["mesh"]), Mesh(**table["finer"]), estimates)
-
-
-def _digest(surface: Surface) -> str:
-    arrays = [surface.points, surface.triangles, surface.corner_normals]
-    return fingerprint([array.tobytes().hex() for array in arrays])
 
 
 @dataclass(frozen=True)
@@ -250,15 +234,8 @@ def _compared_rows(assembly: Assembly, p: int) -> _ComparedRows:
     zone = contacts.zone[normals // contacts.dimension]
     normals = np.concatenate([np.zeros(0, int), *(_evenly_chosen(normals[zone == z]) for z in np.unique(zone))])
     welds = np.intersect1d(acting["weld"], np.concatenate([[0], np.cumsum(assembly.weld_size)[:-1]]))
-    pushing = vstack(
-        [
-            rows["contact"][normals],
-            rows["weld"][welds.astype(int)],
-            rows["clamp"][acting["clamp"]],
-            rows["force"][acting["force"]],
-        ],
-        format="csr",
-    )
+    across = {"contact": normals, "weld": welds.astype(int), "clamp": acting["clamp"], "force": acting["force"]}
+    pushing = vstack([rows[kind][numbers] for kind, numbers in across.items()], format="csr")
     for kind in ("measurement", "locator"):
         if not pushing.shape[0]:  # nothing pushes this part
             pushing = rows[kind][acting[kind]]
@@ -338,10 +315,11 @@ def _finer_everywhere(part: Part, finer: Part) -> bool:
     return all(b < FINER * a for a, b in zip(coarse, fine))
 
 
-def _estimate(rows: _ComparedRows, surface: Surface) -> Accuracy:
+def _estimate(rows: _ComparedRows, finer: Part) -> Accuracy:
+    """The errors of the compared part, from itself and from it on a finer mesh."""
     part = rows.part
     _solve(part)  # the first call compiles
-    (coarse, mesh), (fine, finer_mesh) = _solve(part), _solve(_on_surface(part, surface))
+    (coarse, mesh), (fine, finer_mesh) = _solve(part), _solve(finer)
     factor = 1 / (1 - (mesh.triangles / finer_mesh.triangles) ** (ORDER / 2))  # r²/(r² − 1)
     errors: dict[str, list[float]] = {}
     for held in (rows.datum, rows.locators):
@@ -360,9 +338,8 @@ def _solve(part: Part) -> tuple[Blocks, Mesh]:
     influence = provider.find(part).coefficients([part])[part.name]
     seconds = time.perf_counter() - start
     memory = float(influence.provenance.get("memory", 0.0))
-    return Blocks((influence.H,), (influence.G,)), Mesh(
-        len(part.surface.points), len(part.surface.triangles), seconds, memory
-    )
+    mesh = Mesh(len(part.surface.points), len(part.surface.triangles), seconds, memory)
+    return Blocks((influence.H,), (influence.G,)), mesh
 
 
 def _responses(rows: _ComparedRows, blocks: Blocks, held: csr_matrix) -> list[np.ndarray]:

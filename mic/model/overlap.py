@@ -15,7 +15,7 @@ import numpy as np
 from mic.errors import SceneError
 from mic.scene.zone import Zone
 
-__all__ = ["CLOSED", "close_overlap", "frozen_gaps", "mean_gaps", "thinner_sheet", "zone_of_weld"]
+__all__ = ["CLOSED", "close_overlap", "frozen_gaps", "mean_gaps", "zone_of_weld"]
 
 #: Default limit of closed overlap, relative to the thinner sheet: enough for one sheet whose thickness has changed
 #: since it was drawn, or that was drawn on its skin.
@@ -23,19 +23,20 @@ CLOSED = 0.5
 REPORTED = 0.02  # mm: smallest frozen gap that is reported; chords of curved sheets leave less
 
 
-def close_overlap(key: str, rule: str | float, gap: np.ndarray, thinner: float, point: np.ndarray) -> np.ndarray:
+def close_overlap(scene, key: str, joint, rule: str | float, gap: np.ndarray, point: np.ndarray) -> np.ndarray:
     """Gaps (m,) with nominal overlap closed, mm.
 
     Parameters
     ----------
+    scene : mic.scene.Scene
     key : str
         Scene key of the pairs or the weld, for messages.
+    joint : mic.scene.zone.Zone or mic.scene.weld.Weld
+        Whose sheets overlap.
     rule : "close", "keep" or float
         A zone's ``nominal_overlap``; a number is the limit, mm.
     gap : (m,) array
         As drawn, mm.
-    thinner : float
-        Thickness of the thinner sheet, mm.
     point : (m, 3) array
         mm.
 
@@ -47,6 +48,7 @@ def close_overlap(key: str, rule: str | float, gap: np.ndarray, thinner: float, 
     gap = np.asarray(gap, dtype=float)
     if rule == "keep" or not len(gap):
         return gap
+    thinner = min(part.thickness for part in scene.parts if part.name in joint.parts)
     limit = CLOSED * thinner if isinstance(rule, str) else float(rule)
     worst = int(np.argmin(gap))
     if -gap[worst] > limit * (1.0 + 1e-9):
@@ -58,11 +60,6 @@ def close_overlap(key: str, rule: str | float, gap: np.ndarray, thinner: float, 
             'nominal_overlap of the zone to a larger limit, or to "keep" if the overlap is intended'
         )
     return np.maximum(gap, 0.0)
-
-
-def thinner_sheet(scene, joint) -> float:
-    """Thickness of the thinner sheet of a zone or a weld, mm."""
-    return min(part.thickness for part in scene.parts if part.name in joint.parts)
 
 
 def zone_of_weld(zones: Sequence, zone_of_pair: np.ndarray, points: np.ndarray, weld) -> Zone | None:

@@ -28,7 +28,7 @@ from mic.geometry.holes import Hole, find_holes
 from mic.geometry.measured_points import spread
 from mic.geometry.pairing import Side, pair_at
 from mic.geometry.surface import Surface
-from mic.model.rows import REACH
+from mic.model.rows import REACH, on_part, xyz
 from mic.scene import Scene
 from mic.scene.checks import find_errors
 from mic.scene.deviation import ClampDeviation
@@ -120,9 +120,7 @@ class _Placing:
             point, rim = self._point(at, item)
             if tong:
                 return self._tong(at, item, point)
-            changes: dict[str, Any] = {"point": point, "node": None, "set": None}
-            if rim is not None:
-                changes["hole"] = point
+            changes = _position(point, rim)
             if words:
                 changes["direction"] = self._direction(at, item, point, rim)
             return [item.model_copy(update=changes)]
@@ -134,12 +132,13 @@ class _Placing:
             return fixture
         with self.problems:
             point, rim = self._point(key, fixture)
-            x = rim.centre if rim is not None else self._foot(key, fixture.part, point)
+            surface = self.surfaces[fixture.part]
+            x = rim.centre if rim is not None else on_part(f"{key}.point", fixture.part, surface, point).point[0]
             n = self._sheet_normal(fixture.part, point, rim)
             ν = {"normal": n, "-normal": -n}[fixture.normal] if isinstance(fixture.normal, str) else fixture.normal
             side = 1.0 if np.dot(ν, n) > 0 else -1.0
             centre = _vector(x - side * self.sides[fixture.part].half_thickness * n)
-            self.messages.append(f"{key}: touches {fixture.part} at {_text(centre)}, facing along {_text(ν)}")
+            self.messages.append(f"{key}: touches {fixture.part} at {xyz(centre)}, facing along {xyz(ν)}")
             changes = {"point": centre, "normal": _vector(ν), "part": None, "node": None, "set": None, "hole": None}
             return fixture.model_copy(update=changes)
         return fixture
@@ -150,12 +149,9 @@ class _Placing:
 
     def stage(self, stage: Any) -> Any:
         """A stage that names jaws instead of tongs."""
-        changes: dict[str, Any] = {}
-        if stage.keep is not None:
-            changes["keep"] = self._jaw_names(stage.keep)
-        if stage.order is not None:
-            changes["order"] = [self._jaw_names(group) for group in stage.order]
-        return stage.model_copy(update=changes)
+        keep = None if stage.keep is None else self._jaw_names(stage.keep)
+        order = None if stage.order is None else [self._jaw_names(group) for group in stage.order]
+        return stage.model_copy(update={"keep": keep, "order": order})
 
     def deviation(self, item: Any) -> Any:
         """A deviation of the jaws instead of the tong."""
@@ -164,16 +160,6 @@ class _Placing:
         names = [item.target] if isinstance(item.target, str) else item.target
         jaws = self._jaw_names(names)
         return item if jaws == names else item.model_copy(update={"target": jaws})
-
-    def _foot(self, key: str, part: str, point) -> np.ndarray:
-        """The nearest point on a part, refused if it is too far from a given point."""
-        foot = self.surfaces[part].project(point)
-        if foot.distance[0] > REACH:
-            raise SceneError(
-                f"{key}.point: {_text(point)} is {foot.distance[0]:.3g} mm away from part {part!r} (at most "
-                f"{REACH:g} mm is allowed); the nearest point on it is {_text(foot.point[0])}"
-            )
-        return foot.point[0]
 
     def _point(self, key: str, item: Any) -> tuple[Vector, Hole | None]:
         """The point of an item, and the hole that it is in."""
@@ -194,17 +180,17 @@ class _Placing:
             raise SceneError(f"{key}: the mesh of part {part!r} has no node numbers; give point = [x, y, z]")
         matches = deck.points_of(number)
         if len(matches) > 1:
-            places = " and ".join(_text(surface.points[i]) for i in matches[:3])
+            places = " and ".join(xyz(surface.points[i]) for i in matches[:3])
             raise SceneError(f"{key}: {number} occurs more than once in part {part!r}, at {places}; give one as point")
         if not len(matches):
             on_surface = np.flatnonzero(deck.node_points >= 0)
             near = on_surface[np.argmin(np.abs(deck.nodes[on_surface] - number))]
             raise SceneError(
                 f"{key}: part {part!r} has no node {number} on its surface; the nearest number is {deck.nodes[near]}, "
-                f"at {_text(surface.points[deck.node_points[near]])}"
+                f"at {xyz(surface.points[deck.node_points[near]])}"
             )
         point = surface.points[matches[0]]
-        self.messages.append(f"{key} {number}: {_text(point)}")
+        self.messages.append(f"{key} {number}: {xyz(point)}")
         return _vector(point)
 
     def _set(self, key, name, part, surface: Surface, deck: Deck | None) -> Vector:
@@ -222,10 +208,10 @@ class _Placing:
             raise SceneError(
                 f"{key}: the mean of the {len(points)} nodes of {name!r} is {distance:.3g} mm away from part {part!r} "
                 f"(at most {REACH:g} mm is allowed); give a set of nodes closer together, the rim of a hole as hole, "
-                f"or a point: the node nearest to the mean is at {_text(nearest)}"
+                f"or a point: the node nearest to the mean is at {xyz(nearest)}"
             )
         self.messages.append(
-            f"{key} {name}: {_text(point)}, the mean of {len(points)} nodes"
+            f"{key} {name}: {xyz(point)}, the mean of {len(points)} nodes"
             + (f", moved {distance:.2g} mm onto the part" if distance > surface.tie else "")
         )
         return _vector(point)
@@ -239,18 +225,20 @@ class _Placing:
         distance = np.linalg.norm([hole.centre - np.array(near) for hole in holes], axis=1)
         hole = holes[int(np.argmin(distance))]
         size = f"{hole.size[0]:.3g} mm across" if hole.round else f"{hole.size[0]:.3g} × {hole.size[1]:.3g} mm"
+        found = f"{size}, its centre at {xyz(hole.centre)}, {distance.min():.2g} mm from the given point"
         if distance.min() > hole.size[0] / 2 + REACH:
-            raise SceneError(
-                f"{key}: no hole of part {part!r} is near {_text(near)}; the nearest, {size}, has its centre at "
-                f"{_text(hole.centre)}, {distance.min():.3g} mm away"
-            )
-        self.messages.append(
-            f"{key}: {size}, its centre at {_text(hole.centre)}, {distance.min():.2g} mm from the given point"
-        )
+            raise SceneError(f"{key}: no hole of part {part!r} is near {xyz(near)}; the nearest is {found}")
+        self.messages.append(f"{key}: {found}")
         return hole
 
     def _sheet_normal(self, part: str, point, hole: Hole | None) -> np.ndarray:
-        return hole.normal if hole is not None else _normal(self.surfaces[part], point)
+        """Unit normal of a hole's plane, or else of the curved sheet at a point's projection."""
+        if hole is not None:
+            return hole.normal
+        surface = self.surfaces[part]
+        foot = surface.project(point)
+        n = foot.barycentric[0] @ surface.corner_normals[foot.triangle[0]]
+        return n / np.linalg.norm(n)
 
     def _direction(self, key, item, point, hole: Hole | None) -> Vector:
         *_, axis = words = item.direction.removeprefix("-").split()
@@ -264,7 +252,7 @@ class _Placing:
         if length < ALONG:
             others = " or ".join(f'"in-plane {other}"' for other in "xyz" if other != axis)
             raise SceneError(
-                f"{key}.direction: {axis} stands across the sheet there, whose normal is {_text(n)}; give {others}"
+                f"{key}.direction: {axis} stands across the sheet there, whose normal is {xyz(n)}; give {others}"
             )
         return _vector(sign * along / length)
 
@@ -283,8 +271,8 @@ class _Placing:
             length = float(np.linalg.norm(line))
             if length < APART:
                 raise SceneError(
-                    f"{key}.to: along the {'sheet' if item.kind == 'gap' else 'line between them'}, {_text(far)} and "
-                    f"{_text(point)} are {length:.2g} mm apart, which defines no direction; give a gap with a direction"
+                    f"{key}.to: along the {'sheet' if item.kind == 'gap' else 'line between them'}, {xyz(far)} and "
+                    f"{xyz(point)} are {length:.2g} mm apart, which defines no direction; give a gap with a direction"
                 )
             along = _vector(line / length)
         elif isinstance(along, str):
@@ -317,12 +305,12 @@ class _Placing:
         if max(map(len, names)) > LONGEST:
             raise SceneError(f"{key}.name: the names of its jaws, {', '.join(names)}, are too long; shorten it")
         for part in item.parts:
-            self._foot(key, part, point)
+            on_part(f"{key}.point", part, self.surfaces[part], point)
         try:
             n = pair_at(point, item.radius, self.sides[first], self.sides[second]).frame[:, 0]
         except ValueError:
             raise SceneError(
-                f"{key}.point: {first!r} and {second!r} do not face each other at {_text(point)}, so a tong cannot "
+                f"{key}.point: {first!r} and {second!r} do not face each other at {xyz(point)}, so a tong cannot "
                 "press them together there; move it to where they do, or give two clamps"
             ) from None
         along = n
@@ -330,11 +318,11 @@ class _Placing:
             along = np.array(item.direction)
             if along @ n < TOGETHER:
                 raise SceneError(
-                    f"{key}.direction: {_text(along)} does not push {first!r} towards {second!r}, which lies along "
-                    f"{_text(n)}; leave direction out, or reverse it"
+                    f"{key}.direction: {xyz(along)} does not push {first!r} towards {second!r}, which lies along "
+                    f"{xyz(n)}; leave direction out, or reverse it"
                 )
         self.jaws[item.name] = names
-        self.messages.append(f"{key}: pushes {first} along {_text(along)}, and {second} against it")
+        self.messages.append(f"{key}: pushes {first} along {xyz(along)}, and {second} against it")
         common = {"parts": None, "node": None, "set": None, "point": point}
         return [
             item.model_copy(update=common | {"name": name, "part": part, "direction": _vector(sign * along)})
@@ -347,17 +335,6 @@ def _position(point: Vector, rim: Hole | None) -> dict[str, Any]:
     return {"node": None, "set": None, "point": point} | ({"hole": point} if rim is not None else {})
 
 
-def _normal(surface: Surface, point) -> np.ndarray:
-    """Unit normal of the curved sheet at a point's projection."""
-    foot = surface.project(point)
-    n = foot.barycentric[0] @ surface.corner_normals[foot.triangle[0]]
-    return n / np.linalg.norm(n)
-
-
 def _vector(x: Sequence[float] | np.ndarray) -> Vector:
     a, b, c = (float(value) + 0.0 for value in x)
     return a, b, c
-
-
-def _text(x: Sequence[float] | np.ndarray) -> str:
-    return "(" + ", ".join(f"{round(float(value), 3) + 0.0:g}" for value in x) + ")"

@@ -105,16 +105,8 @@ def _add(name: str, item, tangents: np.ndarray, read: Read, rows: Rows) -> list[
     for tangent in tangents:
         (gap, up), (other, down) = (read(np.asarray(item.point) + sign * ε * tangent) for sign in (1.0, -1.0))
         gaps.append((gap - other) / (2 * ε))
-        differences.append(
-            [
-                [
-                    (part, at, sign * share / (2 * ε))
-                    for terms, sign in ((a, 1.0), (b, -1.0))
-                    for part, at, share in terms
-                ]
-                for a, b in zip(up, down)
-            ]
-        )
+        signed = [[*a, *((part, at, -share) for part, at, share in b)] for a, b in zip(up, down)]
+        differences.append([[(part, at, share / (2 * ε)) for part, at, share in terms] for terms in signed])
     growth = []
     for axis, e in zip("xyz", np.eye(3)):
         shares = [float(e @ tangent) for tangent in tangents]

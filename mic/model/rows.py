@@ -15,9 +15,9 @@ from scipy.sparse import csr_matrix
 from mic.compliance.functional import Functionals
 from mic.errors import SceneError
 from mic.geometry.holes import find_holes
-from mic.geometry.surface import Patch, Surface
+from mic.geometry.surface import Patch, Projection, Surface
 
-__all__ = ["AXES", "KINDS", "NORMAL", "REACH", "Rows"]
+__all__ = ["AXES", "KINDS", "NORMAL", "REACH", "Rows", "on_part", "xyz"]
 
 #: Kinds of rows. "between": points between contact pairs; "position": growth of other rows as an item moves.
 KINDS = ("locator", "clamp", "weld", "contact", "between", "force", "measurement", "position")
@@ -86,8 +86,18 @@ class Rows:
         surface = self.surfaces[item.part]
         if item.hole is not None:
             return self.patch(item.part, _rim(surface, item.hole))
-        self.check_on_part(key, name, item.point, item.part)
+        on_part(f"{key}.point", item.part, self.surfaces[item.part], item.point, name)
         return self.disc(item.part, item.point, item.radius)
+
+    def item_discs(self, key: str, item) -> tuple[list[int], np.ndarray]:
+        """Retain a disc about each point of an item; returns their numbers, and the sheet's normals there (n, 3).
+
+        Errors as :meth:`point`.
+        """
+        surface = self.surfaces[item.part]
+        foot = on_part(f"{key}.points", item.part, surface, item.points, item.name)
+        discs = [self.disc(item.part, point, item.radius) for point in foot.point]
+        return discs, surface.smooth_normals(foot.triangle, foot.barycentric)
 
     def disc(self, part: str, point, radius: float) -> int:
         """Retain the patch of a part within a radius of a point; returns its number."""
@@ -97,18 +107,6 @@ class Rows:
         """(3,) weighted mean point of a retained patch, mm."""
         disc = self._patches[part][patch]
         return disc.weight @ self.surfaces[part].at(disc.triangle, disc.barycentric)
-
-    def check_on_part(self, key: str, name: str, point, part: str) -> None:
-        """Raise :class:`SceneError` if the point of an item is farther than `REACH` from its part."""
-        foot = self.surfaces[part].project(point)
-        _check_reach(f"{key}.point ({name})", part, list(point), foot.point[0], float(foot.distance[0]))
-
-    def check_points_on_part(self, key: str, name: str, part: str, points: np.ndarray, feet: np.ndarray) -> None:
-        """Raise :class:`SceneError` if the farthest of several points (n, 3) is too far from its foot on the part."""
-        distance = np.linalg.norm(points - feet, axis=1)
-        worst = int(np.argmax(distance))
-        at = f"{key}.points[{worst}] ({name})"
-        _check_reach(at, part, points[worst].tolist(), feet[worst], float(distance[worst]))
 
     def functionals(self, part: str) -> Functionals:
         """The retained functionals of a part."""
@@ -130,13 +128,29 @@ class Rows:
         return {kind: _matrix(terms, start, sum(lengths)) for kind, terms in self._terms.items()}
 
 
-def _check_reach(key: str, part: str, point: list[float], foot: np.ndarray, distance: float) -> None:
-    if distance > REACH:
-        nearest = ", ".join(f"{x:.6g}" for x in foot)
+def on_part(key: str, part: str, surface: Surface, points, name: str = "") -> Projection:
+    """Nearest points on a part's surface to one point of an item, or to several (n, 3).
+
+    Raises
+    ------
+    SceneError
+        If one of the points is farther than `REACH` from the part; the key and the name of the item are in the message.
+    """
+    foot = surface.project(points)
+    worst = int(np.argmax(foot.distance))
+    if foot.distance[worst] > REACH:
+        at = key + ("" if np.ndim(points) == 1 else f"[{worst}]") + (f" ({name})" if name else "")
         raise SceneError(
-            f"{key}: {point} is {distance:.3g} mm away from part {part!r} (at most {REACH} mm is allowed), its nearest "
-            f"point is [{nearest}]; correct the coordinates or the part"
+            f"{at}: {xyz(np.atleast_2d(points)[worst])} is {foot.distance[worst]:.3g} mm away from part "
+            f"{part!r} (at most {REACH:g} mm is allowed); the nearest point on it is {xyz(foot.point[worst])}; "
+            "correct the coordinates or the part"
         )
+    return foot
+
+
+def xyz(x: Sequence[float] | np.ndarray) -> str:
+    """A point or vector as text, to 1 µm."""
+    return "(" + ", ".join(f"{round(float(value), 3) + 0.0:g}" for value in x) + ")"
 
 
 def _rim(surface: Surface, centre) -> Patch:

@@ -23,6 +23,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from glob import glob
 from pathlib import Path
 from typing import Any
 
@@ -201,9 +202,8 @@ def _measured(
     share = (1.0 if item.pieces else item.share) * (1 - 1e-12)
     count = min(int(np.searchsorted(variance, share * variance[-1])) + 1, n - 1)
     scores = np.sqrt(n - 1) * Wt[:count].T
-    noise_of_mode = np.full(count, 1 / np.sqrt(n - 1))
-    if W is not None:
-        noise_of_mode = np.linalg.norm((W - W.mean(axis=0)).T @ Wt[:count].T, axis=0) / np.sqrt(n - 1)
+    amount = np.ones(count) if W is None else np.linalg.norm((W - W.mean(axis=0)).T @ Wt[:count].T, axis=0)
+    noise_of_mode = amount / np.sqrt(n - 1)
     stems = [file.stem for file in by_file]
     names = stems if len(set(stems)) == n else [file.name for file in by_file]
     modes = [ShapeDeviation(name=f"{item.name}.mean", **common, **mean_keys)] if item.mean else []
@@ -240,15 +240,9 @@ def _without_noise(values: np.ndarray, noise: np.ndarray) -> tuple[np.ndarray, n
 
 def _files(at: str, pattern: str, folder: Path) -> list[Path]:
     """The files of a name or a pattern, sorted by name."""
-    path = folder / pattern
-    if path.is_dir():
-        path = path / "*"
-    base = Path(path.anchor) if Path(pattern).is_absolute() else folder
-    try:
-        matches = base.glob(str(path.relative_to(base)))
-        files = sorted(file for file in matches if file.is_file() and not file.name.startswith("."))
-    except (ValueError, NotImplementedError) as problem:
-        raise SceneError(f"{at}: files: {pattern!r} is no pattern of files ({problem}); correct it") from None
+    wanted = f"{pattern}/*" if (folder / pattern).is_dir() else pattern
+    matches = map(folder.joinpath, glob(wanted, root_dir=folder, recursive=True))
+    files = sorted(file for file in matches if file.is_file() and not file.name.startswith("."))
     if not files:
         raise SceneError(f"{at}: files: there is no file {pattern!r} in {folder}; correct the name or the pattern")
     return files
@@ -273,13 +267,11 @@ def _common_points(at, item: MeasuredDeviation, surface: Surface, pieces: list[D
     area = float(surface.areas.sum())
     spacing = item.spacing or np.sqrt(SPREAD * area / USUAL)
     _check_number(f"{at}: spacing", item.part, surface, spacing, 1.0)
-    centres, values, shares = _fitted_at_spacing(surface, pieces, spacing)
-    known = ~np.isnan(values).any(axis=1)
+    centres, values, shares, known = _fitted_at_spacing(surface, pieces, spacing)
     if item.spacing is None and known.mean() < COVERED:  # the measured points are sparse
         fewest = min(len(piece.points) for piece in pieces)
         spacing = max(spacing, np.sqrt(AMONG * area / (np.pi * ABOUT**2 * fewest)))
-        centres, values, shares = _fitted_at_spacing(surface, pieces, spacing)
-        known = ~np.isnan(values).any(axis=1)
+        centres, values, shares, known = _fitted_at_spacing(surface, pieces, spacing)
     if known.mean() < COVERED or known.sum() <= 6:
         raise SceneError(
             f"{at}: files: only {100 * known.mean():.0f} % of part {item.part!r} has {FEW} measured points of every "
@@ -298,11 +290,14 @@ def _check_number(key: str, part: str, surface: Surface, value: float, per_spaci
 
 
 def _fitted_at_spacing(surface: Surface, pieces: list[Deviations], spacing: float):
-    """Points (c, 3) of the surface at a spacing, and values and noise shares (c, n) of the pieces there."""
+    """Points (c, 3) of the surface at a spacing, values and noise shares (c, n) of the pieces there, and a mask (c,).
+
+    The mask says where all pieces have values.
+    """
     centres, normals = sheet_normals(surface, surface.points[spread(surface, spacing)])
     fits = [_fitted_at(piece, centres, normals, ABOUT * spacing) for piece in pieces]
     values, shares = (np.array(arrays).T for arrays in zip(*fits))
-    return centres, values, shares
+    return centres, values, shares, ~np.isnan(values).any(axis=1)
 
 
 def _fitted_at(piece: Deviations, centres: np.ndarray, normals: np.ndarray, radius: float):
@@ -326,12 +321,10 @@ def _fitted_at(piece: Deviations, centres: np.ndarray, normals: np.ndarray, radi
 
 def _fit_summary(pieces: list[Deviations]) -> str:
     """Shift and rotation of the best fits, and points left out, as text."""
-    summary = ""
     shift, turn = max(piece.fit.shift for piece in pieces), max(piece.fit.turn for piece in pieces)
-    if shift > 0.0 or turn > 0.0:
-        summary += f"; fitted by up to {shift:.2g} mm and {turn:.2g}°"
+    fitted = f"; fitted by up to {shift:.2g} mm and {turn:.2g}°" if shift > 0.0 or turn > 0.0 else ""
     left_out = sum(piece.fit.left_out for piece in pieces)
-    return summary + (f"; {left_out} points lie too far off the part and were left out" if left_out else "")
+    return fitted + (f"; {left_out} points lie too far off the part and were left out" if left_out else "")
 
 
 def _not_normal(item: MeasuredDeviation, scores: np.ndarray) -> str:

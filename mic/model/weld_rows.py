@@ -20,8 +20,8 @@ import numpy as np
 from mic.errors import Problems, SceneError
 from mic.geometry.pairing import ContactPair, Side, pair_at
 from mic.model.assembly_types import Contacts
-from mic.model.overlap import close_overlap, thinner_sheet, zone_of_weld
-from mic.model.rows import AXES, NORMAL, Rows
+from mic.model.overlap import close_overlap, zone_of_weld
+from mic.model.rows import AXES, NORMAL, Rows, on_part
 from mic.scene import Scene
 from mic.scene.checks import entry
 
@@ -37,7 +37,7 @@ def weld_rows(key: str, weld, bodies: Mapping[str, Side], rows: Rows) -> np.ndar
         If the weld lies off a part, or its parts do not face each other there.
     """
     for name in weld.parts:
-        rows.check_on_part(key, weld.name, weld.point, name)
+        on_part(f"{key}.point", name, rows.surfaces[name], weld.point, weld.name)
     try:
         pair = pair_at(weld.point, weld.radius, *(bodies[name] for name in weld.parts))
     except ValueError as error:
@@ -124,7 +124,7 @@ def weld_gaps(scene: Scene, contacts: Contacts, drawn: Sequence[np.ndarray], pro
             continue
         rule, at = "close" if zone is None else zone.nominal_overlap, np.array([weld.point])
         with problems:
-            gap = close_overlap(entry("welds", i, weld), rule, gaps[:1], thinner_sheet(scene, weld), at)[0]
+            gap = close_overlap(scene, entry("welds", i, weld), weld, rule, gaps[:1], at)[0]
             if gap != gaps[0]:
                 gaps[:] = 0.0  # a closed gap has no tilt
                 gaps[0] = gap

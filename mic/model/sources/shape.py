@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 
 from mic.errors import SceneError
-from mic.geometry.measured_points import sheet_normals
 from mic.model.sources.source import KnownShape, Source
 
 __all__ = ["ShapeAtPoints"]
@@ -23,12 +22,7 @@ class ShapeAtPoints(Source):
         item = self.deviation
         if f"{self._group} at 0" in rows.labels["force"]:
             return
-        surface = rows.surfaces[item.part]
-        points = np.array(item.points)
-        feet, normals = sheet_normals(surface, points)
-        rows.check_points_on_part(self.key, item.name, item.part, points, feet)
-        for i, (point, n) in enumerate(zip(feet, normals)):
-            patch = rows.disc(item.part, point, item.radius)
+        for i, (patch, n) in enumerate(zip(*rows.item_discs(self.key, item))):
             functional = rows.functional(item.part, patch, n, f"force {self._group} at {i}")
             rows.add("force", f"{self._group} at {i}", (item.part, functional, 1.0))
 
