@@ -10,6 +10,7 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -37,7 +38,7 @@ from mic.results.outcome import Outcome, TableCache, read_outcome
 from mic.results.run_folder import Block, RunFolder, stores_pairs, versions
 from mic.results.run_identity import identity, inputs
 from mic.results.sample_tables import tables
-from mic.results.schema import ACCURACY, CONTACTS
+from mic.results.schema import ACCURACY, CONDENSED, CONTACTS, FORCES, SUMS, Table
 from mic.results.table_writer import write_path_study, write_summary, write_tables
 from mic.scene import Scene
 from mic.system.files import clean
@@ -268,13 +269,12 @@ def _sample(folder, model: ReducedModel, laws, samples, seed, progress: Progress
     """Compute and write the missing samples of a prepared folder; returns the reused samples by law."""
     store, world = RunFolder(folder), communicator()
     run_identity = identity(model, seed)
-    finished: dict[str, np.ndarray] = {}
 
-    def start() -> None:
+    def start() -> dict[str, np.ndarray]:
         model.save(store.path / "model.npz")
-        finished.update({law: store.finished(law, samples) for law in laws})
+        return {law: store.finished(law, samples) for law in laws}
 
-    on_first(world, start)
+    finished = on_first(world, start)
 
     def done(law: str, first: int, count: int) -> bool:
         start, stop = np.searchsorted(finished[law], (first, first + count))
@@ -310,16 +310,19 @@ def write_evaluation(
     """
     frames, report = tables(model, evaluation, block.first), model.scene.report
     force, motion = evaluation.functional_force, evaluation.motion
+    arrays: dict[Table, Any] = {}
     if stores_pairs(report, block):
-        store.write_block(block, identity, frames, {"force": force, "motion": motion} if report.fields else None)
-        return frames
-    samples = BlockSamples(frames, len(model.contacts), block.end)
-    sums, condensed = ContactSums.of(samples, model), None
-    del frames[CONTACTS.name]
-    if report.fields:
-        valid, parts = samples.valid, zip(model.compliance.functionals, model.compliance.motions)
-        condensed = tuple(CompressedForces.of(force[valid, rows], motion[valid, columns]) for rows, columns in parts)
-    store.write_block(block, identity, frames, sums=sums, condensed=condensed)
+        if report.fields:
+            arrays[FORCES] = {"force": force, "motion": motion}
+    else:
+        samples = BlockSamples(frames, len(model.contacts), block.end)
+        arrays[SUMS], valid = ContactSums.of(samples, model), samples.valid
+        del frames[CONTACTS.name]
+        if report.fields:
+            parts = zip(model.compliance.functionals, model.compliance.motions)
+            compressed = (CompressedForces.of(force[valid, rows], motion[valid, columns]) for rows, columns in parts)
+            arrays[CONDENSED] = tuple(compressed)
+    store.write_block(block, identity, frames, arrays)
     return frames
 
 

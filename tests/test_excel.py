@@ -20,19 +20,16 @@ SHEETS = "{http://schemas.openxmlformats.org/spreadsheetml/2006/main}"
 
 @pytest.fixture(scope="module")
 def folder(lap_scene, cache, tmp_path_factory):
-    scene = lap_scene.model_copy(
-        update={
-            "monte_carlo": lap_scene.monte_carlo.model_copy(update={"samples": 5}),
-            "report": lap_scene.report.model_copy(update={"laws": ["frictionless"], "fields": False}),
-        }
-    )
+    few = lap_scene.monte_carlo.model_copy(update={"samples": 5})
+    report = lap_scene.report.model_copy(update={"laws": ["frictionless"], "fields": False})
+    scene = lap_scene.model_copy(update={"monte_carlo": few, "report": report})
     folder = tmp_path_factory.mktemp("excel") / "run"
     run(scene, folder, cache)
     return folder
 
 
 def sheets(path):
-    """Cells by sheet: rows of numbers and texts, None where a cell is empty."""
+    """Cells by sheet: rows of numbers and texts, without empty cells."""
     with zipfile.ZipFile(path) as book:
         texts = ["".join(one.itertext()) for one in ElementTree.fromstring(book.read("xl/sharedStrings.xml"))]
         names = [one.get("name") for one in ElementTree.fromstring(book.read("xl/workbook.xml")).iter(f"{SHEETS}sheet")]
@@ -41,13 +38,9 @@ def sheets(path):
             root = ElementTree.fromstring(book.read(f"xl/worksheets/sheet{number}.xml"))
             rows = []
             for row in root.iter(f"{SHEETS}row"):
-                cells = {}
-                for cell in row:
-                    value = cell.find(f"{SHEETS}v")
-                    letters = "".join(c for c in cell.get("r") if c.isalpha())
-                    if value is not None:
-                        cells[letters] = texts[int(value.text)] if cell.get("t") == "s" else float(value.text)
-                rows.append(list(cells.values()))
+                values = [(cell.get("t"), cell.findtext(f"{SHEETS}v")) for cell in row]
+                given = [(kind, value) for kind, value in values if value is not None]
+                rows.append([texts[int(value)] if kind == "s" else float(value) for kind, value in given])
             found[name] = rows
     return found
 

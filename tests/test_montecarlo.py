@@ -24,13 +24,6 @@ def collected(model, laws, samples, seed, **options):
     return found, reused
 
 
-def test_samples_depend_on_seed_and_number_only(lap_scene):
-    whole = draw(lap_scene, 4, 0, 30)
-    np.testing.assert_array_equal(draw(lap_scene, 4, 17, 5), whole[17:22])
-    assert (draw(lap_scene, 5, 0, 30) != whole).all()
-    assert len(np.unique(whole)) == whole.size
-
-
 #: Name and parameters in a scene, and the distribution of SciPy that it is to be, but for mean and scale.
 REFERENCES = {
     "normal": ({}, stats.norm()),
@@ -50,8 +43,10 @@ def having(scene, correlations=(), design="independent", **keys):
     return Scene(**table | {"correlations": list(correlations)})
 
 
-@pytest.mark.parametrize("design", DESIGNS)
-@pytest.mark.parametrize("distribution", REFERENCES)
+BY_DESIGN = [*((name, "independent") for name in REFERENCES), *(("beta", name) for name in [*DESIGNS][1:])]
+
+
+@pytest.mark.parametrize("distribution, design", BY_DESIGN)
 def test_deviations_follow_the_stated_distribution(lap_scene, distribution, design):
     parameters, reference = REFERENCES[distribution]
     scene = having(lap_scene, design=design, distribution=distribution, parameters=parameters)
@@ -75,8 +70,8 @@ def test_a_truncated_deviation_is_the_same_one_cut_off(lap_scene):
 R = [[1.0, 0.7, -0.4], [0.7, 1.0, 0.1], [-0.4, 0.1, 1.0]]
 
 
-@pytest.mark.parametrize("design", DESIGNS)
-@pytest.mark.parametrize("distribution", ["normal", "uniform", "expon"])
+@pytest.mark.parametrize("distribution, design", [("normal", "independent"), ("uniform", "latin-hypercube"),
+                                                  ("expon", "antithetic"), ("expon", "sobol")])  # fmt: skip
 def test_correlated_deviations_have_the_copulas_rank_correlation_and_their_own_distribution(
     lap_scene, distribution, design
 ):
@@ -94,11 +89,10 @@ def test_correlated_deviations_have_the_copulas_rank_correlation_and_their_own_d
         assert stats.kstest(frozen.mean() + frozen.std() * standard, frozen.cdf).pvalue > 1e-3
 
 
-@pytest.mark.parametrize("correlated", [False, True])
 @pytest.mark.parametrize("design", DESIGNS)
-def test_samples_of_a_design_do_not_depend_on_how_they_are_batched(lap_scene, design, correlated):
+def test_samples_of_a_design_do_not_depend_on_how_they_are_batched(lap_scene, design):
     names = [item.name for item in lap_scene.deviations]
-    together = [{"deviations": names[:3], "matrix": R}] if correlated else []
+    together = [{"deviations": names[:3], "matrix": R}]
     scene = having(lap_scene, together, design, distribution="skewnorm", parameters={"a": 2.0})
     whole = draw(scene, 4, 0, 200)
     for first, count in ((17, 5), (63, 2), (49, 2), (0, 1), (130, 70)):
@@ -125,9 +119,9 @@ def output(values):
 @pytest.mark.slow
 @pytest.mark.parametrize("design", DESIGNS)
 def test_intervals_of_a_design_have_their_coverage_and_designs_reduce_the_error(lap_scene, design):
-    """Over 160 repetitions of 640 or 600 samples; of the mean and of σ."""
+    """Of mean and σ over 160 repetitions; designs of large groups have a dozen of them, the others a hundred."""
     scene = having(lap_scene, design=design, mean=0.0, sigma=1.0)
-    n = 600 if design == "latin-hypercube" else 640
+    n = {"latin-hypercube": 600, "sobol": 640}.get(design, 200)
     group = np.arange(n) // DESIGNS[design] % 100
     found = []
     for seed in range(160):
@@ -137,18 +131,16 @@ def test_intervals_of_a_design_have_their_coverage_and_designs_reduce_the_error(
         found.append((mean.value, sigma.value, mean.low, mean.high, sigma.low, sigma.high))
     truth = 0.2, np.sqrt(1 + 0.25 + 0.09 + 2 * 0.04 + 0.04)
     value = np.array(found)
-    for k in range(2):
-        covers = (value[:, 2 + 2 * k] <= truth[k]) & (truth[k] <= value[:, 3 + 2 * k])
-        assert 0.91 <= covers.mean() <= 0.985
+    for low, high, true in zip(value[:, 2::2].T, value[:, 3::2].T, truth):
+        assert 0.91 <= np.mean((low <= true) & (true <= high)) <= 0.985
     most = {"independent": 1.2, "antithetic": 0.5, "latin-hypercube": 0.3, "sobol": 0.2}[design]
     assert value[:, 0].std() < most * truth[1] / np.sqrt(n)
 
 
 def test_every_sample_reaches_the_sink_once(lap_model):
     found, reused = collected(lap_model, LAWS, BLOCK + 10, 4)
-    assert [(law, first, len(e.deviations)) for law, first, e in found] == [
-        (law, first, count) for law in LAWS for first, count in ((0, BLOCK), (BLOCK, 10))
-    ]
+    ranges = [(law, first, count) for law in LAWS for first, count in ((0, BLOCK), (BLOCK, 10))]
+    assert [(law, first, len(evaluation.deviations)) for law, first, evaluation in found] == ranges
     for _, first, evaluation in found:
         expected = draw(lap_model.scene, 4, first, len(evaluation.deviations))
         np.testing.assert_array_equal(evaluation.deviations, expected)
@@ -157,21 +149,16 @@ def test_every_sample_reaches_the_sink_once(lap_model):
 
 @pytest.mark.slow
 def test_a_worker_process_evaluates_some_blocks_to_the_same_bits(lap_model, monkeypatch):
-    """Ten blocks; what both processes found is handed over here, and all samples are told of."""
+    """Of ten blocks; this process gets the results of both, and all samples are reported."""
+    sink = lambda law, first, evaluation: (os.getpid(), evaluation.measurements, evaluation.functional_force)
 
     def found(core):
         taken, heard = {}, []
         monkeypatch.setattr(montecarlo, "has_spare_core", lambda: core)
         monkeypatch.setattr(worker_process, "has_spare_core", lambda: core)
-        monte_carlo(
-            lap_model,
-            LAWS,
-            5 * BLOCK,
-            4,
-            lambda law, first, evaluation: (os.getpid(), evaluation.measurements, evaluation.functional_force),
-            advance=lambda law, count: heard.append(count),
-            take=lambda law, first, count, found: taken.setdefault((law, first, count), found),
-        )
+        advance = lambda law, count: heard.append(count)
+        take = lambda law, first, count, result: taken.setdefault((law, first, count), result)
+        monte_carlo(lap_model, LAWS, 5 * BLOCK, 4, sink, advance=advance, take=take)
         assert sum(heard) == 2 * 5 * BLOCK
         assert sorted(taken) == [(law, first, BLOCK) for law in LAWS for first in range(0, 5 * BLOCK, BLOCK)]
         return taken
@@ -185,14 +172,9 @@ def test_a_worker_process_evaluates_some_blocks_to_the_same_bits(lap_model, monk
 
 def test_finished_blocks_are_skipped_and_counted(lap_model):
     heard = []
-    found, reused = collected(
-        lap_model,
-        LAWS,
-        BLOCK + 10,
-        4,
-        done=lambda law, first, count: law == "coulomb" and first == 0,
-        advance=lambda law, count: heard.append((law, count)),
-    )
+    done = lambda law, first, count: law == "coulomb" and first == 0
+    advance = lambda law, count: heard.append((law, count))
+    found, reused = collected(lap_model, LAWS, BLOCK + 10, 4, done=done, advance=advance)
     assert ("coulomb", 0) not in [block[:2] for block in found] and len(found) == 3
     assert reused == {"coulomb": BLOCK, "frictionless": 0}
     assert heard == [(law, count) for law in LAWS for count in (BLOCK, 10)]
@@ -215,12 +197,12 @@ def test_a_sample_that_breaks_is_counted_and_the_rest_survives(lap_model, monkey
     assert np.isfinite(np.delete(found.measurements, 7, axis=0)).all()
 
 
-@pytest.mark.parametrize("pairs", [0, 24, 500, 100_000])
+@pytest.mark.parametrize("pairs", [0, 500, 100_000])
 def test_blocks_begin_where_they_do_however_many_samples_there_are(pairs):
-    whole = [first for _, first, _ in blocks(["coulomb"], 1_000_000, pairs)]
-    for samples in (1, BLOCK, 1030, 1050, 9_999, 123_456):
-        found = blocks(["coulomb", "frictionless"], samples, pairs)
-        for law in ("coulomb", "frictionless"):
+    whole = [first for _, first, _ in blocks(["coulomb"], 200_000, pairs)]
+    for samples in (1, BLOCK, 1030, 1050, 123_456):
+        found = blocks(LAWS, samples, pairs)
+        for law in LAWS:
             firsts, counts = zip(*[(first, count) for name, first, count in found if name == law])
             assert list(firsts) == whole[: len(firsts)]
             assert list(np.cumsum(counts)) == [*firsts[1:], samples]  # without gaps, up to the last sample
@@ -232,6 +214,7 @@ def test_blocks_grow_with_their_place_as_far_as_memory_allows():
     assert all(count <= max(BLOCK, first / 20) for _, first, count in small)
     assert len(small) < 400 and max(count for *_, count in small) == SIZES[-1]
     assert max(count for *_, count in large) * 500 <= MAX_ENTRIES
+    assert [block[2] for block in blocks(["coulomb"], 12, MANY_PAIRS + 1)] == [SMALL_BLOCK, SMALL_BLOCK, 2]
 
 
 def test_slow_samples_are_reported_one_by_one_with_the_same_results(lap_model, monkeypatch):
@@ -249,13 +232,8 @@ def test_slow_samples_are_reported_one_by_one_with_the_same_results(lap_model, m
 
 
 def test_the_expected_duration_excludes_the_setup_in_the_first_sample(lap_model, monkeypatch):
-    """It loads and compiles; the others are judged by each other."""
     ticks = iter([0.0, 0.0, 1000.0, 1000.0, 1006.0])
     monkeypatch.setattr(montecarlo.time, "perf_counter", lambda: next(ticks))
     expected = []
     collected(lap_model, ["frictionless"], 2, 4, expect=expected.append)
     assert expected == [12.0]  # 6 s each
-
-
-def test_many_contact_pairs_make_small_blocks():
-    assert [block[2] for block in blocks(["coulomb"], 12, MANY_PAIRS + 1)] == [SMALL_BLOCK, SMALL_BLOCK, 2]

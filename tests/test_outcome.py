@@ -193,13 +193,18 @@ def test_blocks_just_written_are_cached_up_to_a_limit(folder, lap_model):
     assert len(read_outcome(folder, lap_model, full).damaged) == len(every) - 1
 
 
-def test_an_interrupted_run_is_read_with_its_missing_samples(folder, evaluation):
+def test_an_interrupted_or_damaged_run_is_read_with_its_missing_samples(folder, evaluation):
     (last,) = (folder / "samples" / "law=frictionless").glob(f"{BLOCK:06d}-*")
     last.unlink()  # the block was interrupted after its contacts were written
     (folder / "samples" / "law=frictionless" / ".half.parquet").write_bytes(b"half a file")
     outcome = read_outcome(folder)
     assert outcome.missing == {"coulomb": 0, "frictionless": 10}
     assert len(outcome.contact("frictionless", "clamp", "f_n")) == BLOCK
+    cut = folder / "contacts" / "law=coulomb" / f"{0:06d}-{BLOCK - 1:06d}.parquet"
+    cut.write_bytes(cut.read_bytes()[:300])
+    damaged = read_outcome(folder)
+    assert damaged.missing["coulomb"] == BLOCK and damaged.sample_numbers("coulomb")[0] == BLOCK
+    assert [cut.name in sentence and "damaged" in sentence for sentence in damaged.damaged] == [True]
     x = evaluation["frictionless"].measurements[:BLOCK, 0]
     assert outcome.summary()["laws"]["frictionless"]["measurements"]["M1"]["mean"] == pytest.approx(x.mean(), rel=1e-6)
     for path in folder.glob("samples/*/*"):
@@ -242,16 +247,6 @@ def test_the_wide_table_of_old_stays_with_a_warning(sampled):
     np.testing.assert_array_equal(wide["measurement:M1"], outcome.measured("coulomb", "M1"))
     np.testing.assert_array_equal(wide["slip:release:lap"], outcome.tangential("coulomb", "release", "lap"))
     assert set(wide["status:clamp"]) == {"converged"} and len(wide) == SAMPLES
-
-
-def test_a_cut_block_counts_as_missing_and_is_named(folder):
-    path = folder / "contacts" / "law=coulomb" / f"{0:06d}-{BLOCK - 1:06d}.parquet"
-    path.write_bytes(path.read_bytes()[:300])
-    outcome = read_outcome(folder)
-    assert outcome.missing == {"coulomb": BLOCK, "frictionless": 0}
-    assert outcome.sample_numbers("coulomb")[0] == BLOCK
-    (sentence,) = outcome.damaged
-    assert path.name in sentence and "damaged" in sentence
 
 
 def test_an_unreadable_record_is_one_sentence(folder):
@@ -303,14 +298,3 @@ def test_samples_are_read_by_number(folder, monkeypatch):
         np.testing.assert_array_equal(found.measured("coulomb", "M1", few), measured[place])
     with pytest.raises(KeyError, match="requested samples are not valid"):
         outcome.measured("coulomb", "M1", [3, 4])
-
-
-def test_samples_beyond_the_requested_number_do_not_count(folder):
-    record = RunFolder(folder).record()
-    RunFolder(folder).write_record(record | {"samples": 20})
-    outcome = read_outcome(folder)
-    assert outcome.sample_numbers("coulomb").tolist() == list(range(20)) and outcome.missing["coulomb"] == 0
-    assert outcome.contact("coulomb", "clamp", "f_n").shape[0] == 20
-    summary = outcome.summary()["laws"]["coulomb"]
-    assert summary["samples"] == 20
-    assert summary["measurements"]["M1"]["mean"] == pytest.approx(outcome.measured("coulomb", "M1").mean(), rel=1e-14)

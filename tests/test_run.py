@@ -9,11 +9,13 @@ import pandas as pd
 import pytest
 from support.runs import Heard
 
+import mic
 from mic.compliance.blocks import Blocks
-from mic.errors import RunError
+from mic.errors import RunError, SceneError
 from mic.model.assembly import assemble
+from mic.results.outcome import read_outcome
+from mic.results.run_folder import RunFolder
 from mic.results.run_identity import identity
-from mic.results.schema import DATASETS
 from mic.runs import conclude, read_run, run, sample_into
 
 LAWS = ["coulomb", "frictionless"]
@@ -29,32 +31,6 @@ def sixty(lap_model, tmp_path_factory):
     folder = tmp_path_factory.mktemp("sixty")
     sample_into(folder, lap_model, ["coulomb"], 60, 4)
     return folder
-
-
-@pytest.mark.slow
-def test_run_is_complete_and_reproducible(lap_model, sixty, tmp_path):
-    sample_into(tmp_path, lap_model, LAWS, 60, 4)
-    for table in DATASETS:
-        pd.testing.assert_frame_equal(read(tmp_path, table.name), read(sixty, table.name))
-    samples, contacts = read(tmp_path, "samples"), read(tmp_path, "contacts")
-    assert samples["sample"].tolist() == list(range(60)) and not samples["failed"].any()
-    assert len(contacts) == 60 * 2 * len(lap_model.contacts)
-    assert json.loads((tmp_path / "run.json").read_text())["seed"] == 4
-
-
-@pytest.mark.slow
-def test_an_interrupted_run_keeps_finished_blocks(lap_model, tmp_path):
-    with pytest.raises(KeyboardInterrupt):
-        sample_into(tmp_path, lap_model, LAWS, 120, 4, progress=Heard(stop_after=1))
-    blocks = {path: path.stat().st_mtime_ns for path in (tmp_path / "samples").glob("*/[!.]*.parquet")}
-    done = {law: [pd.read_parquet(path)["sample"].tolist() for path in blocks if law in str(path)] for law in LAWS}
-    whole = [list(range(first, min(first + 50, 120))) for first in range(0, 120, 50)]
-    assert blocks and all(block in whole for found in done.values() for block in found)  # one more perhaps, of a copy
-    kept = {law: sum(len(block) for block in done[law]) for law in LAWS}
-    assert kept["coulomb"] and sample_into(tmp_path, lap_model, LAWS, 120, 4) == kept
-    assert all(path.stat().st_mtime_ns == written for path, written in blocks.items())
-    sample_into(tmp_path / "whole", lap_model, LAWS, 120, 4)
-    pd.testing.assert_frame_equal(read(tmp_path, "measurements"), read(tmp_path / "whole", "measurements"))
 
 
 @pytest.mark.slow
@@ -174,9 +150,9 @@ def test_statistics_do_not_depend_on_how_many_samples_store_their_pairs(long_and
 
 def test_pairs_that_are_not_stored_are_refused_in_one_sentence(long_and_short):
     outcome = read_run(long_and_short[1])
-    kept = outcome.with_pairs("coulomb")
-    assert kept.tolist() == list(range(50))
-    assert outcome.contact("coulomb", "clamp", "f_n", kept).shape == (50, len(outcome.model.contacts))
+    stored = outcome.with_pairs("coulomb")
+    assert stored.tolist() == list(range(50))
+    assert outcome.contact("coulomb", "clamp", "f_n", stored).shape == (50, len(outcome.model.contacts))
     for samples in (None, [49, 50]):
         with pytest.raises(RunError, match=r"pairs of 50 samples under coulomb.*more contacts in \[report\]"):
             outcome.contact("coulomb", "clamp", "f_n", samples)
@@ -225,3 +201,70 @@ def test_a_long_run_announces_its_duration_after_its_first_samples(lap_model, tm
     heard = Heard()
     sample_into(tmp_path, lap_model, ["frictionless"], 3, 4, progress=heard)
     assert any("The remaining samples take about" in sentence for sentence in heard.sentences) == said
+
+
+# --- sampling until the accuracy that the scene asks for
+
+FRICTIONLESS = ["frictionless"]
+
+
+def asking(model, **keys):
+    """The model whose scene asks for an accuracy."""
+    monte_carlo = model.scene.monte_carlo.model_copy(update=keys)
+    return replace(model, scene=model.scene.model_copy(update={"monte_carlo": monte_carlo}))
+
+
+def drawn(folder):
+    return pd.read_parquet(folder / "samples").sort_values("sample")["sample"].tolist()
+
+
+def test_samples_are_drawn_until_the_accuracy_is_reached_and_no_longer(lap_model, tmp_path):
+    heard = Heard()
+    sample_into(tmp_path, asking(lap_model, accuracy=0.004), FRICTIONLESS, 500, 4, heard)
+    count = RunFolder(tmp_path).record()["samples"]
+    found = read_outcome(tmp_path)
+    assert found.uncertainty <= 0.004 and drawn(tmp_path) == list(range(count)) and 50 <= count < 500
+    reached = f"every 6σ at most {found.uncertainty:.2%} (requested: 0.40%)"
+    assert f"{count} samples: half-width of the 95 % interval of {reached}" in heard.sentences
+    assert found.missing == {"frictionless": 0}
+
+
+def test_the_requested_accuracy_decides_the_number_of_samples(lap_model, tmp_path):
+    sample_into(tmp_path / "rough", asking(lap_model, accuracy=0.9), FRICTIONLESS, 500, 4)
+    assert drawn(tmp_path / "rough") == list(range(50))
+    sample_into(tmp_path / "fine", asking(lap_model, accuracy=1e-9), FRICTIONLESS, 120, 4, heard := Heard())
+    assert drawn(tmp_path / "fine") == list(range(120))
+    assert heard.sentences[-1].endswith("increase --samples")
+
+
+@pytest.mark.slow
+def test_an_interrupted_run_ends_with_the_same_samples(lap_model, tmp_path):
+    model = asking(lap_model, accuracy=2e-4)
+    sample_into(tmp_path / "whole", model, FRICTIONLESS, 300, 4)
+    with pytest.raises(KeyboardInterrupt):
+        sample_into(tmp_path / "parts", model, FRICTIONLESS, 300, 4, Heard(stop_after=2))
+    sample_into(tmp_path / "parts", model, FRICTIONLESS, 300, 4)
+    assert drawn(tmp_path / "parts") == drawn(tmp_path / "whole")
+    assert len(drawn(tmp_path / "whole")) > 50
+    one, other = (RunFolder(tmp_path / name).record()["samples"] for name in ("parts", "whole"))
+    assert one == other
+
+
+@pytest.mark.parametrize(
+    ("keys", "changes", "words"),
+    [
+        ({"accuracy": 0}, {}, "accuracy"),
+        ({"accuracy": 1.0}, {}, "accuracy"),
+        ({"accuracy": "2 %"}, {}, "accuracy"),
+        ({"accuracy": float("nan")}, {}, "accuracy"),
+        ({"accuracy": 0.02, "design": "sobol", "samples": 64}, {}, "accuracy adds samples one by one"),
+        ({"accuracy": 0.02, "values": [[0.0, 0.0, 0.0]]}, {}, "accuracy and values exclude each other"),
+        ({"accuracy": 0.02, "table": "samples.csv"}, {}, "accuracy and table exclude each other"),
+        ({"accuracy": 0.02}, {"measurements": []}, "it needs measurements and deviations"),
+    ],
+)
+def test_invalid_accuracy_requests_are_refused(lap_scene, keys, changes, words):
+    table = lap_scene.model_dump(exclude={"setting"}, exclude_none=True) | {"folder": lap_scene.folder}
+    table["monte_carlo"] = keys
+    with pytest.raises((SceneError, ValueError), match=words):
+        mic.Scene(**table | changes)

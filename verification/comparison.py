@@ -101,9 +101,9 @@ def certificates(process, reduced: Evaluation, sample: int, full) -> dict[str, f
         if name in full.resolutions:
             resolution = reduced.resolutions[name]
             contacts = process.model.contacts
-            free = prepared.response.S.under(resolution.force[[sample]].reshape(1, -1))[0]
+            free = prepared.steps[-1].response.S.under(resolution.force[[sample]].reshape(1, -1))[0]
             residuals[name] = certify(
-                prepared.response.S.whole(),
+                prepared.steps[-1].response.S.whole(),
                 resolution.displacement[sample].ravel() - free,
                 contacts.friction_in(name),
                 full.resolutions[name].force.ravel(),

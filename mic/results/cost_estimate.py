@@ -79,18 +79,17 @@ def forecast(assembly, laws: Sequence[str], samples: int, cores: int) -> Forecas
 
 def duration(seconds: float) -> str:
     """A time, s, as text."""
-    for unit, name in ((365.25 * 86400, "years"), (86400, "days"), (3600, "hours"), (60, "minutes")):
-        if seconds >= 2 * unit:
-            return f"{_rounded(seconds / unit)} {name}"
-    return f"{max(1, math.ceil(seconds))} s"
+    units = {"years": 365.25 * 86400, "days": 86400, "hours": 3600, "minutes": 60}
+    return _in_units(seconds, units, 2) or f"{max(1, math.ceil(seconds))} s"
 
 
 def _size(count: float) -> str:
-    for unit, name in ((1e15, "PB"), (1e12, "TB"), (1e9, "GB"), (1e6, "MB")):
-        if count >= unit:
-            return f"{_rounded(count / unit)} {name}"
-    return f"{math.ceil(count / 1e3)} kB"
+    return _in_units(count, {"PB": 1e15, "TB": 1e12, "GB": 1e9, "MB": 1e6}, 1) or f"{math.ceil(count / 1e3)} kB"
 
 
-def _rounded(value: float) -> str:
-    return f"{value:.2g}" if value < 100 else f"{value:.0f}"
+def _in_units(value: float, units: dict[str, float], least: float) -> str:
+    """The value in the largest unit of which it has at least so many; empty if there is none."""
+    for name, unit in units.items():
+        if value >= least * unit:
+            return f"{value / unit:.2g} {name}" if value < 100 * unit else f"{value / unit:.0f} {name}"
+    return ""

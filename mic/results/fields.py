@@ -25,7 +25,7 @@ from mic.geometry.readers.vtu import write_vtu
 from mic.results.low_rank_forces import CentredForces, ForceAccumulator
 from mic.results.outcome import Outcome, read_outcome
 from mic.results.run_folder import RunFolder
-from mic.results.schema import FIELDS
+from mic.results.schema import CONDENSED, FIELDS, FORCES
 from mic.system.files import Format, load_arrays, save_arrays, together
 from mic.system.memoise import pack, unpack
 
@@ -273,12 +273,12 @@ def _centred_forces(outcome, law) -> list[CentredForces] | None:
     identity = outcome.record["identity"]
     parts = [ForceAccumulator() for _ in compliance.functionals]
     for block in outcome.blocks[law]:
-        condensed = folder.read_condensed(block, identity)
+        condensed = folder.read_arrays(CONDENSED, block, identity)
         if condensed is not None:
             for part, compressed in zip(parts, condensed):
                 part.join(compressed)
             continue
-        arrays = folder.read_forces(block, identity)
+        arrays = folder.read_arrays(FORCES, block, identity)
         if arrays is None:
             return None
         first, last = np.searchsorted(numbers, [block.first, block.first + block.count])

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pandas as pd
 
-from mic.model.mesh_accuracy import Accuracy
+from mic.model.mesh_accuracy import Accuracy, Mesh
 from mic.results.schema import ACCURACY
 
 __all__ = ["accuracy_table", "read_accuracy"]
@@ -21,17 +21,17 @@ def accuracy_table(accuracies: Sequence[Accuracy]) -> pd.DataFrame:
             "quantity": estimate.quantity,
             "set_down": estimate.set_down,
             "located": estimate.located,
-            "nodes": part.mesh.nodes,
-            "seconds": part.mesh.seconds,
-            "memory": part.mesh.memory,
-            "finer_nodes": part.finer.nodes,
-            "finer_seconds": part.finer.seconds,
-            "finer_memory": part.finer.memory,
         }
+        | _cost(part.mesh)
+        | _cost(part.finer, "finer_")
         for part in accuracies
         for estimate in part.estimates
     ]
     return pd.DataFrame(rows) if rows else ACCURACY.empty()
+
+
+def _cost(mesh: Mesh, prefix: str = "") -> dict[str, float]:
+    return {f"{prefix}{name}": getattr(mesh, name) for name in ("nodes", "seconds", "memory")}
 
 
 def read_accuracy(folder: Path) -> pd.DataFrame | None:

@@ -22,7 +22,7 @@ from mic.results.block_statistics import Accumulator
 from mic.results.run_folder import Block, RunFolder
 from mic.results.run_identity import differences, inputs
 from mic.results.run_samples import RunSamples
-from mic.results.schema import CONTACTS, SAMPLES
+from mic.results.schema import CONTACTS, SAMPLES, SUMS
 from mic.results.summary import summary
 
 __all__ = ["Outcome", "TableCache", "read_outcome"]
@@ -110,7 +110,7 @@ def read_outcome(
         for block in store.blocks(law, record["samples"]):
             try:
                 tables = (cached or {}).get(block) or store.read_block(block, record["identity"])
-                sums = None if CONTACTS.name in tables else store.read_sums(block, record["identity"])
+                sums = None if CONTACTS.name in tables else store.read_arrays(SUMS, block, record["identity"])
             except FormatError as problem:
                 damaged.append(f"{problem}.")
                 continue

@@ -74,21 +74,8 @@ def _repeat(outcome, law, numbers) -> tuple[pd.DataFrame, pd.DataFrame]:
             repeated = motion[(motion["stage"] == stage) & (motion["zone"] == zone)]
             for column, read in zip(_ZONES, (outcome.tangential, outcome.slip)):
                 rows.append((column, stage, zone, read(law, stage, zone, numbers), repeated[column].to_numpy()))
-    pairs = [
-        pd.DataFrame(
-            {
-                "law": law,
-                "sample": numbers.astype(np.int64),
-                "quantity": quantity,
-                "stage": stage,
-                "name": name,
-                "value": value,
-                "tighter": tight,
-                "converged": converged,
-            }
-        )
-        for quantity, stage, name, value, tight in rows
-    ]
+    keys, columns = {"law": law, "sample": numbers.astype(np.int64)}, ("quantity", "stage", "name", "value", "tighter")
+    pairs = [pd.DataFrame(keys | dict(zip(columns, row)) | {"converged": converged}) for row in rows]
     return pd.concat(pairs, ignore_index=True), _errors(outcome, law, numbers, evaluation, converged)
 
 

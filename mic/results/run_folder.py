@@ -284,13 +284,13 @@ class RunFolder:
 
     def _check_complete(self, block: Block, identity: str, report: Report) -> None:
         """Raise FormatError unless a finished block has all files that statistics and fields need."""
-        tables, forces = self.read_block(block, identity), self.read_forces(block, identity)
+        tables, forces = self.read_block(block, identity), self.read_arrays(FORCES, block, identity)
         if CONTACTS.name not in tables:
-            self.read_sums(block, identity)
+            self.read_arrays(SUMS, block, identity)
             if stores_pairs(report, block):
                 raise self._missing(CONTACTS, block)
         if report.fields and forces is None:
-            if stores_pairs(report, block) or not self.read_condensed(block, identity):
+            if stores_pairs(report, block) or not self.read_arrays(CONDENSED, block, identity):
                 raise self._missing(FORCES, block)
 
     def _missing(self, table: Table, block: Block) -> FormatError:
@@ -330,9 +330,7 @@ class RunFolder:
         block: Block,
         identity: str,
         tables: Mapping[str, pd.DataFrame],
-        forces: Mapping[str, np.ndarray] | None = None,
-        sums: ContactSums | None = None,
-        condensed: Sequence[CompressedForces] | None = None,
+        arrays: Mapping[Table, Any] | None = None,
     ) -> None:
         """Write a finished block atomically.
 
@@ -343,22 +341,15 @@ class RunFolder:
             Identity of the run.
         tables : dict of str to DataFrame
             The datasets of :data:`mic.results.schema.DATASETS`.
-        forces : dict of str to array, optional
-            As :data:`mic.results.schema.FORCES` declares them.
-        sums : ContactSums, optional
-            Replace the contact pairs.
-        condensed : sequence of CompressedForces, optional
-            Replace the forces, by part.
+        arrays : dict of Table, optional
+            By :data:`mic.results.schema.FORCES`: arrays as declared. By ``SUMS``: the :class:`ContactSums` that replace
+            the contact pairs. By ``CONDENSED``: the :class:`CompressedForces` that replace the forces, by part.
         """
-        header = {"identity": identity}
         with together() as group:
-            if forces is not None:
-                save_arrays(self._path(FORCES, block), _FORMATS[FORCES], header, forces, group=group)
-            for table, content in ((SUMS, sums), (CONDENSED, condensed)):
-                if content is not None:
-                    packed, arrays = pack(content, {})
-                    path = self._path(table, block)
-                    save_arrays(path, _FORMATS[table], header | {"content": packed}, arrays, group=group)
+            for table, content in (arrays or {}).items():
+                packed, stored = ({}, content) if table == FORCES else pack(content, {})
+                header = {"identity": identity, "content": packed}
+                save_arrays(self._path(table, block), _FORMATS[table], header, stored, group=group)
             for table in DATASETS:  # samples last: they mark the block as finished
                 if table.name in tables:
                     write_table(self._path(table, block), table, tables[table.name], identity, group=group)
@@ -425,30 +416,16 @@ class RunFolder:
             raise FormatError(f"{path}: {_OTHER_BLOCK}")
         return frame
 
-    def read_forces(self, block: Block, identity: str) -> dict[str, np.ndarray] | None:
-        """Forces (n, F) and motions (n, 6P) of a block; None if not stored. Errors as :meth:`read_block`."""
-        loaded = self._load(FORCES, block, identity)
-        return None if loaded is None else loaded[1]
-
-    def read_sums(self, block: Block, identity: str) -> ContactSums | None:
-        """Sums over the contact pairs of a block; None if not stored. Errors as :meth:`read_block`."""
-        loaded = self._load(SUMS, block, identity)
-        return None if loaded is None else unpack(loaded[0]["content"], loaded[1], (ContactSums, Moments), {})
-
-    def read_condensed(self, block: Block, identity: str) -> tuple[CompressedForces, ...] | None:
-        """Compressed forces of a block by part; None if not stored. Errors as :meth:`read_block`."""
-        loaded = self._load(CONDENSED, block, identity)
-        return None if loaded is None else unpack(loaded[0]["content"], loaded[1], (CompressedForces,), {})
-
-    def _load(self, table: Table, block: Block, identity: str) -> tuple[dict[str, Any], dict[str, np.ndarray]] | None:
-        """Header and arrays of a file of a block; None if there is none."""
+    def read_arrays(self, table: Table, block: Block, identity: str) -> Any:
+        """What :meth:`write_block` got as `arrays` for a table; None if not stored. Errors as :meth:`read_block`."""
         path = self._path(table, block)
         if not path.is_file():
             return None
         header, arrays = load_arrays(path, _FORMATS[table])
         if header["identity"] != identity:
             raise FormatError(f"{path}: {_OTHER_BLOCK}")
-        return header, arrays
+        types = (ContactSums, Moments, CompressedForces)
+        return arrays if table == FORCES else unpack(header["content"], arrays, types, {})
 
     # ---------------------------------------------------------------------------------------------- stored inputs
 

@@ -206,56 +206,25 @@ def _table(key: str, entry: dict[str, Any]) -> Table:
     return Table(name, entry["rows"], columns, entry["description"], entry.get("place", place), version)
 
 
+_DECLARED = tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))
+_TABLES = {key.upper(): _table(key, entry) for key, entry in _DECLARED.items()}
+__all__ = ["DATASETS", "STATISTICS", "STUDIES", "Column", "Table", "reference", *_TABLES]
+
+
+def __getattr__(name: str) -> Table:
+    """Each table of ``schema.toml`` is an attribute of this module, its name in capitals."""
+    if name not in _TABLES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return _TABLES[name]
+
+
 def _of_kind(kind: str) -> tuple[Table, ...]:
     """The tables of a kind, in the order of ``schema.toml``."""
-    return tuple(_TABLES[key] for key, entry in _DECLARED.items() if entry.get("kind") == kind)
+    return tuple(_TABLES[key.upper()] for key, entry in _DECLARED.items() if entry.get("kind") == kind)
 
 
-_DECLARED = tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))
-_TABLES = {key: _table(key, entry) for key, entry in _DECLARED.items()}
-__all__ = ["DATASETS", "STATISTICS", "STUDIES", "Column", "Table", "reference", *(key.upper() for key in _TABLES)]
-SAMPLES = _TABLES["samples"]
-DEVIATIONS = _TABLES["deviations"]
-RESOLUTIONS = _TABLES["resolutions"]
-SLIPS = _TABLES["slips"]
-MEASUREMENTS = _TABLES["measurements"]
-PROFILES = _TABLES["profiles"]
-CONTACTS = _TABLES["contacts"]
-LIMITS = _TABLES["limits"]
-FORCES = _TABLES["forces"]
-SUMS = _TABLES["sums"]
-CONDENSED = _TABLES["condensed"]
-FIELDS = _TABLES["fields"]
-ZONE_STATISTICS = _TABLES["zone_statistics"]
-CONTACT_STATISTICS = _TABLES["contact_statistics"]
-MEASUREMENT_STATISTICS = _TABLES["measurement_statistics"]
-PROFILE_STATISTICS = _TABLES["profile_statistics"]
-LIMIT_STATISTICS = _TABLES["limit_statistics"]
-PATH = _TABLES["path"]
-PATH_ERRORS = _TABLES["path_errors"]
-FRICTION = _TABLES["friction"]
-ACCURACY = _TABLES["accuracy"]
-CONTRIBUTORS = _TABLES["contributors"]
-SENSITIVITIES = _TABLES["sensitivities"]
-SPREADS = _TABLES["spreads"]
-LINEARITY = _TABLES["linearity"]
-FRICTION_EFFECTS = _TABLES["friction_effects"]
-RARE = _TABLES["rare"]
-DESIGN_POINTS = _TABLES["design_points"]
-REMEDIES = _TABLES["remedies"]
-REMEDY_EFFECTS = _TABLES["remedy_effects"]
-ORDERS = _TABLES["orders"]
-OPTIMA = _TABLES["optima"]
-OPTIMUM_CHANGES = _TABLES["optimum_changes"]
-OPTIMUM_MATCHES = _TABLES["optimum_matches"]
-DENSITY = _TABLES["density"]
-COMPARISON = _TABLES["comparison"]
-EXPLANATION = _TABLES["explanation"]
-FURTHER = _TABLES["further"]
-PREDICTIONS = _TABLES["predictions"]
-
-#: Parquet datasets in the order of writing, samples last.
-DATASETS = (*(table for table in _of_kind("dataset") if table is not SAMPLES), SAMPLES)
+#: Parquet datasets in the order of writing: samples last, because they mark a block as finished.
+DATASETS = tuple(sorted(_of_kind("dataset"), key=lambda table: table.name == "samples"))
 #: CSV tables of a run.
 STATISTICS = _of_kind("statistic")
 #: CSV tables that separate commands add to a run folder.
@@ -267,10 +236,11 @@ def reference() -> str:
     from jinja2 import Template  # not needed to read tables
 
     datasets = _of_kind("dataset")
-    sections = {"Datasets": datasets, "Statistics": STATISTICS, "Studies": STUDIES, "Fields": (FORCES, FIELDS)}
+    sums, forces, condensed, fields = (_TABLES[key] for key in ("SUMS", "FORCES", "CONDENSED", "FIELDS"))
+    sections = {"Datasets": datasets, "Statistics": STATISTICS, "Studies": STUDIES, "Fields": (forces, fields)}
     text = Path(__file__).with_name("reference.jinja").read_text(encoding="utf-8")
     template = Template(text, keep_trailing_newline=True)
-    return template.render(files=(*datasets, SUMS, FORCES, CONDENSED, FIELDS, *STATISTICS, *STUDIES), sections=sections)
+    return template.render(files=(*datasets, sums, forces, condensed, fields, *STATISTICS, *STUDIES), sections=sections)
 
 
 if __name__ == "__main__":

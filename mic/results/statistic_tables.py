@@ -37,7 +37,6 @@ __all__ = [
 
 GROUPS = 100  # groups of samples for the jackknife
 MEASURED = ("mean", "sigma", "six_sigma", "min", "max", "cp", "cpk", "share_outside")
-IMPROVED = ("improved_mean", "improved_six_sigma")
 FIGURES = ("mean", "six_sigma")  # that path effects are given for
 MOTIONS = ("rms_tangential", "rms_slip")
 PRESSED = {"normal_force": "all", "normal_force_clear": "clear"}  # pairs whose forces are summed

@@ -10,10 +10,12 @@ import pandas as pd
 
 from mic.contact.states import STATES
 from mic.results.run_samples import RunSamples
-from mic.results.statistic_tables import FIGURES, IMPROVED, MEASURED, MOTIONS, PRESSED, whole_yield
+from mic.results.statistic_tables import whole_yield
 from mic.statistics import estimates
 
 __all__ = ["summary"]
+
+_ZONE_KEYS = ("law", "stage", "zone", "contacts", "friction", "samples")
 
 
 def summary(
@@ -32,14 +34,9 @@ def summary(
     for law in outcome.laws:
         zones: dict[str, Any] = {}
         for row in _rows(zone_table, law):
-            entry = _with_intervals(row, [f"{name}_{motion}" for motion in MOTIONS for name in FIGURES])
-            entry |= _with_intervals(row, ("mean_slip_length", "mean_friction_work"))
-            entry |= _with_intervals(row, [f"{name}_{force}" for force in PRESSED for name in FIGURES])
-            entry["path"] = {state: row[state] for state in STATES}
-            zone = zones.setdefault(
-                row["zone"], {"contacts": row["contacts"], "friction": row["friction"], **entry, "stages": {}}
-            )
-            zone["stages"][row["stage"]] = entry
+            entry = _entry(row, *_ZONE_KEYS, *STATES) | {"path": {state: row[state] for state in STATES}}
+            zone = {"contacts": row["contacts"], "friction": row["friction"], **entry, "stages": {}}
+            zones.setdefault(row["zone"], zone)["stages"][row["stage"]] = entry
         laws[law] = {
             "samples": len(outcome.sample_numbers(law)),
             "worst_residual": outcome.worst_residual(law),
@@ -51,15 +48,10 @@ def summary(
             "zones": zones,
             "all_within": _all_within(outcome, law),
             "measurements": {
-                row["measurement"]: {"lower": row["lower"], "upper": row["upper"]}
-                | _with_intervals(row, MEASURED)
-                | {"improved": row["improved"], "explained": row["explained"]}
-                | _with_intervals(row, IMPROVED)
+                row["measurement"]: _entry(row, "law", "measurement", "samples")
                 for row in _rows(measurement_table, law)
             },
-            "limits": [
-                {name: value for name, value in row.items() if name != "law"} for row in _rows(limit_table, law)
-            ],
+            "limits": [{name: row[name] for name in row if name != "law"} for row in _rows(limit_table, law)],
         }
     return _json_ready(
         {
@@ -118,12 +110,14 @@ def _rows(table: pd.DataFrame, law: str) -> list[dict[str, Any]]:
     return [{str(key): value for key, value in row.items()} for row in table[table["law"] == law].to_dict("records")]
 
 
-def _with_intervals(row, names) -> dict[str, Any]:
-    """Values of a table row, their intervals as pairs, and path effects if the table has them."""
-    entry: dict[str, Any] = {}
-    for name in names:
-        entry |= {name: row[name], f"{name}_ci": [row[f"{name}_low"], row[f"{name}_high"]]}
-        entry |= {key: row[key] for key in (f"{name}_path", f"{name}_path_share") if key in row}
+def _entry(row: dict[str, Any], *without: str) -> dict[str, Any]:
+    """Values of a table row, with intervals as pairs, except for some columns."""
+    entry = {}
+    for name, value in row.items():
+        if name not in without and not name.endswith(("_low", "_high")):
+            entry[name] = value
+            if f"{name}_low" in row:
+                entry[f"{name}_ci"] = [row[f"{name}_low"], row[f"{name}_high"]]
     return entry
 
 
