@@ -15,7 +15,7 @@ AVX512 = AVX2 | {"avx512f", "avx512cd", "avx512bw", "avx512dq", "avx512vl"}
 
 @pytest.fixture
 def processor(monkeypatch):
-    """As a process begins on a processor with AVX-512 whose kernels OpenBLAS does not know: nothing chosen, no numpy."""
+    """A process begins on a processor with AVX-512 that OpenBLAS does not know: nothing chosen, no numpy."""
     monkeypatch.setattr(blas, "cpu_flags", lambda: AVX512)
     monkeypatch.setattr(blas, "default_is_oldest", lambda: True)
     monkeypatch.setattr(sys, "modules", {key: one for key, one in sys.modules.items() if key != "numpy"})

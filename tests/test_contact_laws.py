@@ -23,21 +23,6 @@ def test_the_projection_satisfies_moreau(x, mu):
     assert abs(np.sum(p * polar)) <= 1e-12 * size**2
 
 
-def test_one_sliding_contact_solved_by_hand():
-    """S = I, b = (-1, 1, 0): Coulomb closes the gap; (13) opens it by μ‖u_t‖."""
-    mu = 0.27
-    coulomb = solve(np.eye(3), [-1.0, 1.0, 0.0], mu)
-    np.testing.assert_allclose(coulomb.force, [1.0, -mu, 0.0], atol=1e-14)
-    np.testing.assert_allclose(coulomb.displacement, [0.0, 1.0 - mu, 0.0], atol=1e-14)
-    # f = p (1, -μ, 0) minimises ½(1 + μ²) p² - (1 + μ) p.
-    p = (1.0 + mu) / (1.0 + mu**2)
-    associated = solve(np.eye(3), [-1.0, 1.0, 0.0], mu, law="associated")
-    np.testing.assert_allclose(associated.force, [p, -mu * p, 0.0], atol=1e-12)
-    assert associated.displacement[0] == pytest.approx(mu * associated.displacement[1], rel=1e-10)
-    assert associated.complementarity == pytest.approx(p * (p - 1.0), rel=1e-10)
-    assert coulomb.complementarity <= 1e-14
-
-
 @pytest.mark.parametrize(
     "b, force",
     [
@@ -114,24 +99,17 @@ def test_the_certificate_measures_each_violation():
     "name, arguments",
     [
         ("S", dict(S=np.ones((3, 4)))),
-        ("S", dict(S=np.eye(4))),
         ("S", dict(S=np.diag([1.0, np.nan, 1.0]))),
-        ("S", dict(S=np.diag([1.0, np.inf, 1.0]))),
         ("S", dict(S=np.diag([1.0, -1.0, 1.0]))),
         ("S", dict(S=np.eye(3) + np.triu(np.ones((3, 3)), 1))),
         ("S", dict(S="compliance")),
         ("b", dict(b=np.zeros(4))),
-        ("b", dict(b=np.zeros((2, 2, 3)))),
         ("b", dict(b=[0.0, np.nan, 0.0])),
-        ("b", dict(b=0.0)),
         ("mu", dict(mu=-0.1)),
         ("mu", dict(mu=[0.1, 0.2])),
-        ("mu", dict(mu=np.inf)),
-        ("mu", dict(mu=np.nan)),
         ("law", dict(law="Tresca")),
         ("backend", dict(backend="simplex")),
         ("tol", dict(tol=0.0)),
-        ("tol", dict(tol=np.nan)),
         ("guess", dict(guess=np.zeros((1, 3)))),
         ("threads", dict(threads=0)),
         ("dimension", dict(dimension=2)),

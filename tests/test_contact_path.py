@@ -141,15 +141,6 @@ def test_a_sticking_contact_holds_the_body_until_a_second_one_closes(path):
     assert found.trace.factorisations[0] < 10
 
 
-def test_a_block_pushed_on_an_arc_ends_where_the_finest_path_ends():
-    angle = np.linspace(0, np.pi / 2, 33)
-    loads = np.column_stack([np.full(33, -1.0), 2 * np.sin(angle), 2 - 2 * np.cos(angle)])
-    exact = follow(loads, Followed(steps=256)).anchor[0, 0]
-    found = follow(loads).anchor[0, 0]
-    assert np.linalg.norm(found - exact) < 1e-3 * np.linalg.norm(exact)
-    assert np.linalg.norm(follow(loads[[0, -1]]).anchor[0, 0] - exact) > 0.1  # a straight way is another way
-
-
 def test_a_sliding_contact_that_opens_slips_as_on_the_finest_path():
     """Its normal force depends on the direction of slip, so that no linear prediction knows when it opens."""
     S = np.array([[1, 0.3, 0.1], [0.3, 1, 0.1], [0.1, 0.1, 1]])
@@ -176,7 +167,7 @@ def test_contacts_that_touch_without_force_are_followed(beside):
     themselves, and beside one that presses all along."""
     random = np.random.default_rng(1)
     off, moved = 0.0, 0.0
-    for _ in range(150):
+    for _ in range(50):
         A = random.normal(size=(9, 9))
         S = block_diag(A @ A.T + 0.1 * np.eye(9), np.eye(3 * beside))
         start = np.zeros(9 + 3 * beside)
@@ -215,8 +206,8 @@ def sheets(contacts, samples, seed):
 
 @pytest.fixture(scope="module")
 def followed_sheets():
-    solver, b = sheets(30, 60, seed=5)
-    return solver, b, solver.follow(b), solver.follow(b, path=Increments(1024))
+    solver, b = sheets(30, 40, seed=5)
+    return solver, b, solver.follow(b), solver.follow(b, path=Increments(512))
 
 
 @pytest.mark.slow

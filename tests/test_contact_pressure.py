@@ -4,14 +4,11 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 
-from mic.contact import ContactSolver, certify, ladder, solve
-from mic.contact.backends import BACKENDS
+from mic.contact import certify, ladder, solve
 from mic.contact.friction import Friction
 from mic.contact.laws import COULOMB, PRESSURE_DEPENDENT
 from mic.contact.laws.pressure_dependent import power, rescaled, table
-from mic.contact.native import patience
-from mic.contact.native.solver import NativeSolver
-from verification.contact_problems import compliant, slip_dominated
+from verification.contact_problems import slip_dominated
 
 POINTS = [(0.5, 0.5), (1.0, 0.4), (2.0, 0.3), (5.0, 0.25)]
 FUNCTIONS = {
@@ -61,17 +58,6 @@ def test_coupling_of_normal_and_tangential_compliance_is_solved_exactly(pieces, 
         np.testing.assert_allclose(solution.force, [f_n, -mu(f_n) * f_n, 0.0], rtol=1e-9)
 
 
-def test_a_pressed_disc_slides_at_the_integral_of_its_bound():
-    """``p = p0 (1 - r²/a²)``, ``μ = μ0 (p/p0)^(-n)``: ``Q = ∫ μ p dA = μ0 π a² p0/(2 - n)``, by rings of equal area."""
-    rings, a, p0, n = 400, 3.0, 2.0, 0.4
-    area = np.pi * a**2 / rings
-    p = p0 * (1.0 - (np.arange(rings) + 0.5) / rings)
-    b = np.column_stack([-p * area, np.full(rings, 1e3), np.zeros(rings)]).ravel()
-    function = friction(power(0.3, p0, n, 0.0, 1e3), rings, area)
-    solution = solve(np.eye(3 * rings), b, function, PRESSURE_DEPENDENT)
-    assert -solution.force[1::3].sum() == pytest.approx(0.3 * np.pi * a**2 * p0 / (2.0 - n), rel=1e-3)
-
-
 @CASES
 def test_solutions_obey_coulombs_law_with_the_coefficients_of_their_pressure(pieces, mu):
     rng = np.random.default_rng(5)
@@ -87,95 +73,12 @@ def test_solutions_obey_coulombs_law_with_the_coefficients_of_their_pressure(pie
     assert np.median(others) > 1e-4  # a sample in which all contacts stick obeys others, too
 
 
-def test_the_answer_does_not_depend_on_units():
-    rng = np.random.default_rng(6)
-    problem = slip_dominated(20, 5, rng)
-    pieces = FUNCTIONS["table"][0]
-    here = solve(problem.S, problem.b, friction(pieces, 20, 0.3), PRESSURE_DEPENDENT)
-    # mm → m, N → kN: pressures in the table go from N/mm² to kN/m².
-    length, force = 1e-3, 1e-3
-    there = rescaled(pieces, length**2 / force)
-    other = solve(
-        problem.S * length / force, problem.b * length, friction(there, 20, 0.3 * length**2), PRESSURE_DEPENDENT
-    )
-    np.testing.assert_allclose(other.force / force, here.force, atol=1e-9 * np.abs(here.force).max())
-
-
 @CASES
 def test_all_samples_converge_on_batch_rungs(pieces, mu):
     problem = slip_dominated(60, 60, np.random.default_rng(7))
     solution = solve(problem.S, problem.b, friction(pieces, 60, 0.2), PRESSURE_DEPENDENT)
     assert solution.converged.all()
     assert not {*solution.rung} & {rung.name for rung in ladder.PATIENT}
-
-
-@pytest.mark.slow
-def test_every_patient_rung_updates_the_frozen_friction(monkeypatch):
-    """The rungs start from zero and converge to the requested law, not to Coulomb's."""
-    monkeypatch.setattr(ladder, "BUDGET", 1e6)
-    problem = slip_dominated(6, 1, np.random.default_rng(8), condition=1e2)
-    law = friction(FUNCTIONS["table"][0], 6, 0.2)
-    backend = BACKENDS["native"](problem.S, law, PRESSURE_DEPENDENT, 1e-10, 1, 3)
-    best = {}
-    for force, _, _, rung in backend.attempts(problem.b[0], np.zeros(18)):
-        residual = certify(problem.S, problem.b[0], law, force, PRESSURE_DEPENDENT).residual
-        best[rung] = min(residual, best.get(rung, np.inf))
-    assert list(best) == [rung.name for rung in ladder.PATIENT if rung.applies(PRESSURE_DEPENDENT)]
-    assert "renewed friction" in best and max(best.values()) <= 1e-10, best
-
-
-def test_methods_with_frozen_friction_use_that_of_the_last_force(monkeypatch):
-    """Sweeps without Newton's method converge to the requested law."""
-    monkeypatch.setattr(ladder, "BUDGET", 5.0)
-    monkeypatch.setattr(patience, "landed", lambda problem, rung, q, y: (y, np.inf, 0))
-    problem = slip_dominated(6, 1, np.random.default_rng(8), condition=1e2)
-    law = friction(FUNCTIONS["table"][0], 6, 0.2)
-    native = NativeSolver(problem.S, law, PRESSURE_DEPENDENT, 1e-10, 1, 3)
-    rung = next(rung for rung in ladder.PATIENT if rung.name == "proximal points")
-    swept = [force for force, *_, name in native.attempts(problem.b[0], np.zeros(18)) if name == rung.name]
-    swept = swept[: len(rung["first"])]
-    residuals = [certify(problem.S, problem.b[0], law, force, PRESSURE_DEPENDENT).residual for force in swept]
-    assert residuals[0] > 1e-2 and residuals[-1] <= 1e-4, residuals
-
-
-@CASES
-def test_updating_the_coefficients_alone_converges(pieces, mu, monkeypatch):
-    """The coefficients converge without Newton's method."""
-    handed = []
-
-    landed = patience.landed
-
-    def held_alone(problem, rung, q, y):
-        if problem.law is not PRESSURE_DEPENDENT:
-            return landed(problem, rung, q, y)
-        handed.append(y)
-        return y, np.inf, 0
-
-    monkeypatch.setattr(patience, "landed", held_alone)
-    problem = slip_dominated(8, 1, np.random.default_rng(9), condition=1e2)
-    law = friction(pieces, 8, 0.2)
-    native = NativeSolver(problem.S, law, PRESSURE_DEPENDENT, 1e-10, 1, 3)
-    search = patience.Search(native.problem, problem.b[0] * native.scaling, np.zeros(24))
-    rung = next(rung for rung in ladder.PATIENT if rung.name == "renewed friction")
-    for _ in patience.METHODS["renewed friction"](search, rung):
-        pass
-    residuals = [certify(problem.S, problem.b[0], law, y * native.scaling, PRESSURE_DEPENDENT).residual for y in handed]
-    assert len(handed) == rung["steps"] and residuals[-1] <= 1e-7 < residuals[0]
-
-
-def test_little_friction_has_one_solution():
-    """``cond(S) sup|g'| < 1``: there is but one."""
-    rng = np.random.default_rng(10)
-    S = compliant(10, rng, condition=5.0)
-    pieces = table([(0.0, 0.0), (100.0, 0.05)])  # g' = 2 μ at most 0.1
-    assert np.linalg.cond(S) * 0.1 < 1.0
-    solver = ContactSolver(S, friction(pieces, 10, 0.05), PRESSURE_DEPENDENT)
-    b = rng.standard_normal(30)
-    b[::3] -= 2.0
-    guesses = 10.0 * rng.standard_normal((20, 30))
-    found = solver.solve(np.tile(b, (20, 1)), guess=guesses)
-    assert found.converged.all()
-    np.testing.assert_allclose(found.force, found.force[:1].repeat(20, 0), atol=1e-8)
 
 
 @pytest.mark.parametrize(

@@ -88,23 +88,15 @@ def test_manufactured_solutions_are_found(law, stick, slide):
     np.testing.assert_allclose(solution.force, problem.force, atol=1e-5 * max(np.abs(problem.force).max(), 1e-12))
 
 
-@pytest.mark.parametrize("gap", [1e-12, 1e-6, 1.0, 1e3])
+@pytest.mark.parametrize("gap", [0.0, 1e-12, 1e3])
 def test_problems_with_gaps_of_any_size_are_solved(gap):
     rng = np.random.default_rng(6)
     S = compliant(10, rng, condition=1e3)
     b = rng.standard_normal((5, 30))
     b[:, ::6] = gap * np.abs(b[:, ::6])
     assert_solved(solve(S, b, 0.3), S, b, 0.3)
-    open_scene = np.abs(b) * gap
-    solution = solve(S, open_scene, 0.3)
-    np.testing.assert_array_equal(solution.force, 0.0)
-    np.testing.assert_array_equal(solution.residual, 0.0)
-
-
-def test_a_zero_load_gives_no_force():
-    solution = solve(compliant(5, np.random.default_rng(0)), np.zeros((2, 15)), 0.3)
-    assert np.all(solution.converged) and not solution.force.any()
-    np.testing.assert_array_equal(solution.residual, 0.0)
+    opened = solve(S, np.abs(b) * gap, 0.3)
+    assert opened.converged.all() and not opened.force.any() and not opened.residual.any()
 
 
 @pytest.mark.parametrize("law", LAWS)
@@ -120,17 +112,6 @@ def test_duplicated_contacts_do_not_change_displacements(law):
 
 
 @pytest.mark.parametrize("law", LAWS)
-def test_a_contact_without_compliance_is_infeasible_once_it_overlaps(law):
-    """An all-zero block: harmless while it is open, infeasible once it overlaps."""
-    S = np.zeros((6, 6))
-    S[:3, :3] = np.eye(3)
-    fine = solve(S, [-1.0, 0.1, 0.0, 0.5, 0.0, 0.0], 2.0, law)
-    assert fine.converged and fine.force[0] == pytest.approx(1.0, rel=1e-9)
-    impossible = solve(S, [-1.0, 0.1, 0.0, -0.5, 0.0, 0.0], 2.0, law)
-    assert impossible.status is Status.INFEASIBLE and not impossible.converged and impossible.residual > 1e-3
-
-
-@pytest.mark.parametrize("law", LAWS)
 def test_contacts_without_tangential_compliance_are_solved(law):
     S = np.diag([1.0, 0.0, 0.0, 1.0, 1.0, 1.0])
     S[0, 3] = S[3, 0] = 0.5
@@ -143,12 +124,7 @@ def test_contacts_without_tangential_compliance_are_solved(law):
 def test_infeasible_loads_are_never_solved(law):
     """A wedge between two rigid jaws: any force that opens one contact closes the other."""
     S = np.kron([[1.0, -1.0], [-1.0, 1.0]], np.eye(3))
-    b = np.array(
-        [
-            [-1.0, 0.1, 0.0, -1.0, 0.0, 0.0],  # too thick
-            [-1.0, 0.1, 0.0, 2.0, 0.0, 0.0],
-        ]
-    )  # fits
+    b = np.array([[-1.0, 0.1, 0.0, -1.0, 0.0, 0.0], [-1.0, 0.1, 0.0, 2.0, 0.0, 0.0]])  # too thick; fits
     solution = solve(S, b, 0.3, law)
     assert solution.status[0] is Status.INFEASIBLE and not solution.converged[0] and solution.residual[0] > 1e-3
     assert solution.status[1] is Status.CONVERGED
@@ -190,33 +166,6 @@ def test_jammed_problems_are_solved_in_any_order_of_their_contacts(jammed, order
     assert_solved(solve(S, b, problem.mu), S, b, problem.mu)
 
 
-def test_sparse_sweeps_equal_dense_sweeps():
-    problem = box_stack(6).problem(0.4, np.random.default_rng(1), 0.1)
-    scaled = NativeSolver(problem.S, problem.mu, COULOMB, 1e-10, 1, 3).problem
-    every = np.empty(0, np.int64)
-    starts, places = scaled.neighbours
-    assert len(places) < 0.5 * 24**2
-    found = []
-    for own in ((every, every), (starts, places)):
-        y, w, slip = np.zeros(72), problem.b[0].copy(), np.zeros(24)
-        kernels.gauss_seidel(scaled.W, *own, scaled.factors, scaled.parameters, y, w, slip, 7, 1e-15)
-        found.append((y, w))
-    assert found[0][0].any()
-    np.testing.assert_allclose(found[1], found[0], atol=1e-13 * np.abs(found[0]).max())
-
-
-@pytest.mark.slow
-def test_a_thrown_wall_is_solved():
-    """540 coupled contacts, in random order; forces are not unique, and batch rungs leave errors of 3 %."""
-    problem = brick_wall(8, 7).problem(0.6, np.random.default_rng(2), 1.0)
-    order = np.random.default_rng(5).permutation(540)
-    rows = (3 * order[:, None] + np.arange(3)).ravel()
-    S, b = problem.S[np.ix_(rows, rows)], problem.b[:, rows]
-    solution = solve(S, b, 0.6)
-    assert solution.rung[0] == "proximal points"
-    assert_solved(solution, S, b, 0.6)
-
-
 @pytest.mark.parametrize("law", LAWS)
 @pytest.mark.parametrize("condition", [1e3, 1e8, 1e12])
 def test_problems_with_ill_conditioned_compliance_are_solved(condition, law):
@@ -242,25 +191,7 @@ def test_slip_that_opens_contacts_is_found_without_overlap(m, condition):
 
 
 @pytest.mark.parametrize("law", LAWS)
-@pytest.mark.parametrize("length, force", [(1e-3, 1.0), (1.0, 1e-3), (1e-3, 1e3), (1e6, 1e-6)])
-def test_units_do_not_matter(length, force, law):
-    rng = np.random.default_rng(9)
-    problem = slip_dominated(15, 6, rng)
-    reference = solve(problem.S, problem.b, 0.27, law)
-    other = solve(problem.S * length / force, problem.b * length, 0.27, law)
-    size = np.abs(reference.force).max()
-    np.testing.assert_allclose(other.force / force, reference.force, atol=1e-8 * size)
-    assert np.abs(other.iterations - reference.iterations).max() <= 2
-    wrong = reference.force + 0.01 * size
-    np.testing.assert_allclose(
-        certify(problem.S * length / force, problem.b * length, 0.27, wrong * force, law).residual,
-        certify(problem.S, problem.b, 0.27, wrong, law).residual,
-        rtol=1e-9,
-    )
-
-
-@pytest.mark.parametrize("law", LAWS)
-@pytest.mark.parametrize("ratio", [1e-4, 1e-2, 1e2, 1e4])
+@pytest.mark.parametrize("ratio", [1e-4, 1e4])
 def test_tangential_units_do_not_matter(ratio, law):
     """Tangential lengths in another unit: ``S_tt`` changes by ``ratio`` against ``S_nn``, ``μ`` by ``ratio^{-1/2}``."""
     rng = np.random.default_rng(10)
@@ -289,27 +220,6 @@ def test_a_good_guess_saves_iterations():
     cold = solver.solve(problem.b)
     warm = solver.solve(problem.b, guess=cold.force)
     assert warm.converged.all() and warm.iterations.sum() < cold.iterations.sum()
-
-
-@pytest.mark.parametrize("law", [COULOMB, ASSOCIATED], ids=lambda law: law.name)
-def test_newton_for_forces_and_for_displacements_agree(law):
-    rng = np.random.default_rng(21)
-    S = compliant(20, rng)
-    problem = manufactured(S, np.full(20, 0.27), 5, rng, stick=0.8, slide=0.1, law=law)
-    native = NativeSolver(S, problem.mu, law, 1e-10, 1, 3)
-    scaled, scaling = native.problem, native.scaling
-    inverse = np.linalg.inv(scaled.W)
-    for b, force in zip(problem.b, problem.force):
-        q = b * scaling
-        for matrix in (inverse, np.empty((0, 0))):
-            y = force / scaling * (1.0 + 0.01 * rng.standard_normal(60))
-            w = scaled.W @ y + q
-            scale, steps, tol = kernels.starting_scale(q), 20, 1e-12
-            error, done = kernels.newton(
-                scaled.equation, scaled.W, matrix, q, scaled.parameters, y, w, 1e-12, scale, tol, steps, 0, 20
-            )
-            assert error <= tol and done < 10
-            np.testing.assert_allclose(y * scaling, force, atol=1e-9)
 
 
 @pytest.mark.parametrize("condition, near", [(10.0, True), (1e6, False)])

@@ -38,10 +38,8 @@ def watched(problem, law="coulomb", start=None, allowed=None, friction=0.3, **se
     S, point, _ = problem
     start = np.zeros(M, bool) if start is None else start
     allowed = np.ones(M, bool) if allowed is None else allowed
-    mu = Friction.of(friction, M)
-    return WorkingSetSolver(
-        Columns.of(S), mu, point, np.full(M, 15.0), start, allowed, laws.find(law), tol=1e-10, **settings
-    )
+    given = Columns.of(S), Friction.of(friction, M), point, np.full(M, 15.0), start, allowed, laws.find(law)
+    return WorkingSetSolver(*given, tol=1e-10, **settings)
 
 
 def followed(solver, b, path):
@@ -52,22 +50,15 @@ def followed(solver, b, path):
 @pytest.mark.parametrize("law", ["coulomb", "frictionless", "associated"])
 def test_the_working_set_gives_the_result_of_all_candidates(problem, law):
     S, _, b = problem
-    path = Increments(1)
-    few, all_ = followed(watched(problem, law), b, path), followed(ContactSolver(S, 0.3, law), b, path)
-    assert few.converged.all() and all_.converged.all()
-    touching = (all_.force[:, ::3] > 1e-9).sum(axis=1)
-    assert (touching > 1).all() and touching.max() > 3
-    np.testing.assert_allclose(few.displacement, all_.displacement, atol=1e-5)
-    np.testing.assert_allclose(few.anchor, all_.anchor, atol=1e-5)
-    assert few.displacement[:, ::3].min() > -2 * PENETRATION
-
-
-@pytest.mark.parametrize("law", ["coulomb", "frictionless", "associated"])
-def test_one_solve_with_a_working_set_gives_the_result_of_all_candidates(problem, law):
-    S, _, b = problem
-    few, all_ = watched(problem, law).solve(b[:, 1]), ContactSolver(S, 0.3, law).solve(b[:, 1])
-    assert few.converged.all() and (all_.force[:, ::3] > 1e-9).any(axis=1).all()
-    np.testing.assert_allclose(few.displacement, all_.displacement, atol=1e-5)
+    everything, path = ContactSolver(S, 0.3, law), Increments(1)
+    for few, all_ in (
+        (followed(watched(problem, law), b, path), followed(everything, b, path)),
+        (watched(problem, law).solve(b[:, 1]), everything.solve(b[:, 1])),
+    ):
+        touching = (all_.force[:, ::3] > 1e-9).sum(axis=1)
+        assert few.converged.all() and all_.converged.all() and (touching > 1).all() and touching.max() > 3
+        np.testing.assert_allclose(few.displacement, all_.displacement, atol=1e-5)
+        assert few.displacement[:, ::3].min() > -2 * PENETRATION
 
 
 def test_a_followed_path_ends_as_with_all_candidates(problem):
@@ -96,21 +87,16 @@ def test_candidates_that_touch_only_on_the_way_are_included(path):
     np.testing.assert_allclose(few.anchor, all_.anchor, atol=1e-5)
 
 
-def test_the_batch_size_does_not_change_the_result(problem, monkeypatch):
-    together = followed(watched(problem), problem[2], Followed())
-    monkeypatch.setattr("mic.contact.working_set.MAX_RECORDED", 1)
-    alone = followed(watched(problem), problem[2], Followed())
-    np.testing.assert_allclose(alone.displacement, together.displacement, atol=1e-9)
-    np.testing.assert_allclose(alone.trace.work, together.trace.work, atol=1e-9)
-
-
-def test_a_sample_does_not_depend_on_its_batch(problem):
+def test_a_sample_does_not_depend_on_its_batch(problem, monkeypatch):
     _, _, b = problem
     together = followed(watched(problem), b, Followed())
-    for i in range(N):
-        alone = followed(watched(problem), b[[i]], Followed())
-        np.testing.assert_allclose(alone.displacement[0], together.displacement[i], atol=1e-9)
-        np.testing.assert_allclose(alone.trace.error[0], together.trace.error[i], rtol=1e-6)
+    monkeypatch.setattr("mic.contact.working_set.MAX_RECORDED", 1)
+    apart = followed(watched(problem), b, Followed())
+    np.testing.assert_allclose(apart.displacement, together.displacement, atol=1e-9)
+    np.testing.assert_allclose(apart.trace.work, together.trace.work, atol=1e-9)
+    alone = followed(watched(problem), b[[3]], Followed())
+    np.testing.assert_allclose(alone.displacement[0], together.displacement[3], atol=1e-9)
+    np.testing.assert_allclose(alone.trace.error[0], together.trace.error[3], rtol=1e-6)
 
 
 def test_the_initial_working_set_does_not_change_the_result(problem):
@@ -175,19 +161,6 @@ def test_factorisations_of_all_rounds_count(problem, monkeypatch):
     found = [followed(watched(problem), problem[2][[i]], Increments(1)) for i in range(N)]
     assert sum(one > 0 for one in spent) > N  # in more rounds than samples
     assert sum(int(each.trace.factorisations[0]) for each in found) == sum(spent)
-
-
-def test_the_forecast_uses_the_sample_with_the_nearest_gaps():
-    seen = PathForecast(
-        touching=np.array([True, True]),
-        load=np.array([[-1.0, 0.5], [-0.1, -2.0]]),
-        change=np.array([[4.0, 1.0, 0.0, -3.0, 0.0, 1.0], [-2.0, 0.0, 1.0, 8.0, 0.0, 0.0]]),
-    )
-    force = np.array([[1.0, 0.0, 0.5, 2.0, 0.0, 0.0], [1.0, 0.0, 0.0, 0.0, 0.0, 0.0]])
-    forecast = seen.forces(np.array([[-0.9, 0.4], [-0.3, -1.5]]), force)
-    np.testing.assert_array_equal(forecast[0], [5.0, 1.0, 0.5, 0.0, 0.0, 0.0])  # the second lets go
-    np.testing.assert_array_equal(forecast[1], [0.0, 0.0, 0.0, 8.0, 0.0, 0.0])
-    assert not PathForecast.empty(2, 3).forces(np.ones((2, 2)), force).any()
 
 
 def test_a_forecast_saves_factorisations_and_does_not_change_the_result(problem):

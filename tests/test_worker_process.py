@@ -36,7 +36,7 @@ def test_results_come_in_order_and_two_processes_did_them():
 
 def test_a_worker_starts_at_once_and_ends_when_stopped():
     copy = WorkerProcess([partial(done, number) for number in range(6)])
-    time.sleep(1.0)
+    time.sleep(0.5)
     found = copy.results()
     copy.stop()
     assert [number for number, _ in found] == list(range(6))
@@ -55,30 +55,12 @@ def test_each_result_comes_as_it_is_done_and_none_is_lost():
     assert 0 < sum(who == own for _, who in found.values()) < 300
 
 
-def test_tasks_of_a_failed_worker_are_done_here_one_by_one_and_errors_are_raised():
-    own = os.getpid()
-
-    def fatal(number):
-        if os.getpid() != own:
-            os.kill(os.getpid(), signal.SIGKILL)
-        return done(number)
-
-    def failing(number):
-        raise RuntimeError(f"in {number}")
-
-    with WorkerProcess([partial(fatal, number) for number in range(6)]) as copy:
-        assert sorted(copy.completed()) == [(number, (number, own)) for number in range(6)]
-    tasks = [partial(failing, number) for number in range(6)]
-    with pytest.raises(RuntimeError, match=r"in \d"), WorkerProcess(tasks) as copy:
-        list(copy.completed())
-
-
 @pytest.mark.slow
 def test_stopping_a_worker_that_sends_much_data_does_not_block():
     """In a process of its own, which is to end."""
     program = "from mic.execution import worker_process; worker_process.has_spare_core = lambda: True\n"
-    program += "copy = worker_process.WorkerProcess([lambda: bytes(10**8)] * 1000)\n"
-    program += "import time; time.sleep(1.5); copy.stop()"
+    program += "copy = worker_process.WorkerProcess([lambda: bytes(10**7)] * 1000)\n"
+    program += "import time; time.sleep(0.3); copy.stop()"
     assert subprocess.run([sys.executable, "-c", program], timeout=60).returncode == 0
 
 

@@ -14,7 +14,7 @@ import pandas as pd
 from mic.contact.compliance_columns import Columns
 from mic.contact.laws import COULOMB, LAWS
 from mic.contact.solver import ContactSolver
-from mic.contact.states import STATES, ContactState, classify
+from mic.contact.states import OPEN, STATES, classify
 from mic.contact.working_set import WorkingSetSolver
 
 __all__ = ["compare_laws", "summarise"]
@@ -78,26 +78,21 @@ def compare_laws(
             u = solution.displacement.reshape(len(b), -1, 3)
             states = classify(f, (mu if law.frictional else 0.0) * f[..., 0])
             slip, coulomb_slip = u[..., 1:], coulomb.displacement.reshape(u.shape)[..., 1:]
-            frames.append(
-                pd.DataFrame(
-                    {
-                        "mu": float(np.mean(mu)),
-                        "law": law.name,
-                        "sample": np.arange(len(b)),
-                        "converged": solution.converged & coulomb.converged,
-                        "normal_force": f[..., 0].sum(axis=1),
-                        "friction_force": np.hypot(f[..., 1], f[..., 2]).sum(axis=1),
-                        "slip": np.sqrt(np.sum(slip**2, axis=(1, 2)) / max(u.shape[1], 1)),
-                        "gap_at_load": np.max(
-                            np.where(states == ContactState.OPEN, 0.0, u[..., 0]), axis=1, initial=0.0
-                        ),
-                        **{f"contacts_{label}": (states == state).sum(axis=1) for state, label in enumerate(STATES)},
-                        "force_change": _relative_change(solution.force, coulomb.force),
-                        "slip_change": _relative_change(slip, coulomb_slip),
-                        "changed_states": (states != coulomb_states).sum(axis=1),
-                    }
-                )
-            )
+            table = {
+                "mu": float(np.mean(mu)),
+                "law": law.name,
+                "sample": np.arange(len(b)),
+                "converged": solution.converged & coulomb.converged,
+                "normal_force": f[..., 0].sum(axis=1),
+                "friction_force": np.hypot(f[..., 1], f[..., 2]).sum(axis=1),
+                "slip": np.sqrt(np.sum(slip**2, axis=(1, 2)) / max(u.shape[1], 1)),
+                "gap_at_load": np.max(np.where(states == OPEN, 0.0, u[..., 0]), axis=1, initial=0.0),
+                **{f"contacts_{label}": (states == state).sum(axis=1) for state, label in enumerate(STATES)},
+                "force_change": _relative_change(solution.force, coulomb.force),
+                "slip_change": _relative_change(slip, coulomb_slip),
+                "changed_states": (states != coulomb_states).sum(axis=1),
+            }
+            frames.append(pd.DataFrame(table))
     return pd.concat(frames, ignore_index=True)
 
 

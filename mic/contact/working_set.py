@@ -404,9 +404,8 @@ class WorkingSetSolver:
         """Prepare a solver for all candidates `joining` (m,) of any sample, which serves every working set among them;
         limited to :data:`MAX_PREPARED` contacts, or to :data:`MAX_INITIAL` if all samples share a working set."""
         joined = self._prepared_set | joining
-        if joined.sum() <= (MAX_INITIAL if self._screening else MAX_PREPARED) and (
-            self._prepared is None or (joined != self._prepared_set).any()
-        ):
+        known = self._prepared is not None and (joined == self._prepared_set).all()
+        if not known and joined.sum() <= (MAX_INITIAL if self._screening else MAX_PREPARED):
             self._prepared_set, self._prepared = joined, self._new_solver(joined)
 
     def _solver(self, own: np.ndarray) -> ContactSolver:
@@ -429,9 +428,9 @@ class WorkingSetSolver:
 
     def _open(self, n: int, m: int, recorded: bool = False) -> PathSolution:
         """Solution without forces, m contacts open along the path."""
-        d = self._d
-        trace = Trace.start(n, m)
+        d, trace = self._d, Trace.start(n, m)
         trace.share[:, :, OPEN] = 1.0
+        one = PathRecord(1, np.ones(1), np.zeros((1, d * m)))
         return PathSolution(
             force=np.zeros((n, d * m)),
             displacement=np.zeros((n, d * m)),
@@ -442,9 +441,7 @@ class WorkingSetSolver:
             iterations=np.zeros(n, dtype=np.int64),
             status=np.full(n, Status.CONVERGED, dtype=object),
             rung=np.full(n, "followed", dtype=object),
-            record=record_array(PathRecord(1, np.ones(1), np.zeros((1, d * m))) for _ in range(n))
-            if recorded
-            else None,
+            record=record_array([one] * n) if recorded else None,
         )
 
     def _put(self, found: PathSolution, samples, own, solution: PathSolution, b, spent) -> None:

@@ -173,7 +173,7 @@ def _storage_error(path: Path) -> Iterator[None]:
         yield
     except OSError as problem:
         raise StorageError(
-            f"{path}: cannot be written ({_reason(problem)}); finished samples are saved: free disk space or give "
+            f"{path}: cannot be written ({_reason(problem)}); finished work is saved: free disk space or give "
             "permission and run again"
         ) from problem
 
@@ -270,14 +270,12 @@ def append_text(path: Path, text: str) -> None:
     StorageError
         If the file cannot be written.
     """
-    try:
+    with _storage_error(path):
         path.parent.mkdir(parents=True, exist_ok=True)
         with open(path, "a", encoding="utf-8", newline="") as file:
             file.write(text)
             file.flush()
             os.fsync(file.fileno())
-    except OSError as problem:
-        raise StorageError(f"{path}: cannot be written ({_reason(problem)}); free disk space and run again") from None
 
 
 def save_json(path: Path, format: Format, content: Mapping[str, Any]) -> None:
