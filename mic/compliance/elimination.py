@@ -22,6 +22,7 @@ A row with its own compliance c reads ``v - c λ`` instead of v. For rows R that
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from scipy.linalg import lapack, solve_triangular
@@ -108,11 +109,11 @@ def eliminate(
     series = np.zeros(c) if series is None else series
     diagonal = compliance.diagonal(contact) - 2 * np.einsum("ij,ij->i", contacts.JQ, contacts.Y)
     return Response(
-        S=Columns(_Columns(contacts, contacts, series), (c, c)),
+        S=Columns(partial(_columns, contacts, contacts, series), (c, c)),
         diagonal=np.maximum(diagonal - np.einsum("ij,ij->i", contacts.Z, contacts.Z), 0.0) + series,
         T=held.motion(contacts),
         L=contacts.gather(loads) - contacts.Z @ loads.Z.T,
-        S_out=Columns(_Columns(outputs, contacts), (o, c)),
+        S_out=Columns(partial(_columns, outputs, contacts, None), (o, c)),
         T_out=held.motion(outputs),
         L_out=outputs.gather(loads) - outputs.Z @ loads.Z.T,
         reaction_S=held.reactions(contacts),
@@ -219,31 +220,20 @@ class _BilateralRows:
         return force
 
 
-@dataclass(frozen=True)
-class _Columns:
-    """``J H_s Cᵀ - Z_J Z_Cᵀ`` by columns: readings of rows J per force on rows C, with the rows R eliminated.
+def _columns(
+    read: _SupportedRows, forced: _SupportedRows, series: np.ndarray | None, numbers: np.ndarray
+) -> np.ndarray:
+    """(k, j) columns of ``J H_s Cᵀ - Z_J Z_Cᵀ`` with these numbers, for rows J per force on rows C, without the rows R.
 
-    Attributes
-    ----------
-    read, forced : _SupportedRows
-        J and C.
-    series : (c,) array, optional
-        Added to the diagonal.
+    A compliance in series (c,) is added to the diagonal.
     """
-
-    read: _SupportedRows
-    forced: _SupportedRows
-    series: np.ndarray | None = None
-
-    def __call__(self, numbers: np.ndarray) -> np.ndarray:
-        """(k, j) columns with these numbers."""
-        forced = self.forced.select(numbers)
-        columns = self.read.gather(forced).T - product(forced.Z, self.read.Z.T)
-        if self.series is not None:
-            # Rows that the bilateral rows hold completely have no compliance; rounding must not make it negative.
-            diagonal = np.arange(len(numbers)), numbers
-            columns[diagonal] = np.maximum(columns[diagonal], 0.0) + self.series[numbers]
-        return columns
+    some = forced.select(numbers)
+    columns = read.gather(some).T - product(some.Z, read.Z.T)
+    if series is not None:
+        # Rows that the bilateral rows hold completely have no compliance; rounding must not make it negative.
+        diagonal = np.arange(len(numbers)), numbers
+        columns[diagonal] = np.maximum(columns[diagonal], 0.0) + series[numbers]
+    return columns
 
 
 def _independent(matrix, reference):

@@ -166,8 +166,6 @@ def superelement(
             "beside the file nor a node of the mesh; add the table, node, x, y, z"
         )
     points = np.array([places[number] for number in numbers.tolist()])
-    freedom = np.full((len(numbers), 6), -1)
-    freedom[np.searchsorted(numbers, given.node), given.component] = np.arange(len(given.node))
     # an energy of K is in N mm when displacements are in mm
     force = stress * length**2
     scale = np.where(given.component < 3, length, 1.0)
@@ -178,12 +176,11 @@ def superelement(
         raise SceneError(
             f"part {name!r}: {key}: its diagonal has negative entries, which no elastic body has; export it again"
         )
-    stiff = np.asarray(abs(matrix).sum(axis=1)).ravel() > 0
-    if stiffness and not stiff.all():  # drop degrees of freedom without stiffness, such as rotations of solids
-        present = freedom >= 0
-        number = np.cumsum(stiff) - 1
-        freedom[present] = np.where(stiff[freedom[present]], number[freedom[present]], -1)
-        matrix = matrix[stiff][:, stiff]
+    kept = np.full(len(given.node), True)
+    if stiffness:  # drop degrees of freedom without stiffness, such as rotations of solids
+        kept = np.asarray(abs(matrix).sum(axis=1)).ravel() > 0
+    matrix, freedom = matrix[kept][:, kept], np.full((len(numbers), 6), -1)
+    freedom[np.searchsorted(numbers, given.node[kept]), given.component[kept]] = np.arange(kept.sum())
     away, nearest = cKDTree(points).query(drawn.points)
     of_vertex = np.where(away <= SAME * drawn.diameter, nearest, -1)
     body = Superelement(points, numbers, freedom, matrix, stiffness, of_vertex)

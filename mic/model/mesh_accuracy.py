@@ -158,19 +158,18 @@ def estimate_accuracy(
     for p, part in enumerate(assembly.parts):
         if (parts is not None and part.name not in parts) or part.superelement is not None:
             continue  # a superelement has no mesh
-        rows = _compared_rows(assembly, p)
+        compared, rows, labels = _compared_rows(assembly, p)
         finer = finer_surface(assembly.scene.parts[p], assembly.scene.folder, cache, assembly.sizes.get(part.name))
         if not len(finer.triangles) > len(assembly.surfaces[part.name].triangles):
             raise SceneError(
                 f"part {part.name!r}: geometry: the script makes no more triangles at half the size; let build(part, "
                 "size) use its argument size"
             )
-        other = _on_surface(rows.part, finer)
-        if not _finer_everywhere(rows.part, other):
-            other = _on_surface(rows.part, _halved(part.surface))
-        tables = (rows.pushing, rows.reading, rows.datum, rows.locators)
-        entries = [[table.indices.tolist(), table.data.tolist()] for table in tables]
-        identity = fingerprint([part.fingerprint(), other.fingerprint(), rows.labels, entries])
+        other = _on_surface(compared, finer)
+        if not _finer_everywhere(compared, other):
+            other = _on_surface(compared, _halved(part.surface))
+        entries = [[table.indices.tolist(), table.data.tolist()] for table in rows.values()]
+        identity = fingerprint([part.fingerprint(), other.fingerprint(), labels, entries])
         cached = disk_cache.load(identity)
         if cached is not None:
             table = cached[0]["accuracy"]
@@ -179,10 +178,10 @@ def estimate_accuracy(
             continue
         if progress:
             progress(
-                f"accuracy of {part.name}: {len(rows.part.functionals)} functionals, "
+                f"accuracy of {part.name}: {len(compared.functionals)} functionals, "
                 f"{len(part.surface.points)} and {len(other.surface.points)} nodes"
             )
-        estimates.append(_estimate(rows, other))
+        estimates.append(_estimate(compared, other, rows, labels))
         disk_cache.store(identity, {"accuracy": asdict(estimates[-1])}, {"none": np.zeros(0)})
     return tuple(estimates)
 
@@ -200,32 +199,12 @@ def _halved(surface: Surface) -> Surface:
     return Surface(*halved(surface.points, surface.triangles, surface.corner_normals))
 
 
-@dataclass(frozen=True)
-class _ComparedRows:
-    """A part with the compared functionals only, and rows over them.
+def _compared_rows(assembly: Assembly, p: int) -> tuple[Part, dict[str, csr_matrix], list[str]]:
+    """Part p with the compared functionals only, rows over them, and the names of its key characteristics.
 
-    Attributes
-    ----------
-    part : Part
-    pushing : (a, n) csr_matrix
-        Rows that push across the sheet.
-    reading : (m, n) csr_matrix
-        The part's key characteristics.
-    datum, locators : csr_matrix
-        Six rows of the locators that the part is set down on, and all its locators.
-    labels : list of str
-        Names of the key characteristics.
+    The rows are those that push across the sheet, ``"pushing"``, those of the key characteristics, ``"reading"``, six
+    of the locators that the part is set down on, ``"datum"``, and all its locators, ``"locators"``.
     """
-
-    part: Part
-    pushing: csr_matrix
-    reading: csr_matrix
-    datum: csr_matrix
-    locators: csr_matrix
-    labels: list[str]
-
-
-def _compared_rows(assembly: Assembly, p: int) -> _ComparedRows:
     functionals = slice(assembly.offsets[p], assembly.offsets[p + 1])
     part, contacts = assembly.parts[p], assembly.contacts
     rows = {kind: matrix[:, functionals].tocsr() for kind, matrix in assembly.rows.items()}
@@ -251,8 +230,7 @@ def _compared_rows(assembly: Assembly, p: int) -> _ComparedRows:
     used = np.unique(np.concatenate([table.indices for table in tables.values()]))
     count = np.diff(Characteristics.of(assembly.scene).start)
     labels = np.repeat([item.name for item in assembly.scene.measurements], count)[acting["measurement"]].tolist()
-    own_rows = {name: table[:, used].tocsr() for name, table in tables.items()}
-    return _ComparedRows(part=_restricted(part, used), labels=labels, **own_rows)
+    return _restricted(part, used), {name: table[:, used].tocsr() for name, table in tables.items()}, labels
 
 
 def _evenly_chosen(rows):
@@ -315,17 +293,16 @@ def _finer_everywhere(part: Part, finer: Part) -> bool:
     return all(b < FINER * a for a, b in zip(coarse, fine))
 
 
-def _estimate(rows: _ComparedRows, finer: Part) -> Accuracy:
-    """The errors of the compared part, from itself and from it on a finer mesh."""
-    part = rows.part
+def _estimate(part: Part, finer: Part, rows: dict[str, csr_matrix], labels: list[str]) -> Accuracy:
+    """The errors of a part, from itself and from it on a finer mesh."""
     _solve(part)  # the first call compiles
     (coarse, mesh), (fine, finer_mesh) = _solve(part), _solve(finer)
     factor = 1 / (1 - (mesh.triangles / finer_mesh.triangles) ** (ORDER / 2))  # r²/(r² − 1)
     errors: dict[str, list[float]] = {}
-    for held in (rows.datum, rows.locators):
+    for held in (rows["datum"], rows["locators"]):
         before, after = (_responses(rows, blocks, held) for blocks in (coarse, fine))
         worst: dict[str, float] = {}  # of each characteristic, over its points
-        for label, a, b in zip([COMPLIANCE, *rows.labels], before, after):
+        for label, a, b in zip([COMPLIANCE, *labels], before, after):
             size = float(np.linalg.norm(b))
             worst[label] = max(worst.get(label, 0.0), factor * float(np.linalg.norm(a - b)) / size if size else 0.0)
         for label, error in worst.items():
@@ -342,9 +319,10 @@ def _solve(part: Part) -> tuple[Blocks, Mesh]:
     return Blocks((influence.H,), (influence.G,)), mesh
 
 
-def _responses(rows: _ComparedRows, blocks: Blocks, held: csr_matrix) -> list[np.ndarray]:
+def _responses(rows: dict[str, csr_matrix], blocks: Blocks, held: csr_matrix) -> list[np.ndarray]:
     """H between the pushing rows, then the reading of each key characteristic per force on them."""
-    outputs = vstack([rows.pushing, rows.reading], format="csr")
-    response = eliminate(blocks, held, csr_matrix((0, blocks.size)), rows.pushing, outputs)
-    a = rows.pushing.shape[0]
+    pushing = rows["pushing"]
+    outputs = vstack([pushing, rows["reading"]], format="csr")
+    response = eliminate(blocks, held, csr_matrix((0, blocks.size)), pushing, outputs)
+    a = pushing.shape[0]
     return [response.L_out[:a], *response.L_out[a:]]

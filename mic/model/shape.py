@@ -211,15 +211,11 @@ def thickening(assembly, p: int, skin: int) -> np.ndarray:
         The face that stays: 1 on the side of the mesh's normals, -1 on the other, 0 the mid-surface.
     """
     part, functionals = assembly.parts[p], slice(assembly.offsets[p], assembly.offsets[p + 1])
-    first = np.cumsum([0, *assembly.weld_size])[: len(assembly.weld_size)]
-    joints = (
-        assembly.rows["contact"][:: assembly.contacts.dimension],
-        assembly.rows["between"],
-        assembly.rows["weld"][first],
-    )
+    rows, first = assembly.rows, np.cumsum([0, *assembly.weld_size])[: len(assembly.weld_size)]
+    joints = (rows["contact"][:: assembly.contacts.dimension], rows["between"], rows["weld"][first])
     moved = np.zeros(len(part.functionals))
-    for rows in joints:
-        entries = rows[:, functionals].tocoo()
+    for joint in joints:
+        entries = joint[:, functionals].tocoo()
         for i, share in zip(entries.col, entries.data):
             patch = part.functionals.patches[part.functionals.patch[i]]
             normal = np.abs(patch.weight) @ part.surface.normals[patch.triangle]
