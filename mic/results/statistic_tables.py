@@ -153,7 +153,7 @@ def measurement_statistics(outcome: RunSamples) -> pd.DataFrame:
 def _improved(regression: RegressionEstimates | None, k: int) -> dict[str, Any]:
     """Regression estimates of a key characteristic; empty without a regression."""
     if regression is None:
-        regression = RegressionEstimates.plain(k + 1)
+        regression = RegressionEstimates.plain(np.full(k + 1, np.inf))
     columns = {"improved": str(regression.kind[k]), "explained": float(regression.explained[k])}
     for name, values in (("mean", regression.mean), ("six_sigma", 6 * regression.sigma)):
         columns |= dict(zip((f"improved_{name}{end}" for end in ("", "_low", "_high")), values[:, k].tolist()))

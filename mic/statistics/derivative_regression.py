@@ -57,16 +57,15 @@ def estimates_with_derivatives(
     varying = moments.varying
     known = np.isfinite(y).all(axis=1) & np.isfinite(slopes[:, :, varying]).all(axis=(1, 2))
     x, y, slopes = x[known], y[known], slopes[known]
-    n, k, p = len(y), y.shape[1], int(varying.sum())
-    best = RegressionEstimates.plain(k)
+    n, p = len(y), int(varying.sum())
     if n < LEAST or not p:
-        return best
+        return RegressionEstimates.plain(np.full(y.shape[1], np.inf))
     t = (x[:, varying] - moments.mean[varying]) / moments.sigma[varying]
     scaled = np.moveaxis(slopes[:, :, varying] * moments.sigma[varying], 1, 2)  # (n, p, k)
     plain = estimates.sigma(y, level)
     with np.errstate(divide="ignore", invalid="ignore"):
-        narrowest = np.asarray(np.log(plain.high) - np.log(plain.low))
-    narrowest = np.where(np.isfinite(narrowest), narrowest, np.inf)
+        width = np.asarray(np.log(plain.high) - np.log(plain.low))
+    best = RegressionEstimates.plain(np.where(np.isfinite(width), width, np.inf))
     for kind in regression.KINDS if p <= regression.QUADRATIC else regression.KINDS[:1]:
         values = orthonormal_functions(t, moments.kurtosis[varying], kind == "quadratic")
         needed = regression.SAMPLES_PER_COEFFICIENT * values.shape[1] + regression.FURTHER_SAMPLES
@@ -76,9 +75,7 @@ def estimates_with_derivatives(
         mean, sigma, explained = _intervals(values, gradients, y, scaled, level)
         with np.errstate(divide="ignore", invalid="ignore"):
             width = np.log(sigma[2]) - np.log(sigma[1])
-        narrower = width < narrowest
-        narrowest = np.where(narrower, width, narrowest)
-        best.replace(narrower, kind, mean, sigma, explained)
+        best.offer(kind, width, mean, sigma, explained)
     return best
 
 

@@ -51,23 +51,26 @@ class RegressionEstimates:
         Share of the variance that the regression explains, R² corrected for its degrees of freedom.
     mean, sigma : (3, k) array
         Estimate, and lower and upper end of its interval.
+    width : (k,) array
+        Widths of the intervals of σ, in any measure.
     """
 
     kind: np.ndarray
     explained: np.ndarray
     mean: np.ndarray
     sigma: np.ndarray
+    width: np.ndarray
 
     @classmethod
-    def plain(cls, k: int) -> RegressionEstimates:
-        """The estimates without regression, for k outputs."""
-        return cls(np.full(k, "plain", dtype=object), np.full(k, np.nan), *np.full((2, 3, k), np.nan))
+    def plain(cls, width: np.ndarray) -> RegressionEstimates:
+        """The estimates without regression, for k outputs whose intervals of σ have these widths."""
+        k = len(width)
+        return cls(np.full(k, "plain", dtype=object), np.full(k, np.nan), *np.full((2, 3, k), np.nan), width.copy())
 
-    def replace(
-        self, chosen: np.ndarray, kind: str, mean: np.ndarray, sigma: np.ndarray, explained: np.ndarray
-    ) -> None:
-        """Replace the estimates of the chosen outputs (k,)."""
-        self.kind[chosen], self.explained[chosen] = kind, explained[chosen]
+    def offer(self, kind: str, width: np.ndarray, mean: np.ndarray, sigma: np.ndarray, explained: np.ndarray) -> None:
+        """Use other estimates for the outputs whose interval of σ they make narrower."""
+        chosen = width < self.width
+        self.kind[chosen], self.explained[chosen], self.width[chosen] = kind, explained[chosen], width[chosen]
         self.mean[:, chosen], self.sigma[:, chosen] = mean[:, chosen], sigma[:, chosen]
 
 
@@ -153,15 +156,12 @@ class Regression:
         inputs = int(self.varying.sum())
         counts = (inputs, inputs + inputs * (inputs + 1) // 2)
         k = sums.shape[1] - 1 - (counts[1] if inputs <= QUADRATIC else inputs)
-        best = RegressionEstimates.plain(k)
-        narrowest = _width(_estimates(sums, 0, k, level)[1])
+        best = RegressionEstimates.plain(_width(_estimates(sums, 0, k, level)[1]))
         for kind, count in zip(KINDS, counts):
             enough = sums[:, 0, 0].sum() >= SAMPLES_PER_COEFFICIENT * count + FURTHER_SAMPLES
             if count and (kind == "linear" or inputs <= QUADRATIC) and enough:
                 mean, sigma, explained = _estimates(sums, count, k, level)
-                narrower = _width(sigma) < narrowest
-                narrowest = np.where(narrower, _width(sigma), narrowest)
-                best.replace(narrower, kind, mean, sigma, explained)
+                best.offer(kind, _width(sigma), mean, sigma, explained)
         return best
 
 
