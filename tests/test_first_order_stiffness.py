@@ -183,6 +183,7 @@ def test_each_part_that_a_source_deforms_is_computed_once_and_a_check_counts_the
     assembly = assemble(read(lap("first-order")), tmp_path)
     said: list[str] = []
     monkeypatch.setattr("mic.commands.check.load_scene", lambda *_: assembly.scene)
+    monkeypatch.setattr("mic.report.check_page.write_check", lambda *_: None)
 
     def told():
         output = CliRunner().invoke(app, ["check", "scene"], env={"COLUMNS": "200"}).output
@@ -223,19 +224,21 @@ def several(sigmas, **keys):
 
 
 @pytest.fixture(scope="module")
-def chosen(cache):
-    """The shapes whose stiffness is needed with several forces, for their standard deviations."""
+def with_forces(cache):
+    """Returns the assembly with forces of given standard deviations, and the shapes that its stiffness needs."""
     assembly = assemble(read(several([1.0] * 4)), cache)
-    nominal, _ = coefficients(with_scene(assembly, stiffness="nominal"), cache)
+    of_nominal = with_scene(assembly, stiffness="nominal")
+    nominal = Reduction.build(of_nominal, coefficients(of_nominal, cache)[0])
 
     def choose(sigmas, **keys):
         own = replace(assembly, scene=read(several(sigmas, **keys)))
-        return select_shapes(own, Reduction.build(own, nominal))
+        return own, select_shapes(own, nominal)
 
     return choose
 
 
-def test_small_sources_are_omitted_up_to_a_tenth_in_total(chosen):
+def test_small_sources_are_omitted_up_to_a_tenth_in_total(with_forces):
+    chosen = lambda sigmas, **keys: with_forces(sigmas, **keys)[1]
     every = chosen([1.0] * 4)
     assert list(every.along) == ["F0", "F1", "F2", "F3"] and every.omitted == 1 and every.share < 1e-3
     turned = {
@@ -254,11 +257,11 @@ def test_small_sources_are_omitted_up_to_a_tenth_in_total(chosen):
 
 
 @pytest.mark.slow
-def test_the_error_of_omitted_sources_is_about_the_stated_share(chosen, cache):
+def test_the_error_of_omitted_sources_is_about_the_stated_share(with_forces, cache):
     """Relative to the error of the mean shape's stiffness, it is at most twice the share of the omitted rotations."""
     sigmas = [1.0, 0.08, 0.08, 0.08]
-    model, assembly = reduced_and_assembly(read(several(sigmas)), cache)
-    share = chosen(sigmas).share
+    assembly, shapes = with_forces(sigmas)
+    model, share = reduced_model(assembly, cache), shapes.share
     assert model.slopes.source.tolist() == [0] and share > 0.04
     mean, stiffness, off = replace(model, slopes=None), DeviatedStiffness(assembly, model), {"mean": [], "first": []}
     signs = np.array([[1, 1, 1, 1, 0], [1, -1, 1, -1, 0], [1, 1, -1, -1, 0], [1, -1, -1, 1, 0]])

@@ -106,14 +106,15 @@ def test_friction_by_pressure_is_scaled_with_the_rest(lap_model):
     assert with_scaled_friction(model, np.array([]), 2.0).contacts.pressure[0, 0, 1] == 0.2
 
 
-@pytest.mark.slow
-def test_the_command_prints_effects_and_refuses_a_frictionless_law(dragged, tmp_path):
+def test_the_command_prints_effects_and_refuses_a_frictionless_law(dragged, effects, tmp_path, monkeypatch):
+    asked = []
+    monkeypatch.setattr("mic.studies.friction.friction_effects", lambda *given: asked.append(given) or effects)
     dragged.save(tmp_path / "model.npz")
-    arguments = ["friction", str(tmp_path / "model.npz"), "--samples", "4"]
+    arguments = ["friction", str(tmp_path / "model.npz"), "--samples", "10"]
     done = CliRunner().invoke(app, arguments, env={"COLUMNS": "160"})
     assert done.exit_code == 0, done.output
-    found = friction_effects(dragged, "coulomb", 4, dragged.scene.monte_carlo.seed)
-    for sentence in friction_words(found, friction_needed(found)):
+    assert asked[0][1:4] == ("coulomb", 10, dragged.scene.monte_carlo.seed)
+    for sentence in friction_words(effects, friction_needed(effects)):
         assert sentence in " ".join(done.output.split())
     refused = CliRunner().invoke(app, [*arguments, "--law", "frictionless"])
     assert refused.exit_code != 0 and "the effect of friction cannot be computed" in str(refused.exception)

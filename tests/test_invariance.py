@@ -1,14 +1,14 @@
 """A scene that is turned, mirrored, renumbered or written in other units is the same scene."""
 
-from functools import cache
-
 import numpy as np
 import pytest
 from support.random_scenes import in_units, moved_by, random_case, renumbered, rotation, swapped, turned
 
 from mic.contact.working_set import PATH_PENETRATION, PENETRATION
 from mic.model.assembly import assemble
+from mic.process.model import ReducedModel
 from mic.process.stage import LEAST_MOTION
+from mic.process.stiffness import coefficients
 
 pytestmark = pytest.mark.slow
 
@@ -27,9 +27,8 @@ def _turned(case, matrix, unit):
     return in_units(turned(case, matrix), unit), matrix, unit
 
 
-def contacts_and_patches(case, folder):
+def contacts_and_patches(assembly):
     """Contacts, and the centre and width of each patch that parts are read at, (patches, 4)."""
-    assembly = assemble(case.scene(folder / "scene"), folder / "cache")
     rows = []
     for part in assembly.parts:
         for patch in part.functionals.patches:
@@ -42,17 +41,31 @@ def contacts_and_patches(case, folder):
 
 
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory):
-    """``folder(name, seed, watched)``: where a case and its cached influence coefficients lie."""
-    return cache(lambda *key: tmp_path_factory.mktemp("case"))
+def assembled(tmp_path_factory):
+    """``assembled(case, name, seed)``: the assembly of a case, once for each name and seed, and its cache folder."""
+    known = {}
+
+    def assemble_once(case, *key):
+        if key not in known:
+            folder = tmp_path_factory.mktemp("case")
+            known[key] = assemble(case.scene(folder / "scene"), folder / "cache"), folder / "cache"
+        return known[key]
+
+    return assemble_once
+
+
+def measurements(case, assembly, folder, *laws):
+    """(laws, n, k) measurements at the case's deviations."""
+    model = ReducedModel.build(assembly, coefficients(assembly, folder)[0])
+    return np.array([model.evaluate(case.deviations, law).measurements for law in laws])
 
 
 @pytest.mark.parametrize("change, seed, watched", CHANGED)
-def test_a_changed_scene_has_the_same_pairs_in_the_same_order(change, seed, watched, folder):
+def test_a_changed_scene_has_the_same_pairs_in_the_same_order(change, seed, watched, assembled):
     case = random_case(seed, watched=watched)
     other, matrix, unit = CHANGES[change](case, seed)
-    contacts, patches = contacts_and_patches(case, folder("given", seed))
-    found, found_patches = contacts_and_patches(other, folder(change, seed))
+    contacts, patches = contacts_and_patches(assembled(case, "given", seed)[0])
+    found, found_patches = contacts_and_patches(assembled(other, change, seed)[0])
     assert len(found) == len(contacts)
     close = dict(rtol=0, atol=1e-9)
     np.testing.assert_allclose(found.point * unit, contacts.point @ matrix.T, **close)
@@ -65,40 +78,38 @@ def test_a_changed_scene_has_the_same_pairs_in_the_same_order(change, seed, watc
 
 @pytest.mark.fem
 @pytest.mark.parametrize("change, seed, watched", CHANGED)
-def test_a_changed_scene_has_the_same_measurements(change, seed, watched, folder, monkeypatch):
+def test_a_changed_scene_has_the_same_measurements(change, seed, watched, assembled, monkeypatch):
     case = random_case(seed, watched=watched)
     other, _, unit = CHANGES[change](case, seed)
     laws = ("coulomb", "frictionless")
-    expected = case.measurements(folder("given", seed), *laws)
+    expected = measurements(case, *assembled(case, "given", seed), *laws)
     # Lengths of the program too, though no scene states them.
     monkeypatch.setattr("mic.process.stage.LEAST_MOTION", LEAST_MOTION / unit)
     monkeypatch.setattr("mic.contact.working_set.PENETRATION", PENETRATION / unit)
     monkeypatch.setattr("mic.contact.working_set.PATH_PENETRATION", PATH_PENETRATION / unit)
-    found = other.measurements(folder(change, seed), *laws) * unit
+    found = measurements(other, *assembled(other, change, seed), *laws) * unit
     np.testing.assert_allclose(found, expected, rtol=0, atol=1e-8 * np.abs(expected).max())
 
 
 @pytest.mark.parametrize("seed, watched", [PATH, CANDIDATES])
-def test_pairs_follow_a_small_change(seed, watched, folder):
+def test_pairs_follow_a_small_change(seed, watched, assembled):
     case = random_case(seed, watched=watched)
-    contacts, patches = contacts_and_patches(case, folder("given", seed))
-    found, found_patches = contacts_and_patches(moved_by(case, 1e-9, seed), folder("moved", seed))
+    contacts, patches = contacts_and_patches(assembled(case, "given", seed)[0])
+    found, found_patches = contacts_and_patches(assembled(moved_by(case, 1e-9, seed), "moved", seed)[0])
     np.testing.assert_allclose(found.point, contacts.point, rtol=0, atol=1e-6)
     np.testing.assert_allclose(found.gap, contacts.gap, rtol=0, atol=1e-6)
     np.testing.assert_allclose(found_patches, patches, rtol=0, atol=1e-6)
 
 
 @pytest.mark.fem
-def test_given_points_are_the_pairs_whichever_part_is_named_first(folder):
+def test_given_points_are_the_pairs_whichever_part_is_named_first(assembled):
     case = random_case(1, patch=0.0, points=True)
-    contacts, _ = contacts_and_patches(case, folder("points"))
-    found, _ = contacts_and_patches(swapped(case), folder("swapped"))
+    both = [(one, *assembled(one, name)) for one, name in ((case, "points"), (swapped(case), "swapped"))]
+    contacts, found = (assembly.contacts for _, assembly, _ in both)
     wanted = np.array(case.table["zones"][0]["points"])
     for pairs in (contacts, found):
         np.testing.assert_allclose(pairs.point[:, :2], wanted[:, :2], rtol=0, atol=1e-9)
     np.testing.assert_allclose(found.gap, contacts.gap, rtol=0, atol=1e-12)
     np.testing.assert_allclose(found.frame[:, :, 0], -contacts.frame[:, :, 0], rtol=0, atol=1e-12)
-    measured, again = (
-        one.measurements(folder(name), "coulomb") for one, name in ((case, "points"), (swapped(case), "swapped"))
-    )
+    measured, again = (measurements(*one, "coulomb") for one in both)
     np.testing.assert_allclose(again, measured, rtol=0, atol=1e-8 * np.abs(measured).max())

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from support.springs import at_face, stage_list, two_plates
 
+from mic.process.evaluation import Evaluation
 from mic.process.linear_maps import Linear
 from mic.process.process import Process
 from mic.statistics.draw import draw
@@ -82,6 +83,9 @@ def test_stages_are_evaluated_once_and_only_on_request(lap_model, monkeypatch):
     np.testing.assert_array_equal(force, process.evaluate(given).resolutions["release"].force)
     count = len(calls)
     assert found.motion.any() and found.functional_force.any() and len(calls) == count
+    joined = Evaluation.join([process.evaluate(row[None]) for row in given])
+    np.testing.assert_array_equal(joined.functional_force, found.functional_force)
+    np.testing.assert_array_equal(joined.motion, found.motion)
     with pytest.raises(KeyError):
         found.resolutions["measure"]
 

@@ -63,11 +63,6 @@ def plans():
     return {plan.name: plan for plan in plan_stages(mic.Scene(**SCENE), WELD_SIZE)}
 
 
-def test_locators_hold_from_their_stage_on(plans):
-    assert plans["set"].bilateral == tuple(("locator", i) for i in range(12))
-    assert set(plans["close"].bilateral) - set(plans["set"].bilateral) == {("locator", 12), ("clamp", 0)}
-
-
 def moves(plan):
     """Settling, released rows, dropped loads, closing welds, bilateral rows and loads of each step of a stage."""
     return [
@@ -183,24 +178,6 @@ def test_the_error_names_the_step_that_frees_a_part():
         mic.SceneError, match=r"stages \(open\): 4 rigid-body motions are free once a0, a1, a2, a3 … op"
     ):
         variant(open=opened)
-
-
-def test_a_part_that_is_free_between_two_stages_is_refused():
-    """The release before any weld lets go of b's last locator along y, and the next stage would hold it again."""
-    again = {**six("b")[5], "name": "again", "stage": "hold-again"}
-    stages = [
-        {"kind": "locate", "name": "set"},
-        {"kind": "clamp", "name": "close"},
-        {"kind": "release", "name": "early", "keep": [f"{part}{i}" for part in "ab" for i in range(6)][:11]},
-        {"kind": "clamp", "name": "hold-again"},
-        {"kind": "clamp", "name": "close2"},
-        {"kind": "weld", "name": "join"},
-    ]
-    locators = [*SCENE["locators"], again]
-    with pytest.raises(mic.SceneError, match=r"stages \(early\): 1 rigid-body motions are free .*part 'b'"):
-        plan_stages(mic.Scene(**SCENE | {"stages": stages, "locators": locators}), WELD_SIZE)
-    stages[2]["keep"].append("b5")
-    assert plan_stages(mic.Scene(**SCENE | {"stages": stages, "locators": locators}), WELD_SIZE)
 
 
 def test_welds_without_moment_hold_no_rotation():

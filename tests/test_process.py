@@ -10,8 +10,6 @@ from threadpoolctl import threadpool_info, threadpool_limits
 import mic
 from mic.contact import ContactSolver
 from mic.contact.path import Followed, Increments
-from mic.process.evaluation import Evaluation
-from mic.process.model import ReducedModel
 from mic.process.process import Process
 from mic.process.stage import LEAST_MOTION
 from mic.statistics.draw import draw
@@ -47,22 +45,6 @@ def test_forces_balance_and_reproduce_the_measurements(name, law, request):
     measured = readings(model, evaluation) @ model.rows["measurement"].T
     np.testing.assert_allclose(measured, evaluation.measurements, atol=1e-9 * np.abs(evaluation.measurements).max())
     assert np.abs(evaluation.measurements).max() > 1e-3
-
-
-@pytest.mark.slow
-def test_forces_requested_later_belong_to_the_samples(lap_model):
-    deviations = draw(lap_model.scene, 3, 0, 3)
-    process, own = lap_model.process("coulomb"), deviations.copy()
-    at_once = process.evaluate(deviations)
-    force, motion = at_once.functional_force, at_once.motion
-    late = process.evaluate(own)
-    joined = Evaluation.join([process.evaluate(row[None]) for row in deviations])
-    own[:] = 0.0
-    process.evaluate(own)
-    for found in (late, joined):
-        np.testing.assert_array_equal(found.functional_force, force)
-        np.testing.assert_array_equal(found.motion, motion)
-    assert np.abs(motion).max() > 1e-3 and late.functional_force is late.functional_force
 
 
 def test_nested_single_threaded_functions_stay_single_threaded():
@@ -311,14 +293,6 @@ def test_a_redundant_locator_is_named_and_has_no_effect(lap_scene, lap_model, ca
 def test_invalid_deviations_are_named(lap_model, values, word):
     with pytest.raises(ValueError, match=word):
         lap_model.evaluate(values)
-
-
-def test_a_saved_model_gives_the_same_results(lap_model, tmp_path):
-    lap_model.save(tmp_path / "model.npz")
-    loaded = ReducedModel.load(tmp_path / "model.npz")
-    np.testing.assert_array_equal(
-        loaded.evaluate({"F1": -7.0}).measurements, lap_model.evaluate({"F1": -7.0}).measurements
-    )
 
 
 @pytest.mark.parametrize("law", ["frictionless", "associated"])

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from support.feet import STIFFNESS, standing
+from support.feet import ALONG_X, AT, FEET, PAIR, UP, WIDE, gauge, plates, push, standing, table, zone
 from support.springs import six, stage_list
 
 import mic
@@ -16,20 +16,9 @@ from mic.process.plan import plan_assembly, plan_stages
 from mic.process.resting_parts import Rest
 from mic.statistics.draw import draw
 
-FEET = [(0, 0, 0), (100, 0, 0), (0, 60, 0)]
-PAIR = 2 / STIFFNESS  # mm/N, of both bodies' springs at one foot, along the normal
-FAR = [[0, 0, 0], [100, 0, 0], [0, 100, 0], [0, 0, 0], [100, 0, 0], [0, 0, 0]]
-UP, ALONG_X = (0, 0, 1), (1, 0, 0)
-AT = (30, 20, 0)  # where b is pressed: 0.3 of it on the foot at x = 100, a third on the one at y = 60
-SHARE = np.array([1 - 0.3 - 1 / 3, 0.3, 1 / 3])
-CARRIED = 100 * SHARE
-
-
-def push(force, at=AT, direction=(0, 0, -1), name="C", part="b", **keys):
-    return {"name": name, "part": part, "point": list(at), "direction": list(direction), "force": force} | keys
-
-
 PRESS = push(100)
+SHARE = np.array([1 - 0.3 - 1 / 3, 0.3, 1 / 3])  # of the feet, in a force at AT
+CARRIED = 100 * SHARE
 
 
 def clamped(found, stage="clamp"):
@@ -40,34 +29,6 @@ def clamped(found, stage="clamp"):
 
 def force_source(*targets):
     return [{"name": "F", "kind": "clamp", "target": list(targets), "sigma": 1.0}]
-
-
-def plates(names, *rests):
-    """The parts of a scene, of which some rest."""
-    return [{"name": name, "mesh": "a.stl", "thickness": 1.0, "rests": name in rests} for name in names]
-
-
-def zone(*parts, name="Z", friction=0.2, **keys):
-    return {"name": name, "parts": list(parts), "friction": friction, "pairs": 1} | keys
-
-
-def gauge(part, at, direction=UP, name="M"):
-    return {"name": name, "part": part, "point": list(at), "direction": list(direction), "lower": -1, "upper": 1}
-
-
-def table(
-    clamps, friction=0.2, feet=FEET, gap=0.0, kinds=("locate", "clamp", "measure"), shape=None, normal=UP, **change
-):
-    """b stands on a by its feet, under clamps; a is held by six locators."""
-    keys = {
-        "parts": plates("ab", "b"),
-        "locators": six("a", far=FAR),
-        "clamps": list(clamps),
-        "zones": [zone("a", "b", friction=friction)],
-        "measurements": [gauge("b", foot, name=f"M{i}") for i, foot in enumerate(feet)],
-        "stages": stage_list(*kinds),
-    }
-    return standing([("Z", foot, normal) for foot in feet], gap=gap, shape=shape, **keys | change)
 
 
 def refused(model, words):
@@ -90,8 +51,8 @@ def test_feet_share_an_off_centre_clamp_by_the_lever_rule(path):
 
 @pytest.mark.parametrize("law", ["coulomb", "frictionless", "associated"])
 def test_pins_hold_a_part_in_plane_and_contact_along_its_normal(law):
-    pins = [item | {"part": "b", "name": f"p{i}"} for i, item in enumerate(six("b", far=FAR)[3:])]
-    found = table([PRESS], locators=six("a", far=FAR) + pins).evaluate({}, law)
+    pins = [item | {"part": "b", "name": f"p{i}"} for i, item in enumerate(six("b", far=WIDE)[3:])]
+    found = table([PRESS], locators=six("a", far=WIDE) + pins).evaluate({}, law)
     np.testing.assert_allclose(clamped(found), CARRIED, rtol=1e-8)
 
 
@@ -128,7 +89,7 @@ def groove(friction=0.0, gap=0.0, path=None):
         SIDES,
         gap=gap,
         parts=plates("ab", "b"),
-        locators=[*six("a", far=FAR), {"name": "stop", "part": "b", "point": [0, 0, 0], "direction": [0, 1, 0]}],
+        locators=[*six("a", far=WIDE), {"name": "stop", "part": "b", "point": [0, 0, 0], "direction": [0, 1, 0]}],
         clamps=[push(100, (0, 40, 0))],
         zones=[zone("a", "b", friction=friction)],
         measurements=[gauge("b", (0, 40, 0)), gauge("b", (0, 40, 0), ALONG_X, "X")],
@@ -173,7 +134,7 @@ def test_each_part_of_a_stack_carries_those_above():
     model = standing(
         [(f"Z{pair}", foot, UP) for pair in ("ab", "bc") for foot in FEET],
         parts=plates("abc", "b", "c"),
-        locators=six("a", far=FAR),
+        locators=six("a", far=WIDE),
         clamps=[push(90, at, part="c"), push(30, at, name="D")],
         zones=[zone(*pair, name=f"Z{pair}") for pair in ("ab", "bc")],
         measurements=[gauge("c", at), gauge("b", at, name="N")],
@@ -224,7 +185,7 @@ def test_locators_can_open_if_friction_holds_the_part():
     release = {"kind": "release", "keep": [f"al{i}" for i in range(6)] + ["C"]}
     model = table(
         clamps,
-        locators=[*six("a", far=FAR), *six("b", far=FAR)],
+        locators=[*six("a", far=WIDE), *six("b", far=WIDE)],
         kinds=("locate", "clamp", release, "clamp second", "measure"),
         measurements=[gauge("b", (0, 0, 0), ALONG_X), gauge("b", (0, 0, 0), name="Z")],
     )
@@ -320,7 +281,7 @@ def test_a_part_welded_to_a_resting_part_presses_through_the_weld():
     model = table(
         [push(100, part="c"), push(10, name="K", stage="first")],
         parts=plates("abc", "b"),
-        locators=[*six("a", far=FAR), *six("c", far=FAR)],
+        locators=[*six("a", far=WIDE), *six("c", far=WIDE)],
         welds=welds,
         measurements=[gauge("c", AT)],
         kinds=("locate", "clamp first", "weld", "clamp", release, "measure"),
@@ -332,10 +293,10 @@ def test_a_part_welded_to_a_resting_part_presses_through_the_weld():
 
 def test_a_part_of_a_later_station_is_absent_before():
     """b comes to the second station, where it rests; what presses a before does not press b."""
-    pins = [one | {"part": "b", "name": f"p{i}", "stage": "second"} for i, one in enumerate(six("b", far=FAR)[3:])]
+    pins = [one | {"part": "b", "name": f"p{i}", "stage": "second"} for i, one in enumerate(six("b", far=WIDE)[3:])]
     model = table(
         [push(30, part="a", name="K", stage="first"), PRESS],
-        locators=[*six("a", far=FAR), *pins],
+        locators=[*six("a", far=WIDE), *pins],
         kinds=("locate", "clamp first", "locate second", "clamp", "measure"),
     )
     plans = plan_assembly(model)
@@ -347,7 +308,7 @@ def test_a_part_of_a_later_station_is_absent_before():
 
 def test_a_resting_part_is_lifted_by_its_support():
     """a stands on springs of 100 N/mm; 60 N lift it in their middle by 0.2 mm before 100 N press b on."""
-    soft = [one | ({"stiffness": 100.0} if i < 3 else {}) for i, one in enumerate(six("a", far=FAR))]
+    soft = [one | ({"stiffness": 100.0} if i < 3 else {}) for i, one in enumerate(six("a", far=WIDE))]
     middle = (100 / 3, 100 / 3, 0)
     lift = push(60, middle, UP, part="a", name="K")
     kinds = ("locate", {"kind": "clamp", "order": [["K"], ["C"]]}, "measure")
@@ -475,7 +436,7 @@ def test_a_sample_whose_clamps_do_not_reach_the_part_fails():
 
 
 def test_only_parts_with_rests_can_rest():
-    locators = [*six("a", far=FAR), *six("b", far=FAR)]
+    locators = [*six("a", far=WIDE), *six("b", far=WIDE)]
     with pytest.raises(ValueError, match=r"parts\[1\] \(b\): its 0 locators .* rests = true"):
         table([PRESS], parts=plates("ab"))
     with pytest.raises(ValueError, match=r"parts\[2\].rests \(c\): it is in no zone"):

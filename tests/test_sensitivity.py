@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 from scipy.sparse import vstack
-from support.feet import standing
-from support.springs import STIFFNESS, at_face, six, spring_model
+from support.feet import push, table
+from support.springs import STIFFNESS, at_face, stage_list, two_plates
 from typer.testing import CliRunner
 
 import mic
@@ -49,9 +49,9 @@ def on_the_way(model, way) -> ReducedModel:
 def with_positions(model) -> ReducedModel:
     """Every locator and every clamp deviates, too."""
     scene, new = model.scene, []
-    for kind, table in (("locator", LocatorDeviation), ("clamp", ClampDeviation)):
+    for kind, deviation in (("locator", LocatorDeviation), ("clamp", ClampDeviation)):
         new += [
-            table(name=f"moved.{one.name}", kind=kind, target=one.name, sigma=SIGMA[kind])
+            deviation(name=f"moved.{one.name}", kind=kind, target=one.name, sigma=SIGMA[kind])
             for one in getattr(scene, f"{kind}s")
         ]
     return model.varied(scene.model_copy(update={"deviations": [*scene.deviations, *new]}))
@@ -79,33 +79,34 @@ def off(slope, difference) -> float:
     return (np.abs(slope - difference).max(axis=(0, 2)) / np.abs(difference).max(axis=(0, 2))).max()
 
 
+def agreeing(process, samples):
+    """The derivatives, which must be those of the evaluation by differences."""
+    found = sensitivities(process, samples)
+    difference = central(process.model, lambda x: process.evaluate(x).measurements, samples)
+    assert off(found.jacobian * sigmas(process.model), difference) < EXACT
+    return found
+
+
 @pytest.mark.parametrize(("law", "way"), [("frictionless", "one-step"), ("coulomb", 4), ("associated", 4)])
 def test_derivatives_are_those_of_the_evaluation(lap_model, law, way):
     model = with_positions(on_the_way(lap_model, way))
     process, samples = model.process(law, TIGHT), draw(model.scene, 1, 0, 4)
-    found = sensitivities(process, samples)
-    evaluation = process.evaluate(samples)
+    found, evaluation = agreeing(process, samples), process.evaluate(samples)
     np.testing.assert_allclose(found.measurements, evaluation.measurements, rtol=0, atol=1e-10)
-    difference = central(model, lambda x: process.evaluate(x).measurements, samples)
-    assert off(found.jacobian * sigmas(model), difference) < EXACT
     for stage, contacts in found.contacts.items():
         np.testing.assert_array_equal(contacts.state, evaluation.resolutions[stage].state)
 
 
 @pytest.mark.parametrize("law", ["micro-slip", "pressure-dependent"])
 def test_a_law_that_reads_more_owns_its_tangent(lap_model, law):
-    model = on_the_way(lap_model, 3)
-    contacts = model.contacts
-    power = np.array([[0.0, 0.4, -0.02, 0.0, 0.0], [2.0, 0.36, 0.0, 0.0, 0.0]])
-    changed = replace(
-        contacts,
-        compliance=np.full(len(contacts), 1e-5) if law == "micro-slip" else contacts.compliance,
-        pressure=np.tile(power, (len(contacts), 1, 1)) if law != "micro-slip" else contacts.pressure,
-    )
-    model = replace(model, contacts=changed)
-    process, samples = model.process(law, TIGHT), draw(model.scene, 1, 0, 3)
-    difference = central(model, lambda x: process.evaluate(x).measurements, samples)
-    assert off(sensitivities(process, samples).jacobian * sigmas(model), difference) < EXACT
+    contacts = lap_model.contacts
+    if law == "micro-slip":
+        changed = {"compliance": np.full(len(contacts), 1e-5)}
+    else:
+        power = np.array([[0.0, 0.4, -0.02, 0.0, 0.0], [2.0, 0.36, 0.0, 0.0, 0.0]])
+        changed = {"pressure": np.tile(power, (len(contacts), 1, 1))}
+    model = replace(on_the_way(lap_model, 3), contacts=replace(contacts, **changed))
+    agreeing(model.process(law, TIGHT), draw(model.scene, 1, 0, 3))
 
 
 def frozen(process, steps):
@@ -252,9 +253,9 @@ def test_a_requested_position_moves_like_the_point_of_the_scene(lap_scene, cache
     values = []
     for way in (0.2, -0.2):  # both are moved at once
         items = {"welds": list(bare.welds), "locators": list(bare.locators)}
-        for table, i in (("welds", 1), ("locators", 0)):
-            x, y, z = items[table][i].point
-            items[table][i] = items[table][i].model_copy(update={"point": (x + way, y, z)})
+        for kind, i in (("welds", 1), ("locators", 0)):
+            x, y, z = items[kind][i].point
+            items[kind][i] = items[kind][i].model_copy(update={"point": (x + way, y, z)})
         values.append(mic.reduce(bare.model_copy(update=items), cache).evaluate({}, "coulomb").measurements)
     np.testing.assert_allclose(found.sum(axis=1), (values[0] - values[1])[0] / 0.4, rtol=0.01)
 
@@ -335,34 +336,19 @@ def test_inputs_that_are_not_known_are_refused(lap_model):
     assert all(σ > 0 for name, σ in known_inputs(lap_model).items() if name in lap_model.parameters)
 
 
-FEET = [(0, 0, 0), (100, 0, 0), (0, 60, 0)]
-
-
-def table(force=100.0, gap=(0.02, -0.03, 0.01), **path) -> ReducedModel:
+def resting(force=100.0, gap=(0.02, -0.03, 0.01), **path) -> ReducedModel:
     """b stands on a by three feet, bent by its first deviation, and is pressed down and pushed sideways."""
-    pushed = [("C", (30, 20, 0), (0, 0, -1), force), ("D", (40, 10, 0), (1, 0.5, 0), 0.15 * force)]
-    clamps = [
-        {"name": name, "part": "b", "point": list(at), "direction": list(along), "force": one}
-        for name, at, along, one in pushed
-    ]
-    scene = {
-        "parts": [{"name": name, "mesh": f"{name}.stl", "thickness": 1.0, "rests": name == "b"} for name in "ab"],
-        "locators": six("a"),
-        "clamps": clamps,
-        "zones": [{"name": "Z", "parts": ["a", "b"], "friction": 0.2, "pairs": 1}],
-        "measurements": [
-            {"name": f"M{i}", "part": "b", "point": foot, "direction": [0, 0, 1], "lower": -1, "upper": 1}
-            for i, foot in enumerate(FEET)
-        ],
-        "deviations": [
+    return table(
+        [push(force), push(0.15 * force, (40, 10, 0), (1, 0.5, 0), "D")],
+        gap=gap,
+        kinds=("locate", {"kind": "clamp"} | path, "measure"),
+        shape=lambda part, p: (part == "b") * np.array([0, 0, 0.01 * p[0] + 0.3]),
+        deviations=[
             {"name": "bent", "kind": "force", "part": "b", "point": [0, 0, 0], "direction": [0, 0, 1], "sigma": 0.05},
             {"name": "C", "kind": "clamp", "target": "C", "sigma": 5.0},
             {"name": "D", "kind": "clamp", "target": "D", "sigma": 1.0},
         ],
-        "stages": [{"kind": "locate"}, {"kind": "clamp"} | path, {"kind": "measure"}],
-    }
-    pairs = [("Z", foot, (0, 0, 1)) for foot in FEET]
-    return standing(pairs, gap=gap, shape=lambda part, p: (part == "b") * np.array([0, 0, 0.01 * p[0] + 0.3]), **scene)
+    )
 
 
 @pytest.mark.parametrize(
@@ -370,7 +356,7 @@ def table(force=100.0, gap=(0.02, -0.03, 0.01), **path) -> ReducedModel:
 )
 def test_where_a_part_rests_is_derived_too(law, path):
     """It is put down where nothing overlaps, pressed, and slides a little; where it lies follows the inputs."""
-    model = table(**path)
+    model = resting(**path)
     process, samples = model.process(law, TIGHT), np.array([[0.1, 0.3, 0.02]])
     found = sensitivities(process, samples)
     evaluation = process.evaluate(samples)
@@ -395,12 +381,12 @@ def test_where_a_part_is_put_down_follows_the_gaps_that_it_closes():
 
 
 def test_a_loose_part_has_no_derivative():
-    found = table(force=0.0, gap=0.0).sensitivities({}, "coulomb")
+    found = resting(force=0.0, gap=0.0).sensitivities({}, "coulomb")
     assert found.failed.all() and np.isnan(found.jacobian).all()
 
 
 def test_positions_of_supports_of_a_resting_part_are_refused():
-    model = table()
+    model = resting()
     rows = model.rows | {"position": model.rows["locator"][:1]}
     labels = model.labels | {"position": ["locators.al0.x"]}
     model = replace(model, rows=rows, labels=labels, position_gap=np.zeros(1))
@@ -477,15 +463,8 @@ def test_a_scene_that_measures_nothing_has_no_sensitivities(lap_model):
 
 def pressed(force, **clamp) -> ReducedModel:
     """b's face, pressed down by a clamp: by w = F/k until it has closed its gap, then by half as much a newton."""
-    keys = {
-        "parts": [{"name": name, "mesh": f"{name}.stl", "thickness": 1.0} for name in "ab"],
-        "locators": [*six("a"), *six("b")],
-        "clamps": [at_face("b", (0, 0, -1), name="C", **({"force": force} | clamp))],
-        "zones": [{"name": "Z", "parts": ["a", "b"], "friction": 0.2, "pairs": 1}],
-        "measurements": [at_face("b", name="M", lower=-1, upper=1)],
-        "stages": [{"kind": "locate"}, {"kind": "clamp"}, {"kind": "measure"}],
-    }
-    return spring_model([0.3], **keys)
+    clamps = [at_face("b", (0, 0, -1), name="C", **({"force": force} | clamp))]
+    return two_plates(0.3, clamps=clamps, stages=stage_list("locate", "clamp", "measure"))
 
 
 @pytest.mark.parametrize("law", ["coulomb", "frictionless", "associated"])

@@ -17,7 +17,7 @@ YIELDING = 2e3  # N/mm³
 def with_zone(scene, **keys):
     """The scene with keys of its zone, each stage in three increments."""
     table = scene.model_dump(exclude={"setting"}, exclude_none=True) | {"folder": scene.folder}
-    table["zones"] = [zone | keys for zone in table["zones"]]
+    table["zones"] = [zone | {"pairs": 12} | keys for zone in table["zones"]]
     for stage in table["stages"]:
         if stage["kind"] in ("clamp", "weld", "release"):
             stage |= {"path": "increments", "increments": 3}

@@ -15,12 +15,12 @@ from mic.contact.path import Path
 from mic.contact.states import OPEN
 from mic.contact.tangent import ComplianceDerivative, Contact, Dual, End, differentiate_path
 from mic.model.rest_rows import separating_motion_slope
+from mic.process.evaluation import ContactSensitivity, Sensitivities
 from mic.process.force_limits import Stops
 from mic.process.inputs import Inputs
 from mic.process.moving_rows import MovingRows
 from mic.process.plan import Step
 from mic.process.resting_parts import Segment
-from mic.process.sensitivity_results import ContactSensitivity, Sensitivities
 from mic.process.stage import BatchStep, EliminatedStep, PreparedStage
 from mic.process.state import ProcessState
 

@@ -6,7 +6,7 @@ import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, Self
+from typing import Any, Self
 
 import numpy as np
 
@@ -17,16 +17,13 @@ from mic.model.assembly import Assembly
 from mic.model.reduction import Reduction
 from mic.model.rest_rows import RestRows
 from mic.process.actions import Joints
-from mic.process.evaluation import Evaluation
+from mic.process.evaluation import Evaluation, PathSteps, Sensitivities
 from mic.process.plan import StagePlan, Step, plan_stages
 from mic.process.process import TOLERANCE, Process
 from mic.process.stage import EliminatedStep, eliminate_steps
 from mic.process.stiffness import with_derivatives, with_shape
 from mic.scene import Scene
 from mic.system.matrix_product import one_thread
-
-if TYPE_CHECKING:
-    from mic.process.sensitivity_results import PathSteps, Sensitivities
 
 __all__ = ["ReducedModel"]
 
@@ -156,7 +153,7 @@ class ReducedModel(Reduction):
             and others (:mod:`mic.process.inputs`); with standard deviations of their own, or those of the scene.
             Default: all deviations.
         steps : mapping, optional
-            Path steps to be retraced: :attr:`mic.process.sensitivity_results.Sensitivities.steps` of samples nearby.
+            Path steps to be retraced: :attr:`mic.process.evaluation.Sensitivities.steps` of samples nearby.
 
         Raises
         ------

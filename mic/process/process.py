@@ -264,16 +264,12 @@ class Process:
         read = self.model.characteristics.values(readings) if readings.size else readings
         equilibrium = partial(self._equilibrium, self.stages[number], resolutions, amplitudes)
         found = Evaluation(self.law, deviations, resolutions, read, readings, failed, equilibrium)
-        if solutions is None and any(resolution.left.size for resolution in resolutions.values()):
-            unreached = np.flatnonzero(~found.built)
-            if unreached.size:
-                self._fill_needed_forces(found, unreached)
+        if solutions is None and not found.built.all():
+            self._fill_needed_forces(found, np.flatnonzero(~found.built))
         return found
 
     @one_thread
-    def _run(
-        self, deviations: np.ndarray, number: int, solutions: Sequence[PathSolution] | None = None
-    ) -> ProcessHistory:
+    def _run(self, deviations: np.ndarray, number: int, solutions: Sequence[PathSolution] | None) -> ProcessHistory:
         """Take samples through all stages, with the contacts' paths if they are known."""
         loading, state = self.drive(deviations), self.start(len(deviations))
         resolutions, readings, resolve = {}, np.zeros((len(deviations), 0)), None

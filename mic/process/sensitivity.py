@@ -21,8 +21,8 @@ import numpy as np
 
 from mic.errors import SceneError
 from mic.process.differentiated_process import DifferentiatedProcess
+from mic.process.evaluation import PathSteps, Sensitivities
 from mic.process.inputs import Inputs, known_inputs
-from mic.process.sensitivity_results import PathSteps, Sensitivities
 from mic.system.matrix_product import one_thread
 
 __all__ = ["AT_CHANGE", "Sensitivities", "known_inputs", "sensitivities"]

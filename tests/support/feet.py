@@ -10,9 +10,14 @@ import mic
 from mic.compliance.blocks import Blocks
 from mic.model.rows import KINDS
 from mic.process.model import ReducedModel
-from support.springs import NOWHERE, contacts_at, rows_and_labels
+from support.springs import NOWHERE, contacts_at, rows_and_labels, six, stage_list
 
 STIFFNESS = 2000.0  # N/mm, of a part at a contact along its normal
+FEET = [(0, 0, 0), (100, 0, 0), (0, 60, 0)]
+PAIR = 2 / STIFFNESS  # mm/N, of both bodies' springs at one foot, along the normal
+WIDE = [[0, 0, 0], [100, 0, 0], [0, 100, 0], [0, 0, 0], [100, 0, 0], [0, 0, 0]]
+UP, ALONG_X = (0, 0, 1), (1, 0, 0)
+AT = (30, 20, 0)  # where b is pressed
 
 
 def frame_of(normal):
@@ -72,3 +77,35 @@ def standing(pairs, stiffness=STIFFNESS, gap=0.0, shape=None, **scene):
     return ReducedModel(
         scene, compliance, rows, labels, contacts, NOWHERE, size, weld_gap, shapes, np.zeros_like(shapes), {}
     )
+
+
+def push(force, at=AT, direction=(0, 0, -1), name="C", part="b", **keys):
+    return {"name": name, "part": part, "point": list(at), "direction": list(direction), "force": force} | keys
+
+
+def plates(names, *rests):
+    """The parts of a scene, of which some rest."""
+    return [{"name": name, "mesh": "a.stl", "thickness": 1.0, "rests": name in rests} for name in names]
+
+
+def zone(*parts, name="Z", friction=0.2, **keys):
+    return {"name": name, "parts": list(parts), "friction": friction, "pairs": 1} | keys
+
+
+def gauge(part, at, direction=UP, name="M"):
+    return {"name": name, "part": part, "point": list(at), "direction": list(direction), "lower": -1, "upper": 1}
+
+
+def table(
+    clamps, friction=0.2, feet=FEET, gap=0.0, kinds=("locate", "clamp", "measure"), shape=None, normal=UP, **change
+):
+    """b stands on a by its feet, under clamps; a is held by six locators."""
+    keys = {
+        "parts": plates("ab", "b"),
+        "locators": six("a", far=WIDE),
+        "clamps": list(clamps),
+        "zones": [zone("a", "b", friction=friction)],
+        "measurements": [gauge("b", foot, name=f"M{i}") for i, foot in enumerate(feet)],
+        "stages": stage_list(*kinds),
+    }
+    return standing([("Z", foot, normal) for foot in feet], gap=gap, shape=shape, **keys | change)

@@ -12,7 +12,6 @@ from pathlib import Path
 
 import numpy as np
 
-import mic
 from mic.geometry.structured import extrude
 from mic.scene import Scene
 from support.decks import write_deck
@@ -39,11 +38,6 @@ class Case:
         for name, (points, triangles) in self.meshes.items():
             write_deck(folder / f"{name}.inp", {"SHEET": (points, triangles)})
         return Scene(**self.table, folder=folder)
-
-    def measurements(self, folder: Path, *laws: str) -> np.ndarray:
-        """(laws, n, k) measurements at the case's deviations."""
-        model = mic.reduce(self.scene(folder / "scene"), folder / "cache")
-        return np.array([model.evaluate(self.deviations, law).measurements for law in laws])
 
 
 def random_case(seed: int, patch=None, points: bool = False, watched: bool = False) -> Case:
