@@ -1,1 +1,1 @@
-"""The judge: how far production results are from the truth, where, and what accuracy costs."""
+"""Verification: error of the results of the reduced model, where it occurs, and what accuracy costs."""

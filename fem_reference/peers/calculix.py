@@ -1,9 +1,9 @@
-"""Linear shells by CalculiX: its input written, ccx run, its results read. Debian: apt-get install calculix-ccx.
+"""Linear shells by CalculiX: write its input, run ccx, read its results. Debian: apt-get install calculix-ccx.
 
 CalculiX has no shell theory of its own: it expands each quadratic shell into a solid (S6 into a wedge, S8R into a
-brick of reduced integration) and ties them at folds, so that nothing but the geometry is shared with
-`fem_reference.shell.element`. At the sizes at which parts are meshed its shells are themselves several per cent too
-stiff on curved sheets: no single mesh of them is a reference, :mod:`fem_reference.peers.references` extrapolates three.
+brick of reduced integration) and ties them at folds. It shares only the geometry with `fem_reference.shell.element`. At
+usual element sizes its shells are several per cent too stiff on curved sheets, so a single mesh is not a reference:
+:mod:`fem_reference.peers.references` extrapolates from three.
 """
 
 from __future__ import annotations
@@ -20,11 +20,11 @@ from scipy.sparse import csc_matrix, triu
 
 __all__ = ["CalculixError", "available", "quadratic", "read", "run", "shell_displacements", "stiffness"]
 
-SHELLS = {6: "S6", 8: "S8R"}  # CalculiX's name of the shell with so many nodes: corners, then midsides
+SHELLS = {6: "S6", 8: "S8R"}  # CalculiX's shell by its number of nodes: corners, then midsides
 
 
 class CalculixError(RuntimeError):
-    """ccx is missing or did not deliver displacements; the text holds its last lines."""
+    """ccx is missing or did not deliver displacements; the message holds its last lines."""
 
 
 def available() -> bool:
@@ -35,15 +35,15 @@ def available() -> bool:
 def quadratic(
     coordinates: np.ndarray, corners: np.ndarray, shape: Callable[[np.ndarray], np.ndarray] = lambda x: x
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Nodes (m, 3), mm, and quadratic elements (k, 6 or 8) over elements that are known by their corners.
+    """Nodes (m, 3), mm, and quadratic elements (k, 6 or 8) from elements given by their corners.
 
     Parameters
     ----------
     coordinates : (n, c) array
-        Of the corners, in whatever they are laid out in; they become the first n nodes.
+        Coordinates of the corners, in the parameters that `shape` takes; they become the first n nodes.
     corners : (k, 3 or 4) int array
     shape : callable
-        Carries coordinates (n, c) into space (n, 3), mm. A side's midpoint is taken before that, so that it lies on the
+        Maps coordinates (n, c) to positions (n, 3), mm. Midpoints are taken in coordinates, so that they lie on the
         surface too; by default coordinates are positions and sides are straight.
     """
     sides = np.sort(np.stack([corners, np.roll(corners, -1, axis=1)], axis=2).reshape(-1, 2), axis=1)
@@ -66,7 +66,7 @@ def shell_displacements(
     Parameters
     ----------
     nodes, elements
-        As :func:`quadratic` gives them.
+        As returned by :func:`quadratic`.
     thickness, young, poisson : float
         mm, MPa.
     clamped : (m,) bool array
@@ -86,19 +86,19 @@ def shell_displacements(
 
 
 def stiffness(mesh: str) -> tuple[csc_matrix, np.ndarray]:
-    """The stiffness matrix of a mesh that nothing holds, N/mm.
+    """The stiffness matrix of an unsupported mesh, N/mm.
 
     Parameters
     ----------
     mesh : str
-        An input deck up to its first step, its material with a density.
+        An input deck without steps; its material needs a density.
 
     Returns
     -------
     K : (d, d) csc_matrix
-        Incompatible modes of elements have freedoms of their own.
+        Includes the internal freedoms of incompatible modes.
     freedom : (d, 2) int array
-        Node, counted from 1, and axis, counted from 0, of each.
+        Node (from 1) and axis (from 0) of each.
 
     Raises
     ------
@@ -113,7 +113,7 @@ def stiffness(mesh: str) -> tuple[csc_matrix, np.ndarray]:
 
 
 def run(deck: str) -> str:
-    """Let ccx solve an input deck; returns what its prints wrote to the .dat file.
+    """Solve an input deck by ccx and return its .dat file.
 
     Raises
     ------
@@ -123,7 +123,7 @@ def run(deck: str) -> str:
 
 
 def _solved(deck: str, *suffixes: str) -> list[str]:
-    """The files that ccx writes beside an input deck."""
+    """Solve an input deck by ccx and return its output files with these suffixes."""
     if not available():
         raise CalculixError("ccx is not installed: apt-get install calculix-ccx")
     with tempfile.TemporaryDirectory() as folder:
@@ -154,8 +154,7 @@ def _deck(nodes, elements, thickness, young, poisson, clamped, forces) -> str:
 
 
 def read(text: str, n: int, printed=None) -> np.ndarray:
-    """The tables "displacements (vx,vy,vz) for set …" of a .dat file: (p, 3, steps) of the printed nodes, by default
-    all n."""
+    """(p, 3, steps) displacements of the printed nodes, by default all n, from the text of a .dat file."""
     printed = np.arange(1, n + 1) if printed is None else np.asarray(printed)
     cases = []
     for line in text.splitlines():

@@ -1,13 +1,13 @@
-"""A frictional contact case by CalculiX: two leaves of solid elements, pressed together over a part of their length,
-and bent.
+"""A frictional contact case by CalculiX: bending of two leaves of solid elements, pressed together over a part of
+their length.
 
-Where the leaves are pressed, friction makes them act as one until it gives way; elsewhere each bends on its own. No
-closed form is at hand for the partial slip in between. Solids (C3D20R) with surface-to-surface penalty contact share
-nothing with `fem_reference.full.equilibrium`: neither element, nor surface, nor algorithm.
+The pressed part bends as one beam until friction is exceeded; elsewhere each leaf bends alone. No closed form is known
+for the partial slip in between. Solid elements (C3D20R) with surface-to-surface penalty contact share neither element,
+surface nor algorithm with `fem_reference.full.equilibrium`.
 
-CalculiX 2.20 takes each load in one increment here. Leaves pressed and slipping all over have a closed form, which it
-meets to 0.3 % in this way; in smaller increments its friction grows with their number (deflections 3 % too small with
-4, 5 % with 20), with surface-to-surface and with mortar contact, though the exact answer depends on no path.
+CalculiX 2.20 applies each load in one increment here. This agrees within 0.3 % with the closed form for leaves that are
+pressed and slip everywhere. With smaller increments its friction grows with their number (deflections 3 % too small
+with 4, 5 % with 20), for surface-to-surface and for mortar contact, although the exact solution is path-independent.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from fem_reference.peers.calculix import CalculixError, read, run
 
 __all__ = ["leaves"]
 
-# One C3D20R in a grid of half elements: corners, then midsides, in CalculiX's order
+# Nodes of a C3D20R on a grid of half elements: corners, then midsides, in CalculiX's order
 _NODES = np.array(
     [
         (0, 0, 0),
@@ -56,22 +56,22 @@ def leaves(
     loads,
     cells: tuple[int, int] = (40, 2),
 ) -> np.ndarray:
-    """Deflections of the tip (s,), mm, of a cantilever of two leaves under tip loads that follow one another.
+    """Tip deflections (s,), mm, of a cantilever of two leaves under a sequence of tip loads.
 
     Parameters
     ----------
     length, width, depth : float
-        mm; the depth of one leaf.
+        mm; the depth is that of one leaf.
     young : float
         MPa; ν = 0.
     friction : float
         μ between the leaves.
     pressure, pressed_from : float
-        Pressure on both outer faces, MPa, from this distance to the root on, mm.
+        Pressure on both outer faces, MPa, and the distance from the root, mm, at which it begins.
     loads : sequence of float
-        Tip load, N, upwards, half on each leaf: one step each.
+        Tip load of each step, N, upwards, half on each leaf.
     cells : (int, int)
-        Elements along the length, and over each depth.
+        Elements along the length, and over the depth of each leaf.
 
     Raises
     ------
@@ -106,7 +106,7 @@ def leaves(
     lines += ["*BOUNDARY", *(f"{number}, 1, 3" for number in roots)]
     for leaf, name in enumerate(("LOWER", "UPPER")):
         lines += [f"*SURFACE, NAME={name}, TYPE=ELEMENT", *(face for owner, face in inner if owner == leaf)]
-    # Slopes (MPa/mm) that leave overlaps and elastic slips far below the slip looked for
+    # Penalty stiffnesses (MPa/mm): overlaps and elastic slips stay far below the slip of the case
     lines += [
         "*SURFACE INTERACTION, NAME=FACES",
         "*SURFACE BEHAVIOR, PRESSURE-OVERCLOSURE=LINEAR",

@@ -1,23 +1,22 @@
-"""A scene's whole process by sheets of solids: no shells, influence coefficients, patches or candidates.
+"""The whole process of a scene with sheets of solid elements: no shells, influence coefficients, patches or candidates.
 
-CalculiX gives the stiffness of the sheets (:mod:`fem_reference.peers.calculix_sheets`). Every node of a face touches
-what it lies before on the other sheet, or a fixture's pad, with friction. Locators hold means over discs of the
-middle surface; clamps push or hold discs of the faces that they press on. A nugget is one piece: all nodes within its
-disc keep, from the weld on, how they stand to the other sheet, or close their gaps, and none of them touches any
-more. A deviation of shape opens and closes the gaps; a part of such a shape is held on the locators that it is set
-down on while the force that makes it acts.
+CalculiX provides the stiffness of the sheets (:mod:`fem_reference.peers.calculix_sheets`). Every node of a face can
+touch the facing sheet, or a fixture's pad, with friction. A locator holds the mean displacement over a disc of the
+middle surface. A clamp pushes or holds a disc of the face that it presses on. A nugget is rigid: from its weld on, all
+nodes within its disc keep their relative position to the other sheet, or close their gaps, and leave the contact
+problem. A shape deviation changes the gaps; it is the shape that a force gives to a part on its first locators.
 
-With the rows R of all that is held, pushed, touched or read, and springs α on the rows D that parts are set down on,
+With the rows R of all displacements that are held, loaded, in contact or measured, and springs α on the rows D of the
+first locators,
 
     F = R (K + α Dᵀ D)⁻¹ Rᵀ,        y = F λ,
 
-λ the forces on the rows. A row of D that holds nothing has its spring taken away by λ = α y, so that K is factorised
-once for all stages. What touches obeys Coulomb's law, in increments each of which goes on where the one before left the
-faces.
+where λ are the forces on the rows. The load λ = α y removes the spring of a row of D that is not held, so that K is
+factorised once for all stages. Contacts obey Coulomb's law; each increment starts from the positions of the last one.
 
-The process is gone through here anew, from the scene's tables alone: the parts are set down; what overlaps comes to
-rest; further locators close together, clamps one by one, two that press sheets together at one place as one; welds
-freeze or close their gaps; what closed last opens first; key characteristics are read.
+The process is implemented here a second time, from the scene's tables alone: parts are located; overlapping faces come
+to rest; further locators close together, clamps one by one, two clamps that press sheets together at one place as one;
+welds freeze or close their gaps; release opens in reverse order; key characteristics are measured.
 """
 
 from __future__ import annotations
@@ -34,26 +33,27 @@ from mic.scene import Scene
 
 __all__ = ["Outcome", "process"]
 
-FAR = 0.5  # of a sheet: what lies farther before a face does not touch it
-EDGE = 1e-9  # mm: what lies so far beside a box lies in it
-KINDS = ("locate", "clamp", "weld", "release", "measure")  # of stages, in the order in which they are gone through
+LARGEST_GAP = 0.5  # of the sheet thickness: nodes with a larger gap are no contacts
+BOX_TOLERANCE = 1e-9  # mm: a point outside a box by less counts as inside
+KINDS = ("locate", "clamp", "weld", "release", "measure")  # of stages, in the only order that is supported
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """What the process gave at n deviations.
+    """Results of the process for n deviation vectors.
 
     Attributes
     ----------
     stages : list of str
-        Those in which something moves that may touch.
+        Names of the stages in which contacts move.
     measurements : (n, k) array
         mm.
     force : (n, stages, zones) array
-        Sum of a zone's normal forces at the end of a stage, beyond some radii of the nuggets, N.
+        Sum of the normal forces of a zone at the end of a stage, outside the surroundings of the nuggets, N.
     slip : (n, stages, zones) array
-        Root mean square, over the same area, of what the faces moved along each other in the stage, mm.
+        Root mean square of the tangential motion in the stage, over the same area, mm.
     contacts : int
+        Number of contacts.
     """
 
     stages: list[str]
@@ -72,95 +72,92 @@ def process(
     beyond: float = 3.0,
     deviated: bool = False,
 ) -> Outcome:
-    """The whole process of a scene at deviations (n, p), in the scene's order.
+    """Simulate the process of a scene for deviations (n, p), in the order of the scene.
 
     Parameters
     ----------
     scene : Scene
-        Of locators, clamps without limits, fused welds, pads, and deviations of forces, locators and clamps, in one
-        station.
+        One station with locators, clamps without force limit, fused welds, pads, and deviations of kind force,
+        locator or clamp.
     sheets : sequence of Sheet
-        In the order of its parts.
+        In the order of the parts of the scene.
     deviations : (n, p) array
     solver : callable
-        ``solver(S, mu)`` prepares problems ``u = S f + b`` of a law of contact: :class:`mic.contact.ContactSolver`.
+        ``solver(S, mu)`` prepares contact problems ``u = S f + b``, like :class:`mic.contact.ContactSolver`.
     increments : int
-        Of each step.
+        Number of increments of each step.
     beyond : float
-        Radii of a nugget nearer to which forces and slip are not read: sums of nodal forces do not settle there.
+        Forces and slips are summed outside this many radii of each nugget, because nodal forces near a nugget do not
+        converge with the mesh.
     deviated : bool
-        Whether sheets have the stiffness of their deviated shape in place of the nominal one.
+        Use the stiffness of the deviated shape of each sheet instead of the nominal one.
 
     Raises
     ------
     CalculixError
     ValueError
-        If the scene has what is not gone through here, or the contact problem of an increment was not solved.
+        If the scene has an unsupported feature, or a contact problem did not converge.
     """
-    _plain(scene)
+    _check_supported(scene)
     deviations = np.atleast_2d(deviations)
     rows = _Rows(scene, sheets, beyond)
     F, factors = rows.flexibility([sheet.K for sheet in sheets])
-    nothing = np.zeros(len(F))
-    shaping = deviations @ [rows.shape(F, one.name) if one.kind == "force" else nothing for one in scene.deviations]
-    shape = shaping @ F
+    no_force = np.zeros(len(F))
+    unit_forces = [rows.shape_forces(F, d.name) if d.kind == "force" else no_force for d in scene.deviations]
+    shape_forces = deviations @ unit_forces
+    shape = shape_forces @ F
     if not deviated:
         return _Process(rows, F, solver, increments).run(deviations, shape)
-    found = []
-    for k, forces in enumerate(shaping):
+    outcomes = []
+    for k, forces in enumerate(shape_forces):
         K = [
-            sheet.deviated(factor.solve((own.T @ forces)[:, None])[:, 0])
-            for sheet, factor, own in zip(sheets, factors, rows.parts)
+            sheet.deviated(factor.solve((part_rows.T @ forces)[:, None])[:, 0])
+            for sheet, factor, part_rows in zip(sheets, factors, rows.parts)
         ]
-        one = _Process(rows, rows.flexibility(K)[0], solver, increments).run(deviations[[k]], shape[[k]])
-        found.append(one)
-    every = (np.concatenate([getattr(one, key) for one in found]) for key in ("measurements", "force", "slip"))
-    return Outcome(found[0].stages, *every, found[0].contacts)
+        outcomes.append(_Process(rows, rows.flexibility(K)[0], solver, increments).run(deviations[[k]], shape[[k]]))
+    arrays = (np.concatenate([getattr(o, key) for o in outcomes]) for key in ("measurements", "force", "slip"))
+    return Outcome(outcomes[0].stages, *arrays, outcomes[0].contacts)
 
 
-def _plain(scene: Scene) -> None:
-    """Whether the scene is one that is gone through here."""
+def _check_supported(scene: Scene) -> None:
+    """Raise ValueError if the scene has a feature that this process does not support."""
     kinds = [stage.kind for stage in scene.stages]
-    extra = [
-        *(f"stage {one.name}: order or sequence" for one in scene.stages if one.order or one.sequence),
-        *(f"locator {one.name}: a stiffness" for one in scene.locators if one.stiffness is not None),
-        *(f"clamp {one.name}: a limit or two parts" for one in scene.clamps if one.limit is not None or one.parts),
-        *(f"weld {one.name}: not fused, or a gun" for one in scene.welds if not one.fused or one.gun is not None),
-        *(
-            f"deviation {one.name}: {one.kind}"
-            for one in scene.deviations
-            if one.kind not in ("force", "locator", "clamp")
-        ),
-        *(f"measurement {one.name}: {one.kind}" for one in scene.measurements if one.kind != "point"),
+    unsupported = [
+        *(f"stage {s.name}: order or sequence" for s in scene.stages if s.order or s.sequence),
+        *(f"locator {x.name}: a stiffness" for x in scene.locators if x.stiffness is not None),
+        *(f"clamp {c.name}: a limit or two parts" for c in scene.clamps if c.limit is not None or c.parts),
+        *(f"weld {w.name}: not fused, or a gun" for w in scene.welds if not w.fused or w.gun is not None),
+        *(f"deviation {d.name}: {d.kind}" for d in scene.deviations if d.kind not in ("force", "locator", "clamp")),
+        *(f"measurement {m.name}: {m.kind}" for m in scene.measurements if m.kind != "point"),
     ]
     if kinds != sorted(kinds, key=KINDS.index) or kinds.count("locate") != 1:
-        extra.append("stages: another order than " + ", ".join(KINDS))
-    if extra:
-        raise ValueError("solids do not go through " + "; ".join(extra))
+        unsupported.append("stages: another order than " + ", ".join(KINDS))
+    if unsupported:
+        raise ValueError("the process with solids does not support " + "; ".join(unsupported))
 
 
 class _Rows:
-    """What is held, pushed, touched or read of the sheets of a scene.
+    """Displacements of the sheets that are held, loaded, in contact or measured, as rows of a matrix.
 
     Attributes
     ----------
     parts : list of (r, d) csr_matrix
-        Of each sheet: three rows of each contact, n, t1, t2, second body less first; then those of the names in `of`.
+        Of each sheet: three rows of each contact (n, t1, t2; second body minus first), then the rows in `of`.
     of : dict of str to int
-        Rows of locators, clamps, forces that make shapes and measurements.
+        Row of each locator, clamp, shape force and measurement, by name.
     datum : (6 p,) int array
-        Rows that the parts are set down on.
+        Rows of the first locators.
     zone, weld : (m,) int array
-        Of each contact; -1 for no weld.
+        Index of the zone and of the weld of each contact; -1 for no weld.
     gap, area : (m,) array
-        Between the faces as drawn, mm; of the cell about the node that touches, mm².
+        Nominal gap, mm; area of the cell around the contact's node, mm².
     outside : (m,) bool array
-        Whether it lies beyond the radii of every nugget.
+        Whether the contact counts in sums of force and slip: it is far enough from every nugget.
     """
 
     def __init__(self, scene: Scene, sheets: Sequence[Sheet], beyond: float):
         self.scene, self._sheets, self._beyond = scene, {p.name: s for p, s in zip(scene.parts, sheets)}, beyond
-        zones = [self._touching(zone) for zone in scene.zones]
+        zones = [self._contacts(zone) for zone in scene.zones]
         self.zone = np.repeat(np.arange(len(zones)), [len(one["gap"]) for one in zones])
         self.gap, self.area, self.weld, self.outside = (
             np.concatenate([one[key] for one in zones]) for key in ("gap", "area", "weld", "outside")
@@ -168,8 +165,8 @@ class _Rows:
         forces = [one for one in scene.deviations if one.kind == "force"]
         discs = [*scene.locators, *scene.clamps, *forces, *scene.measurements]
         self.of = {one.name: 3 * len(self.zone) + i for i, one in enumerate(discs)}
-        set_down = {one.name for one in scene.locators if one.stage == scene.stages[0].name}
-        self.datum = np.array([self.of[name] for name in self.of if name in set_down])
+        first_locators = {one.name for one in scene.locators if one.stage == scene.stages[0].name}
+        self.datum = np.array([self.of[name] for name in self.of if name in first_locators])
         pressed = {one.name for one in scene.clamps}
         self.parts = []
         for name, sheet in self._sheets.items():
@@ -178,7 +175,7 @@ class _Rows:
             self.parts.append(csr_matrix(vstack([*(one[name] for one in zones), *own])))
 
     def flexibility(self, stiffness: Sequence) -> tuple[np.ndarray, list[Factorisation]]:
-        """F (r, r), and the factors of each sheet's K + α Dᵀ D."""
+        """F (r, r), and the factorisation of K + α Dᵀ D of each sheet."""
         self.spring = float(np.mean([np.abs(K.diagonal()).mean() for K in stiffness]))
         F = np.zeros((self.parts[0].shape[0],) * 2)
         factors = []
@@ -189,12 +186,12 @@ class _Rows:
             F[np.ix_(read, read)] += factors[-1].influence
         return F, factors
 
-    def shape(self, F: np.ndarray, name: str) -> np.ndarray:
-        """(r,) forces on the rows that make the shape of a unit force, its part held where it is set down."""
+    def shape_forces(self, F: np.ndarray, name: str) -> np.ndarray:
+        """(r,) forces on the rows: a unit shape force and the reactions of the part's first locators."""
         forces = np.zeros(len(F))
         forces[self.of[name]] = 1.0
-        held = _Held(F, self.spring, self.datum, self.datum)
-        forces[self.datum] += held.reaction(forces[None], np.zeros((1, len(self.datum))))[0]
+        supports = _Supports(F, self.spring, self.datum, self.datum)
+        forces[self.datum] += supports.reaction(forces[None], np.zeros((1, len(self.datum))))[0]
         return forces
 
     @staticmethod
@@ -202,13 +199,13 @@ class _Rows:
         layer = sheet.face(one.point, -np.array(one.direction)) if pressed else sheet.middle
         return sheet.mean(layer, one.point, one.radius, one.direction)
 
-    def _touching(self, zone) -> dict:
+    def _contacts(self, zone) -> dict:
         """Rows of each part, and gap, area, weld and outside of each contact of a zone."""
         pads = {one.name: one for one in self.scene.fixtures}
         pad = next((pads[name] for name in zone.parts if name in pads), None)
-        hit, normals, gap, faces = self._before_sheet(zone) if pad is None else self._before_pad(zone, pad)
+        hit, normals, gap, faces = self._facing_sheet(zone) if pad is None else self._facing_pad(zone, pad)
         if not len(hit):
-            raise ValueError(f"nothing touches in the zone {zone.name}")
+            raise ValueError(f"zone {zone.name} has no contacts")
         found = {each: csr_matrix((3 * len(hit), one.K.shape[0])) for each, one in self._sheets.items()}
         for name, layer, weights in faces:
             found[name] = _along(self._sheets[name], layer, weights, normals)
@@ -223,8 +220,8 @@ class _Rows:
                 outside &= np.linalg.norm(sideways, axis=1) > self._beyond * one.radius
         return {**found, "gap": gap, "area": sheet.cells(layer)[hit], "weld": weld, "outside": outside}
 
-    def _before_pad(self, zone, pad) -> tuple:
-        """Nodes of the sheet that lie before a pad, its normals there, gaps, and what reads the sheet's face."""
+    def _facing_pad(self, zone, pad) -> tuple:
+        """Nodes of the sheet that face a pad, the pad's normals there, gaps, and the faces with their weights."""
         (name,) = set(zone.parts) - {pad.name}
         sheet, normal = self._sheets[name], np.array(pad.normal)
         layer = sheet.face(pad.point, -normal)
@@ -232,11 +229,11 @@ class _Rows:
         gap = (sheet.at(layer)[hit] - pad.point) @ normal
         return hit, np.tile(normal, (len(hit), 1)), gap, [(name, layer, _picked(hit, len(sheet.points)))]
 
-    def _before_sheet(self, zone) -> tuple:
-        """Nodes of the second sheet that lie before the first, its normals there, gaps, and what reads either face."""
+    def _facing_sheet(self, zone) -> tuple:
+        """Nodes of the second sheet that face the first, its normals there, gaps, and both faces with their weights."""
         none = np.empty(0, int), np.empty((0, 3)), np.empty(0), []
         first, second = (self._sheets[name] for name in zone.parts)
-        near, _, normals, height = first.onto(first.middle, second.points)
+        near, _, normals, height = first.project(first.middle, second.points)
         some = np.flatnonzero(
             (np.abs(height) < first.thickness + second.thickness) & _inside(zone, second.points[near])
         )
@@ -244,20 +241,20 @@ class _Rows:
             return none
         place, side = second.points[near[some[0]]], np.sign(height[some[0]]) * normals[some[0]]
         above, below = second.face(place, -side), first.face(place, side)
-        hit, weights, normals, gap = first.onto(below, second.at(above))
+        hit, weights, normals, gap = first.project(below, second.at(above))
         outwards = 1.0 if below else -1.0
         normals, gap = outwards * normals, outwards * gap
-        keep = _inside(zone, second.at(above)[hit]) & (np.abs(gap) <= FAR * second.thickness)
+        keep = _inside(zone, second.at(above)[hit]) & (np.abs(gap) <= LARGEST_GAP * second.thickness)
         own = [(zone.parts[0], below, -weights[keep]), (zone.parts[1], above, _picked(hit[keep], len(second.points)))]
         return hit[keep], normals[keep], gap[keep], own
 
 
 def _inside(zone, places: np.ndarray) -> np.ndarray:
-    """(m,) which places lie in a zone's box, if it has one."""
+    """(m,) whether each point lies in the box of a zone; True without a box."""
     if zone.box is None:
         return np.ones(len(places), bool)
     low, high = np.array(zone.box)
-    return ((places >= low - EDGE) & (places <= high + EDGE)).all(axis=1)
+    return ((places >= low - BOX_TOLERANCE) & (places <= high + BOX_TOLERANCE)).all(axis=1)
 
 
 def _picked(nodes: np.ndarray, n: int) -> csr_matrix:
@@ -265,7 +262,7 @@ def _picked(nodes: np.ndarray, n: int) -> csr_matrix:
 
 
 def _along(sheet: Sheet, layer: int, weights: csr_matrix, normals: np.ndarray) -> csr_matrix:
-    """(3 m, d) rows of what is read along normals and two directions across them."""
+    """(3 m, d) rows of displacements along the normals and two tangents."""
     axis = np.eye(3)[(np.abs(normals) > 0.9)[:, 0].astype(int)]  # x, or y where the normal is nearly x
     first = axis - np.einsum("rd,rd->r", axis, normals)[:, None] * normals
     first /= np.linalg.norm(first, axis=1, keepdims=True)
@@ -273,37 +270,37 @@ def _along(sheet: Sheet, layer: int, weights: csr_matrix, normals: np.ndarray) -
     return csr_matrix(every)[np.arange(3 * len(normals)).reshape(3, -1).T.ravel()]
 
 
-class _Held:
-    """Displacements of the rows while some of them are held: y = F p, those of the others free.
+class _Supports:
+    """Displacements y = F λ of the rows while some rows are held and the others are free.
 
     Parameters
     ----------
     F : (r, r) array
     spring : float
     datum, held : int arrays
-        Rows that have springs, and that are held.
+        Rows with springs, and rows that are held.
     """
 
     def __init__(self, F: np.ndarray, spring: float, datum: np.ndarray, held: np.ndarray):
-        loose = np.setdiff1d(datum, held)
-        self._F, self._rows, self._held = F, np.concatenate([held, loose]).astype(int), len(held)
+        released = np.setdiff1d(datum, held)
+        self._F, self._rows, self._held = F, np.concatenate([held, released]).astype(int), len(held)
         self._spring = np.where(np.isin(held, datum), spring, 0.0)
-        among = F[np.ix_(self._rows, self._rows)].copy()
+        block = F[np.ix_(self._rows, self._rows)].copy()
         last = np.arange(len(held), len(self._rows))
-        among[last, last] -= 1 / spring
-        self._reach = np.linalg.solve(among, F[self._rows])
-        self._values = np.linalg.inv(among)[:, : len(held)]
+        block[last, last] -= 1 / spring
+        self._response = np.linalg.solve(block, F[self._rows])
+        self._values = np.linalg.inv(block)[:, : len(held)]
 
-    def compliance(self, touch: np.ndarray) -> np.ndarray:
-        """(t, t) of rows."""
-        S = self._F[np.ix_(touch, touch)] - self._F[np.ix_(touch, self._rows)] @ self._reach[:, touch]
+    def compliance(self, rows: np.ndarray) -> np.ndarray:
+        """(t, t) compliance of t rows under these supports."""
+        S = self._F[np.ix_(rows, rows)] - self._F[np.ix_(rows, self._rows)] @ self._response[:, rows]
         return 0.5 * (S + S.T)
 
     def _forces(self, load: np.ndarray, value: np.ndarray) -> np.ndarray:
-        return value @ self._values.T - load @ self._reach.T
+        return value @ self._values.T - load @ self._response.T
 
-    def read(self, load: np.ndarray, value: np.ndarray) -> np.ndarray:
-        """(n, r) of the rows under loads (n, r), the held ones at values (n, h)."""
+    def displacements(self, load: np.ndarray, value: np.ndarray) -> np.ndarray:
+        """(n, r) displacements of the rows under loads (n, r), with the held rows at values (n, h)."""
         forces = load.copy()
         forces[:, self._rows] += self._forces(load, value)
         return forces @ self._F
@@ -314,7 +311,7 @@ class _Held:
 
 
 class _Process:
-    """The stages, one after the other, at n deviations together."""
+    """The stages in order, for n deviation vectors at once."""
 
     def __init__(self, rows: _Rows, F: np.ndarray, solver: Callable, increments: int):
         self._rows, self._scene, self._F = rows, rows.scene, F
@@ -326,9 +323,9 @@ class _Process:
             self._stroke[rows.of[one.name]] = one.stroke or 0.0
 
     def run(self, deviations: np.ndarray, shape: np.ndarray) -> Outcome:
-        """All stages, with shapes as the rows read them (n, r)."""
+        """Run all stages with shape deviations given as readings of the rows (n, r)."""
         rows, scene = self._rows, self._scene
-        self._set_down(deviations, shape)
+        self._locate(deviations, shape)
         stages, force, slip = [], [], []
         for stage in scene.stages[1:]:
             start, self._moved = self._place.copy(), False
@@ -342,30 +339,30 @@ class _Process:
         measured = (shape + self._y)[:, read]
         return Outcome(stages, measured, np.stack(force, axis=1), np.stack(slip, axis=1), len(rows.zone))
 
-    def _set_down(self, deviations: np.ndarray, shape: np.ndarray) -> None:
-        """On the first locators; nothing touches yet."""
+    def _locate(self, deviations: np.ndarray, shape: np.ndarray) -> None:
+        """Place the parts on the first locators, without contact."""
         rows, n = self._rows, len(deviations)
-        self._shape, self._asked = shape, np.zeros((n, len(self._F)))
+        self._shape, self._offset = shape, np.zeros((n, len(self._F)))
         for amplitude, one in zip(deviations.T, self._scene.deviations):
             if one.kind != "force":
-                self._asked[:, rows.of[one.target]] += amplitude
+                self._offset[:, rows.of[one.target]] += amplitude
         self._gap = rows.gap + shape[:, self._contact[:, 0]]
         self._load, self._force = np.zeros_like(shape), np.zeros((n, *self._contact.shape))
-        self._apart, self._settled = np.ones(len(rows.zone), bool), False
+        self._active, self._at_rest = np.ones(len(rows.zone), bool), False
         self._hold, self._value = rows.datum, self._target(rows.datum)
         self._closed = [list(rows.datum)]
-        self._held, self._solving = self._elimination(), None
-        self._y = self._held.read(self._load, self._value)
+        self._supports, self._problem = self._eliminate(), None
+        self._y = self._supports.displacements(self._load, self._value)
         self._place = self._faces(self._y)
 
     def _clamp(self, stage) -> None:
-        """What overlaps comes to rest, once; further locators close together, clamps one by one."""
+        """Bring overlapping faces to rest, once; then close further locators together and clamps one by one."""
         scene, of = self._scene, self._rows.of
-        if not self._settled:
+        if not self._at_rest:
             clear = self._place.copy()
             clear[:, :, 0] = np.maximum(clear[:, :, 0], 0.0)
-            self._go(self._value, self._load, clear)
-            self._settled = True
+            self._advance(self._value, self._load, clear)
+            self._at_rest = True
         locators = [of[one.name] for one in scene.locators if one.stage == stage.name]
         pushes = {of[one.name]: one.force for one in scene.clamps if one.force is not None}
         for group in [locators, *self._clamps(stage)]:
@@ -373,12 +370,12 @@ class _Process:
                 hold = [row for row in group if row not in pushes]
                 load = self._load.copy()
                 for row in set(group) & set(pushes):
-                    load[:, row] = pushes[row] + self._asked[:, row]
+                    load[:, row] = pushes[row] + self._offset[:, row]
                 self._close(hold, self._y[:, hold], self._target(hold), load)
                 self._closed.append(group)
 
     def _clamps(self, stage) -> list[list[int]]:
-        """Rows of the clamps that close together."""
+        """Rows of the clamps, grouped by what closes together."""
         groups: list[list] = []
         for one in self._scene.clamps:
             if one.stage == stage.name:
@@ -389,7 +386,7 @@ class _Process:
         return [[self._rows.of[one.name] for one in group] for group in groups]
 
     def _weld(self, stage) -> None:
-        """Nuggets keep what they find, or close their gaps; none of their nodes touches any more."""
+        """Freeze or close the gaps of the nuggets and remove their contacts."""
         own = [i for i, one in enumerate(self._scene.welds) if one.stage == stage.name]
         fused = np.flatnonzero(np.isin(self._rows.weld, own))
         ties = self._contact[fused]
@@ -398,8 +395,10 @@ class _Process:
         closing = [i for i in own if self._scene.welds[i].close]
         for i in closing:
             at = self._rows.weld[fused] == i
-            value[:, at, 0] -= found[:, at, 0] + self._gap[:, fused[at]]  # at every node: electrodes press flush
-        self._apart[fused], self._force[:, fused] = False, 0.0
+            value[:, at, 0] -= (
+                found[:, at, 0] + self._gap[:, fused[at]]
+            )  # at every node: the electrodes close the whole nugget
+        self._active[fused], self._force[:, fused] = False, 0.0
         start, end = (each.reshape(len(each), -1) for each in (found, value))
         if closing:
             self._close(ties.ravel(), start, end, self._load)
@@ -407,97 +406,101 @@ class _Process:
             self._hold_also(ties.ravel(), start)
 
     def _release(self, stage) -> None:
-        """What closed last opens first, but what is kept: its forces fade."""
-        kept = {self._rows.of[name] for name in stage.keep or ()}
+        """Open in reverse order of closing, except the rows in `keep`, by reducing the forces to zero."""
+        stay_closed = {self._rows.of[name] for name in stage.keep or ()}
         for group in reversed(self._closed):
-            gone = [row for row in group if row not in kept]
+            gone = [row for row in group if row not in stay_closed]
             if not gone:
                 continue
             stays = ~np.isin(self._hold, gone)
-            reaction = self._held.reaction(self._pushed(self._load), self._value)
+            reaction = self._supports.reaction(self._with_contact_forces(self._load), self._value)
             after, self._load = self._load.copy(), self._load.copy()
             self._load[:, self._hold[~stays]] += reaction[:, ~stays]
             after[:, gone] = 0.0
             self._hold, self._value = self._hold[stays], self._value[:, stays]
-            self._held, self._solving = self._elimination(), None
-            self._go(self._value, after)
+            self._supports, self._problem = self._eliminate(), None
+            self._advance(self._value, after)
 
     def _measure(self, stage) -> None:
-        """Key characteristics are read of what there is."""
+        """Nothing moves: key characteristics are read at the end."""
 
     def _target(self, rows) -> np.ndarray:
-        """(n, rows) displacements that bring rows to their positions."""
-        return (self._stroke + self._asked - self._shape)[:, rows]
+        """(n, rows) displacements that bring the rows to their prescribed positions."""
+        return (self._stroke + self._offset - self._shape)[:, rows]
 
     def _hold_also(self, rows, value: np.ndarray) -> None:
-        """Hold further rows where they are, at values (n, rows)."""
+        """Hold further rows at values (n, rows)."""
         self._hold = np.append(self._hold, np.asarray(rows, int))
         self._value = np.hstack([self._value, value])
-        self._held, self._solving = self._elimination(), None
+        self._supports, self._problem = self._eliminate(), None
 
     def _close(self, rows, start: np.ndarray, end: np.ndarray, load: np.ndarray) -> None:
-        """Hold further rows, which go from start to end (n, rows) while loads grow."""
+        """Hold further rows and move them from start to end (n, rows) while the loads change."""
         before = self._value
         if len(rows):
             self._hold_also(rows, start)
-        self._go(np.hstack([before, end]), load)
+        self._advance(np.hstack([before, end]), load)
 
-    def _elimination(self) -> _Held:
-        return _Held(self._F, self._rows.spring, self._rows.datum, self._hold)
+    def _eliminate(self) -> _Supports:
+        return _Supports(self._F, self._rows.spring, self._rows.datum, self._hold)
 
-    def _pushed(self, load: np.ndarray) -> np.ndarray:
-        """Loads with what the faces press."""
-        every = load.copy()
-        every[:, self._contact.ravel()] += self._force.reshape(len(load), -1)
-        return every
+    def _with_contact_forces(self, load: np.ndarray) -> np.ndarray:
+        """Loads plus contact forces, (n, r)."""
+        total = load.copy()
+        total[:, self._contact.ravel()] += self._force.reshape(len(load), -1)
+        return total
 
     def _faces(self, y: np.ndarray) -> np.ndarray:
-        """(n, m, 3) where the second body's faces stand to the first's."""
+        """(n, m, 3) relative positions of the faces, second body minus first."""
         place = y[:, self._contact]
         place[:, :, 0] += self._gap
         return place
 
     def _by_zone(self, each: np.ndarray, weight) -> np.ndarray:
-        """(n, zones) sums beyond the nuggets."""
+        """(n, zones) weighted sums over the contacts outside the surroundings of the nuggets."""
         own = np.eye(len(self._scene.zones))[self._rows.zone]
         return each @ (own * (weight * self._rows.outside)[:, None])
 
-    def _go(self, value: np.ndarray, load: np.ndarray, clear: np.ndarray | None = None) -> None:
-        """To values of the held rows and to loads, by increments each of which obeys the law; from `clear` (n, m, 3) in
-        place of where the faces would stand without contact."""
-        b0 = self._faces(self._held.read(self._load, self._value)) if clear is None else clear
-        b1 = self._faces(self._held.read(load, value))
-        if self._solving is None:
-            own = self._contact[self._apart].ravel()
-            self._solving = _Touching(self._held.compliance(own), self._mu[self._apart], self._solver)
-        own = self._apart
+    def _advance(self, value: np.ndarray, load: np.ndarray, start: np.ndarray | None = None) -> None:
+        """Move to new values of the held rows and new loads, and solve the contact problem in each increment.
+
+        `start` (n, m, 3) replaces the present contact-free positions of the faces.
+        """
+        b0 = self._faces(self._supports.displacements(self._load, self._value)) if start is None else start
+        b1 = self._faces(self._supports.displacements(load, value))
+        if self._problem is None:
+            own = self._contact[self._active].ravel()
+            self._problem = _ContactProblem(self._supports.compliance(own), self._mu[self._active], self._solver)
+        own = self._active
         force, place = self._force[:, own], self._place[:, own]
         for s in np.arange(1, self._increments + 1) / self._increments:
             b = (b0 + s * (b1 - b0))[:, own]
             b[:, :, 1:] -= place[:, :, 1:]
-            force, moved = self._solving.solve(b, force)
+            force, moved = self._problem.solve(b, force)
             moved[:, :, 1:] += place[:, :, 1:]
             place = moved
         self._force[:, own] = force
         self._value, self._load, self._moved = value, load, True
-        self._y = self._held.read(self._pushed(load), value)
+        self._y = self._supports.displacements(self._with_contact_forces(load), value)
         self._place = self._faces(self._y)
 
 
-class _Touching:
-    """Contact problems ``u = S f + b``, of which those contacts are solved for that would penetrate without force.
+class _ContactProblem:
+    """Contact problems ``u = S f + b``, solved for a working set of contacts.
+
+    The working set holds the contacts that would penetrate without force.
 
     Parameters
     ----------
     S : (3 m, 3 m) array
     mu : (m,) array
     solver : callable
-        As :func:`process` has it.
+        As in :func:`process`.
     """
 
     def __init__(self, S: np.ndarray, mu: np.ndarray, solver: Callable):
         self._S, self._mu, self._new = S, mu, solver
-        self._among = np.zeros(len(mu), bool)
+        self._working = np.zeros(len(mu), bool)
 
     def solve(self, b: np.ndarray, guess: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Forces and displacements (n, m, 3).
@@ -505,23 +508,23 @@ class _Touching:
         Raises
         ------
         ValueError
-            If one was not solved.
+            If a problem did not converge.
         """
         n, force, moved = len(b), np.zeros_like(b), b.copy()
-        missed = ((guess[:, :, 0] > 0).any(axis=0) if guess.any() else (b[:, :, 0] < 0).any(axis=0)) & ~self._among
-        while missed.any() or self._among.any():
+        missed = ((guess[:, :, 0] > 0).any(axis=0) if guess.any() else (b[:, :, 0] < 0).any(axis=0)) & ~self._working
+        while missed.any() or self._working.any():
             if missed.any():
-                self._among |= missed
-                rows = np.repeat(self._among, 3)
-                self._solver = self._new(self._S[np.ix_(rows, rows)], self._mu[self._among])
-                self._beside = self._S[np.ix_(rows, ~rows)]
-            own = self._among
+                self._working |= missed
+                rows = np.repeat(self._working, 3)
+                self._solver = self._new(self._S[np.ix_(rows, rows)], self._mu[self._working])
+                self._coupling = self._S[np.ix_(rows, ~rows)]
+            own = self._working
             solution = self._solver.solve(b[:, own].reshape(n, -1), guess[:, own].reshape(n, -1))
             if not solution.converged.all():
-                raise ValueError("a contact problem of the solids was not solved")
+                raise ValueError("a contact problem of the solids did not converge")
             force[:, own] = solution.force.reshape(n, -1, 3)
             moved[:, own] = solution.displacement.reshape(n, -1, 3)
-            moved[:, ~own] = b[:, ~own] + (solution.force @ self._beside).reshape(n, -1, 3)
+            moved[:, ~own] = b[:, ~own] + (solution.force @ self._coupling).reshape(n, -1, 3)
             missed = (moved[:, :, 0] < 0).any(axis=0) & ~own
             if not missed.any():
                 break

@@ -1,9 +1,8 @@
-"""Sheets as solids by CalculiX: quadrilaterals of a middle surface, drawn out through the thickness into C3D8I.
+"""Sheets of CalculiX solid elements: quadrilaterals of a middle surface, extruded through the thickness into C3D8I.
 
 A node of the middle surface carries a column of nodes through the thickness, along its director d: the shortest vector
-with n · d = 1 for the normals n of all elements at the node, so that elements on either side of a fold keep their
-thickness and meet in its mitre. CalculiX gives the stiffness matrix; what else is read of a sheet are displacements of
-nodes, averaged over discs.
+with n · d = 1 for the normals n of all elements at the node. Elements on either side of a fold so have the full
+thickness and meet in a mitre. CalculiX provides the stiffness matrix; displacements are averaged over discs.
 """
 
 from __future__ import annotations
@@ -19,18 +18,18 @@ from fem_reference.peers.calculix import CalculixError, stiffness
 
 __all__ = ["Sheet", "extruded", "graded"]
 
-LINES = 16  # along and across an element, by whose crossings its share of a disc is counted
-ALIKE = 1e-9  # normals that differ by less are one; a place so far beside an element, in its lengths, lies before it
-NEAR, STEPS = 9, 6  # elements among which that below a place is looked for; of Newton's method
+LINES = 16  # sampling points along each side of an element, which measure the share of the element in a disc
+TOLERANCE = 1e-9  # of normals that count as equal, and of element coordinates that count as inside the element
+NEAREST, STEPS = 9, 6  # candidate elements for the projection of a point; iterations of Newton's method
 
 
 class Sheet:
-    """A sheet of solids.
+    """A sheet of solid elements.
 
     Parameters
     ----------
     points : (n, 3) array
-        Of the middle surface, mm.
+        Nodes of the middle surface, mm.
     quads : (k, 4) int array
         Counter-clockwise about the normal.
     thickness, young, poisson : float
@@ -41,14 +40,14 @@ class Sheet:
     Attributes
     ----------
     nodes : (n (layers + 1), 3) array
-        mm; node i of layer j has the number j n + i. Layers follow the normal.
+        mm; node i of layer j has the number j n + i. Layers are ordered along the normal.
     normals : (k, 3) array
-        Of the quadrilaterals.
+        Unit normals of the quadrilaterals.
 
     Raises
     ------
     CalculixError
-        When K is asked for.
+        On the first use of K.
     """
 
     def __init__(self, points, quads, thickness: float, young: float, poisson: float, layers: int = 2):
@@ -62,22 +61,22 @@ class Sheet:
 
     @cached_property
     def K(self) -> csc_matrix:
-        """(d, d) stiffness, N/mm, of nodes and of elements' own freedoms; ccx is called when it is first asked for."""
+        """(d, d) stiffness of nodal and internal element freedoms, N/mm; computed by ccx on first use."""
         return self._nominal[0]
 
     @cached_property
     def _nominal(self) -> tuple[csc_matrix, np.ndarray]:
-        """K and the column (m, 3) of each freedom of the nodes."""
+        """K and the column (m, 3) of each nodal freedom."""
         K, freedom = self._stiffness(self.nodes)
         column = np.full((len(self.nodes), 3), -1)
         at_node = freedom[:, 0] <= len(self.nodes)
         column[freedom[at_node, 0] - 1, freedom[at_node, 1]] = np.flatnonzero(at_node)
         if (column < 0).any():
-            raise CalculixError("ccx gave no stiffness for some nodes")
+            raise CalculixError("the stiffness matrix of ccx has no entries for some nodes")
         return K, column
 
     def _stiffness(self, nodes: np.ndarray) -> tuple[csc_matrix, np.ndarray]:
-        """K and whose its freedoms are, with these nodes (m, 3)."""
+        """K and the (node, axis) of each freedom, for nodes at (m, 3)."""
         young, poisson = self._material
         lines = ["*NODE"]  # a number has 20 characters at most
         lines += [f"{n}, {a:.12g}, {b:.12g}, {c:.12g}" for n, (a, b, c) in enumerate(nodes.tolist(), start=1)]
@@ -90,7 +89,7 @@ class Sheet:
         return stiffness("\n".join(lines) + "\n")
 
     def deviated(self, shape: np.ndarray) -> csc_matrix:
-        """(d, d) K of the sheet whose nodes lie where a shape (d,) has moved them, mm; freedoms as before."""
+        """(d, d) K of the sheet with its nodes displaced by a shape (d,), mm; the order of the freedoms is the same."""
         return self._stiffness(self.nodes + shape[self._nominal[1]])[0]
 
     @property
@@ -99,22 +98,25 @@ class Sheet:
         return self.layers // 2
 
     def face(self, point, direction) -> int:
-        """The layer of the face that looks along a direction where the middle surface is nearest to a point."""
+        """The layer of the outer face whose normal points along a direction, at the element nearest to a point."""
         away = np.linalg.norm(self.points[self.quads].mean(axis=1) - point, axis=1)
         return self.layers if self.normals[away.argmin()] @ np.asarray(direction, float) > 0 else 0
 
-    def onto(self, layer: int, places: np.ndarray) -> tuple[np.ndarray, csr_matrix, np.ndarray, np.ndarray]:
-        """Which places (m, 3) lie before a face, and for these the weights (r, n) of its nodes, its normals (r, 3), and
-        how far along these they lie from it (r,)."""
+    def project(self, layer: int, places: np.ndarray) -> tuple[np.ndarray, csr_matrix, np.ndarray, np.ndarray]:
+        """Project points (m, 3) onto a face along its normals.
+
+        Returns the indices (r,) of the points that have a foot on the face, the weights (r, n) of its nodes, the
+        normals (r, 3) and the heights (r,) of the points above the face.
+        """
         corner = self.at(layer)[self.quads]
         tree = cKDTree(corner.mean(axis=1))
-        near = tree.query(places, k=min(NEAR, len(corner)))[1].reshape(len(places), -1)
+        near = tree.query(places, k=min(NEAREST, len(corner)))[1].reshape(len(places), -1)
         found = np.full(len(places), -1)
         weight, height = np.zeros((len(places), 4)), np.zeros(len(places))
         for own in near.T:
             some = np.flatnonzero(found < 0)
-            w, h = _below(corner[own[some]], self.normals[own[some]], places[some])
-            hit = w.min(axis=1) >= -ALIKE
+            w, h = _foot(corner[own[some]], self.normals[own[some]], places[some])
+            hit = w.min(axis=1) >= -TOLERANCE
             found[some[hit]], weight[some[hit]], height[some[hit]] = own[some[hit]], w[hit], h[hit]
         hit = np.flatnonzero(found >= 0)
         own = found[hit]
@@ -127,7 +129,7 @@ class Sheet:
         return self.nodes[layer * len(self.points) + np.arange(len(self.points))]
 
     def rows(self, layer: int, weights, direction) -> csr_matrix:
-        """(r, d) weighted sums (r, n) of what a layer moves along a direction (3,), or each along its own (r, 3)."""
+        """(r, d) rows: weighted sums (r, n) of a layer's displacements along one direction (3,) or one each (r, 3)."""
         weights = csr_matrix(weights).tocoo()
         direction = np.broadcast_to(np.asarray(direction, float), (weights.shape[0], 3))
         columns = self._nominal[1][layer * len(self.points) + weights.col]
@@ -136,12 +138,12 @@ class Sheet:
         return csr_matrix(sum(csr_matrix((v, (weights.row, columns[:, a])), shape) for a, v in enumerate(values)))
 
     def mean(self, layer: int, point, radius: float, direction) -> csr_matrix:
-        """(1, d) mean over a disc of what a layer moves along a direction.
+        """(1, d) row of the mean displacement of a layer over a disc along a direction.
 
         Raises
         ------
         ValueError
-            If the sheet has nothing of the disc.
+            If no part of the sheet lies in the disc.
         """
         weight = self._disc(layer, point, radius)[0]
         if not weight.any():
@@ -149,18 +151,18 @@ class Sheet:
         return self.rows(layer, weight / weight.sum(), direction)
 
     def within(self, layer: int, point, radius: float) -> np.ndarray:
-        """(n,) whether more than half of the cell about a node of a layer lies within a disc."""
+        """(n,) whether more than half of the cell around each node of a layer lies in a disc."""
         return self._disc(layer, point, radius)[1] > 0.5 * self.cells(layer)
 
     def cells(self, layer: int) -> np.ndarray:
-        """(n,) areas of the cells about the nodes of a layer, mm²."""
-        grid, area = self._crossings(layer, np.arange(len(self.quads)), 2)[1:]
+        """(n,) areas of the cells around the nodes of a layer, mm²."""
+        grid, area = self._sampling_points(layer, np.arange(len(self.quads)), 2)[1:]
         return np.bincount(self.quads.ravel(), (area @ _nearest(grid)).ravel(), len(self.points))
 
-    def _crossings(
+    def _sampling_points(
         self, layer: int, quads: np.ndarray, lines: int = LINES
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Points (q, s, 3) of elements' faces, the weights (s, 4) of corners that give them, and areas (q, s)."""
+        """Sampling points (q, s, 3) on element faces, their corner weights (s, 4), and their areas (q, s)."""
         middle = (np.arange(lines) + 0.5) / lines
         x, y = (each.ravel() for each in np.meshgrid(middle, middle, indexing="ij"))
         grid = np.stack([(1 - x) * (1 - y), x * (1 - y), x * y, (1 - x) * y], -1)
@@ -171,11 +173,11 @@ class Sheet:
         return np.einsum("si,qid->qsd", grid, corner), grid, area
 
     def _disc(self, layer: int, point, radius: float) -> tuple[np.ndarray, np.ndarray]:
-        """(n,) areas of a disc, as corners' weights share them out, and as they lie in cells about the nodes, mm²."""
+        """(n,) areas of a disc by node, mm²: shared out by the corner weights, and by the cells around the nodes."""
         point, corner = np.asarray(point, float), self.at(layer)[self.quads]
         size = np.linalg.norm(corner - corner.mean(axis=1, keepdims=True), axis=2).max(axis=1)
         near = np.flatnonzero(np.linalg.norm(corner.mean(axis=1) - point, axis=1) < radius + self.thickness + size)
-        places, grid, area = self._crossings(layer, near)
+        places, grid, area = self._sampling_points(layer, near)
         step = places - point
         along = np.einsum("qsd,qd->qs", step, self.normals[near])
         sideways = np.sqrt(np.maximum((step**2).sum(axis=2) - along**2, 0.0))
@@ -184,8 +186,8 @@ class Sheet:
         return tuple(np.bincount(own, (area @ by).ravel(), len(self.points)) for by in (grid, _nearest(grid)))
 
 
-def _below(corner: np.ndarray, normal: np.ndarray, place: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Of each place (r, 3) above an element (r, 4, 3): weights (r, 4) of the corners below it, and its height (r,)."""
+def _foot(corner: np.ndarray, normal: np.ndarray, place: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Corner weights (r, 4) of the foot of each point (r, 3) on its element (r, 4, 3), and its height (r,)."""
     x = y = np.full(len(place), 0.5)
     for _ in range(STEPS):
         grid = np.stack([(1 - x) * (1 - y), x * (1 - y), x * y, (1 - x) * y], -1)
@@ -199,7 +201,7 @@ def _below(corner: np.ndarray, normal: np.ndarray, place: np.ndarray) -> tuple[n
 
 
 def _nearest(grid: np.ndarray) -> np.ndarray:
-    """(s, 4) 1 for the corner that is nearest to a crossing, that is of the largest weight."""
+    """(s, 4) 1 for the corner with the largest weight, which is the nearest one; 0 for the others."""
     return np.eye(4)[grid.argmax(axis=1)]
 
 
@@ -211,12 +213,12 @@ def _normals(points: np.ndarray, quads: np.ndarray) -> np.ndarray:
 
 
 def _directors(quads: np.ndarray, normals: np.ndarray, n: int) -> np.ndarray:
-    """(n, 3) what a node's column is drawn along, by unit thickness."""
+    """(n, 3) directors of the nodes, by unit thickness."""
     found, of = normals[np.repeat(np.arange(len(quads)), 4)], quads.ravel()
     director = np.zeros((n, 3))
     np.add.at(director, of, found)
     director /= np.bincount(of, minlength=n)[:, None]
-    folded = np.unique(of[np.linalg.norm(found - director[of], axis=1) > ALIKE])
+    folded = np.unique(of[np.linalg.norm(found - director[of], axis=1) > TOLERANCE])
     for node in folded:
         own = found[of == node]
         director[node] = np.linalg.pinv(own, rcond=1e-6) @ np.ones(len(own))
@@ -229,7 +231,7 @@ def extruded(profile: Sequence, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     Parameters
     ----------
     profile : (m, 2) array
-        Every node of it, mm. Normals point along x cross its direction.
+        All its nodes, mm. Normals point along x cross its direction.
     x : (l,) array
         mm.
     """
@@ -241,13 +243,13 @@ def extruded(profile: Sequence, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def graded(knots, places, fine: float, coarse: float) -> np.ndarray:
-    """Lines of a grid through all knots, mm: no farther apart than `fine` within stretches, than `coarse` elsewhere.
+    """Grid coordinates through all knots, mm, at most `fine` apart within the stretches and `coarse` elsewhere.
 
     Parameters
     ----------
     knots : sequence of float
     places : sequence of (float, float)
-        Middle and half the length of each stretch.
+        Middle and half length of each stretch.
     """
     stretches = [(middle - reach, middle + reach) for middle, reach in places]
     inner = [end for end in np.ravel(stretches) if min(knots) < end < max(knots)]

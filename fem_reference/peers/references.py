@@ -1,7 +1,7 @@
-"""References that are themselves converged: compliance of sheets by CalculiX and by shells with shear, extrapolated.
+"""Converged references: compliance of sheets by CalculiX and by shells with shear, extrapolated from three meshes.
 
-    python -m fem_reference.peers.references            holds an element against the numbers that are kept
-    python -m fem_reference.peers.references --write    computes them anew, in a quarter of an hour; takes ccx
+    python -m fem_reference.peers.references            compares an element with the stored references
+    python -m fem_reference.peers.references --write    computes the references anew (a quarter of an hour, needs ccx)
 
 Each case is solved on three meshes by each of
 
@@ -12,9 +12,9 @@ With H on sizes h, h/2, h/4 and D₁ = H(h/2) − H(h), D₂ = H(h/4) − H(h/2)
 
     H₀ = H(h/4) + D₂ / (2ᵖ − 1),        error of H₀ ≤ ‖D₂‖ / (2ᵖ − 1),
 
-the whole step that was extrapolated. The reference is the extrapolation whose step is least. Norms are Frobenius's,
-over that of the reference. All three have transverse shear, which Kirchhoff's theory has not: on a thick sheet under
-small discs an element without it ends beside the reference, by about as much as the discs sink in by shear.
+which is the whole extrapolation step. The method with the smallest step provides the reference. Norms are Frobenius
+norms, relative to that of the reference. All three methods include transverse shear. A Kirchhoff element does not: on a
+thick sheet under small discs it converges to a compliance that is smaller by about the shear deformation of the discs.
 """
 
 from __future__ import annotations
@@ -46,30 +46,30 @@ __all__ = [
     "table",
 ]
 
-KEPT = Path(__file__).with_suffix(".json")
+STORED = Path(__file__).with_suffix(".json")
 YOUNG, POISSON = 210e3, 0.3  # MPa
 
 
 @dataclass(frozen=True)
 class Case:
-    """A sheet, clamped along an edge, and the discs over which unit forces are spread and displacements read.
+    """A sheet, clamped along an edge, and the discs over which unit forces act and displacements are averaged.
 
     Attributes
     ----------
     thickness : float
         mm.
     sizes : (float, float, float)
-        Element sizes, mm, each half of the one before.
+        Element sizes, mm, each half of the previous one.
     grid : callable
         ``grid(size)``: coordinates (n, c) and quadrilaterals (q, 4).
     shape : callable
-        Coordinates (n, c) into space (n, 3), mm.
+        Maps coordinates (n, c) to positions (n, 3), mm.
     clamped : callable
-        ``clamped(positions)``: mask of the nodes that are held.
+        ``clamped(positions)``: mask of the clamped nodes.
     discs : list of (centre (3,), direction (3,))
-        mm; the displacement along the direction is averaged over the disc about the centre, across the direction.
+        mm; the displacement along the direction is averaged over the disc around the centre, normal to the direction.
     radius : float
-        Of the discs, mm.
+        Radius of the discs, mm.
     """
 
     thickness: float
@@ -82,9 +82,11 @@ class Case:
 
 
 def _cells(n: int, m: int, closed: bool = False):
-    """Quadrilaterals (n m, 4) of a grid of n × m cells whose vertices count along m first; closed: the last row of
-    cells ends in the first vertices. Every other cell begins at its second corner: `_halves` then cuts along
-    diagonals that meet at every other vertex."""
+    """Quadrilaterals (n m, 4) of a grid of n × m cells, with vertices numbered along m first.
+
+    A closed grid joins its last row of cells to the first vertices. Every other cell begins at its second corner, so
+    that the diagonals of `_halves` meet at every other vertex.
+    """
     i, j = (a.ravel() for a in np.meshgrid(np.arange(n), np.arange(m), indexing="ij"))
     at = lambda i, j: (i % n if closed else i) * (m + 1) + j
     cells = np.column_stack([at(i, j), at(i + 1, j), at(i + 1, j + 1), at(i, j + 1)])
@@ -92,12 +94,12 @@ def _cells(n: int, m: int, closed: bool = False):
 
 
 def _halves(quadrilaterals):
-    """Two triangles of each, along the diagonal from its first corner."""
+    """Two triangles of each quadrilateral, along the diagonal from its first corner."""
     return np.concatenate([quadrilaterals[:, [0, 1, 2]], quadrilaterals[:, [0, 2, 3]]])
 
 
 def _disc_points(centre, direction, radius):
-    """Quadrature points (q, 3) and weights (q,) of a disc: Gauss along the radius, even along the angle."""
+    """Quadrature points (q, 3) and weights (q,) of a disc: Gauss along the radius, equidistant along the angle."""
     g, w = np.polynomial.legendre.leggauss(8)
     r, angle = np.repeat(radius * (g + 1) / 2, 24), np.tile(2 * np.pi * (np.arange(24) + 0.5) / 24, 8)
     t1 = np.cross(direction, np.eye(3)[np.argmin(np.abs(direction))])
@@ -131,7 +133,7 @@ def by_calculix(case: Case, size: float, corners: int) -> np.ndarray:
 
 
 def by_shells(case: Case, size: float, element: str, normals: Callable | None = None) -> np.ndarray:
-    """H (r, r) by an element of `fem_reference` on S6's triangles; ``normals(points)`` if the surface tells them."""
+    """H (r, r) by an element of `fem_reference` on the triangles of S6; ``normals(points)`` gives exact normals."""
     coordinates, quadrilaterals = case.grid(size)
     points = case.shape(coordinates)
     return on_triangles(case, points, _halves(quadrilaterals), element, None if normals is None else normals(points))
@@ -140,7 +142,7 @@ def by_shells(case: Case, size: float, element: str, normals: Callable | None = 
 def on_triangles(
     case: Case, points: np.ndarray, triangles: np.ndarray, element: str, normals: np.ndarray | None = None
 ) -> np.ndarray:
-    """H (r, r) by an element of `fem_reference`, loads and readings linear between vertices as CalculiX has them.
+    """H (r, r) by an element of `fem_reference`, with loads and readings linear between vertices as for CalculiX.
 
     Parameters
     ----------
@@ -150,7 +152,7 @@ def on_triangles(
     triangles : (k, 3) int array
     element : str
     normals : (n, 3) array, optional
-        The surface's own at the vertices; estimated from the triangles otherwise.
+        Exact normals of the surface at the vertices; estimated from the triangles otherwise.
     """
     weights = _spread(case, points, triangles)
     surface = Surface(points, triangles, None if normals is None else normals[triangles])
@@ -266,14 +268,14 @@ def extrapolated(coarse, middle, fine):
     order = np.log2(first / second)
     if not order > 0.5:
         raise ValueError(
-            f"the observed order is {order:.2f}: these meshes do not converge, nothing can be extrapolated"
+            f"the observed order is {order:.2f}: these meshes do not converge, so no limit can be extrapolated"
         )
     step = (fine - middle) / (2**order - 1)
     return fine + step, float(np.linalg.norm(step)), float(order)
 
 
 def compute(name: str) -> dict:
-    """Everything that is kept of a case."""
+    """The stored results of a case: reference, its error, and the errors of each method."""
     case, found = CASES[name], {}
     for method, solve in METHODS.items():
         started = time.perf_counter()
@@ -301,43 +303,43 @@ def compute(name: str) -> dict:
 
 
 def load() -> dict:
-    """The references that are kept, by case, as :func:`compute` made them."""
-    return json.loads(KEPT.read_text())
+    """The stored references by case, in the form of :func:`compute`."""
+    return json.loads(STORED.read_text())
 
 
-def errors(name: str, kept: dict, element: str) -> list[float]:
-    """‖H(h) − H₀‖/‖H₀‖ of an element on each mesh of a case, and of its own extrapolation: where it ends."""
-    H0 = np.array(kept["H"])
-    series = [by_shells(CASES[name], size, element) for size in kept["sizes"]]
+def errors(name: str, stored: dict, element: str) -> list[float]:
+    """‖H(h) − H₀‖/‖H₀‖ of an element on each mesh of a case, and of the element's own extrapolation."""
+    H0 = np.array(stored["H"])
+    series = [by_shells(CASES[name], size, element) for size in stored["sizes"]]
     series.append(extrapolated(*series)[0])
     return [float(np.linalg.norm(H - H0) / np.linalg.norm(H0)) for H in series]
 
 
-def table(name: str, kept: dict, element: str) -> str:
-    """What each method leaves on each mesh, and an element of `fem_reference` beside it, in Markdown."""
+def table(name: str, stored: dict, element: str) -> str:
+    """Markdown table of the error of each method, and of an element of `fem_reference`, on each mesh."""
     percent = lambda values: " | ".join(f"{100 * value:.2f} %" for value in values)
-    sizes = " | ".join(f"{size:g} mm" for size in kept["sizes"])
+    sizes = " | ".join(f"{size:g} mm" for size in stored["sizes"])
     lines = [f"| {name} | {sizes} | limit | error of the limit | order |", "| --- " * 7 + "|"]
-    for method, one in kept["methods"].items():
-        mark = "**" if method == kept["reference"] else ""
+    for method, one in stored["methods"].items():
+        mark = "**" if method == stored["reference"] else ""
         values = percent([*one["off"], one["apart"], one["error"]])
         lines.append(f"| {mark}{method}{mark} | {values} | {one['order']:.1f} |")
-    lines.append(f"| {element} | {percent(errors(name, kept, element))} | | |")
+    lines.append(f"| {element} | {percent(errors(name, stored, element))} | | |")
     return "\n".join(lines)
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--write", action="store_true", help="compute the references anew; takes CalculiX's ccx")
+    parser.add_argument("--write", action="store_true", help="compute the references anew; needs CalculiX's ccx")
     parser.add_argument("--case", choices=CASES, help="only this one")
-    parser.add_argument("--element", default="dkt-opt-curved", help="element of fem_reference to hold against them")
+    parser.add_argument("--element", default="dkt-opt-curved", help="element of fem_reference to compare")
     options = parser.parse_args()
-    kept = load() if KEPT.is_file() else {}
+    stored = load() if STORED.is_file() else {}
     for name in [options.case] if options.case else CASES:
         if options.write:
-            kept[name] = compute(name)
-            KEPT.write_text(json.dumps(kept, indent=None).replace('}, "', '},\n "') + "\n")
-        print(table(name, kept[name], options.element), "\n", flush=True)
+            stored[name] = compute(name)
+            STORED.write_text(json.dumps(stored, indent=None).replace('}, "', '},\n "') + "\n")
+        print(table(name, stored[name], options.element), "\n", flush=True)
 
 
 if __name__ == "__main__":

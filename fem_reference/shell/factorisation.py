@@ -33,11 +33,11 @@ __all__ = [
     "upper_triangle",
 ]
 
-BLOCK = 96  # right-hand sides per sweep: more of them at once only cost memory
+BLOCK = 96  # right-hand sides of a solve; larger blocks are not faster
 
-_LARGE = 1e8  # bytes of values, from which on memory is worth a tenth of the time: pages given back are had anew
+_LARGE = 1e8  # bytes of matrix values; larger matrices return free memory to the system first, for a tenth of the time
 
-# MUMPS's numbers of what this module sets or reads (MUMPS 5.5 users' guide, sections 5 and 6)
+# Numbers of the control and information parameters (MUMPS 5.5 users' guide, sections 5 and 6)
 _SPD = 1  # SYM
 _ANALYSIS, _FACTORISATION, _SOLUTION = 1, 2, 3  # JOB
 _ICNTL_ORDERING, _GIVEN = 7, 1
@@ -55,15 +55,15 @@ _one_thread = threadpool_limits.wrap(limits=1, user_api="blas")
 
 
 class FactorisationError(MicError, RuntimeError):
-    """The direct solver failed; the text says why and what to change."""
+    """The direct solver failed; the message names the cause and the remedy."""
 
 
 class OutOfMemory(FactorisationError):
-    """MUMPS could not get the memory that it needs."""
+    """MUMPS ran out of memory."""
 
 
 class NoSchurComplement(FactorisationError):
-    """MUMPS cannot be called directly, hence no Schur complements; through PETSc it can still factorise and solve."""
+    """MUMPS cannot be called directly, so there are no Schur complements; PETSc can still factorise and solve."""
 
 
 class Factorisation:
@@ -72,21 +72,21 @@ class Factorisation:
     Parameters
     ----------
     K : csr_matrix (m, m)
-        Symmetric positive definite; what stands below the diagonal is not read.
+        Symmetric positive definite; only its upper triangle is read.
     L : csr_matrix (n, m), optional
-        Rows of which `influence` is wanted.
+        Rows of `influence`.
 
     Attributes
     ----------
     influence : (n, n) array or None
         L K⁻¹ Lᵀ, exactly symmetric.
     memory : float
-        MB that MUMPS used.
+        Memory used by MUMPS, MB.
 
     Raises
     ------
     OutOfMemory
-        If the memory does not suffice.
+        If MUMPS runs out of memory.
     NoSchurComplement
         If L is given and MUMPS cannot be called directly.
     FactorisationError
@@ -209,7 +209,7 @@ class _Factors:
         return self._solved(solution)
 
     def _solved(self, solution):
-        """The solution takes the place of dense right-hand sides."""
+        """Solve in place: the solution overwrites dense right-hand sides."""
         m, rows = self._rows
         self._mumps.set(nrhs=solution.shape[1], lrhs=rows)
         self._mumps.give(rhs=solution)
@@ -227,15 +227,15 @@ def _give_freed_memory_back() -> None:
 
     After the assembly of a sheet it exceeds the memory of mesh and stiffness.
     """
-    trim = getattr(ctypes.CDLL(None), "malloc_trim", None)  # glibc's own
+    trim = getattr(ctypes.CDLL(None), "malloc_trim", None)  # glibc only
     if trim is not None:
         trim(0)
 
 
 def _triples(K: csr_matrix, L: csr_matrix) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Rows and columns, from 1, and values of K on and above its diagonal and of L beneath it.
+    """Row numbers, column numbers (from 1) and values of the upper triangle of K and of L below it.
 
-    From then on K has its values in the same memory: they are not kept twice while the factors take the most.
+    K then shares the memory of these values, so that they are not stored twice at the peak of memory.
     """
     row, column, value = (np.empty(K.nnz + L.nnz, dtype) for dtype in (np.int32, np.int32, float))
     for matrix, first, entries in ((K, 0, slice(0, K.nnz)), (L, K.shape[0], slice(K.nnz, None))):
@@ -249,14 +249,14 @@ def _triples(K: csr_matrix, L: csr_matrix) -> tuple[np.ndarray, np.ndarray, np.n
 
 
 class PetscFactors:
-    """Factors of a symmetric matrix (m, m) by MUMPS through PETSc, in whatever order MUMPS finds.
+    """Factors of a symmetric matrix (m, m) by MUMPS through PETSc, in the elimination order that MUMPS chooses.
 
     Parameters
     ----------
     whole : csr_matrix (m, m)
-        With what stands below its diagonal.
+        Both triangles.
     definite : bool
-        Whether it is positive definite; otherwise pivots may be put off, which takes room.
+        Whether the matrix is positive definite. Otherwise delayed pivots need extra memory.
 
     Raises
     ------
@@ -283,7 +283,7 @@ class PetscFactors:
         self.negative_pivots = self._factor.getMumpsInfog(_INFOG_NEGATIVE_PIVOTS)
         self.memory = float(self._factor.getMumpsInfog(_INFOG_MEMORY))
 
-    def __del__(self):  # left to itself, petsc4py keeps the factors, hundreds of MB each, to the end of the process
+    def __del__(self):  # petsc4py would not free the factors, hundreds of MB each, before the end of the process
         for held in ("_factor", "_pc", "_matrix"):
             if hasattr(self, held):
                 getattr(self, held).destroy()
@@ -320,10 +320,10 @@ def _petsc_matrix(matrix: csr_matrix) -> PETSc.Mat:
 
 
 def _failure(problem: MumpsFailure) -> FactorisationError:
-    """The error that MUMPS's status stands for."""
+    """The error for a status of MUMPS."""
     kind = FactorisationError
     if problem.status in (-10, -40):
-        reason = "the matrix is singular: the part is not in one piece, or its triangles form a mechanism"
+        reason = "the matrix is singular: the part is not connected, or its triangles form a mechanism"
     elif problem.status in (-8, -9, -11, -13, -14, -15, -17, -19, -20):
         kind = OutOfMemory
         reason = "memory ran out: use fewer functionals at once, a coarser mesh or more memory"

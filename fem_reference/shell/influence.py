@@ -1,4 +1,4 @@
-"""Influence coefficients H = L K⁻¹ Lᵀ of one matrix, and of many parts shared out over processes."""
+"""Influence coefficients H = L K⁻¹ Lᵀ of one matrix, and of many parts distributed over processes."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ __all__ = ["Body", "compute_influence", "influence_matrix"]
 
 
 class Body(Protocol):
-    """What has influence coefficients: :class:`fem_reference.shell.part.ShellPart`."""
+    """A body with influence coefficients, such as :class:`fem_reference.shell.part.ShellPart`."""
 
     def influence(self, functionals: Functionals) -> tuple[np.ndarray, np.ndarray]:
         """H (n, n) and G (n, 6) at the functionals."""
@@ -36,22 +36,22 @@ def compute_influence(
     functionals: Mapping[str, Functionals],
     comm: MPI.Comm = MPI.COMM_WORLD,
 ) -> dict[str, tuple[np.ndarray, np.ndarray]]:
-    """H (n, n) and G (n, 6) of every part, the parts shared out over the processes.
+    """H (n, n) and G (n, 6) of every part, with the parts distributed over the processes.
 
-    Each part is factorised on one process alone (a serial factorisation per part beats a distributed one at these
-    sizes), so that the result does not depend on how many there are. The Schur complement leaves no right-hand sides to
-    share out further; processes beyond the number of parts have nothing to do.
+    Each part is factorised on one process, so that the result does not depend on the number of processes. A serial
+    factorisation for each part is faster than a distributed one at these sizes. Processes in excess of the number of
+    parts stay idle.
 
     Parameters
     ----------
     parts
-        What builds each part, on `MPI.COMM_SELF`; called only on the process that owns the part.
+        Functions that build the parts on `MPI.COMM_SELF`; called only on the process that owns the part.
     functionals
-        The retained functionals of each part, by the same names.
+        The retained functionals of each part, by part name.
     comm
-        The processes to share the work; the result is whole on each.
+        The processes; each gets the whole result.
     """
-    # the dearest first, each to the process with the least to do
+    # longest processing time first: each part goes to the process with the least load
     load = np.zeros(comm.size)
     owner = {}
     for name in sorted(parts, key=lambda name: -len(functionals[name])):
@@ -62,7 +62,7 @@ def compute_influence(
 
 
 def _shared(own, n, comm, owner):
-    """H and G from the process that has them, on all. As bytes they would take their memory three times over."""
+    """Broadcast H and G from their owner as arrays: pickling would take three times their memory."""
     if comm.size == 1:
         return own
     matrices = own or (np.empty((n, n)), np.empty((n, 6)))
@@ -73,16 +73,16 @@ def _shared(own, n, comm, owner):
 
 
 def influence_matrix(K: csr_matrix, L: csr_matrix) -> tuple[np.ndarray, Factorisation]:
-    """H = L K⁻¹ Lᵀ (n, n) for sparse SPD K (m, m) and sparse L (n, m), with the factorisation that gave it.
+    """H = L K⁻¹ Lᵀ (n, n) for sparse SPD K (m, m) and sparse L (n, m), with the factorisation of K.
 
-    By the Schur complement; where that cannot be had, for want of memory or of a MUMPS that can be called, by sweeps of
-    sparse right-hand sides. A few columns are solved once more, and their residuals formed with K itself. What stands
-    below K's diagonal is not read.
+    H is the Schur complement. If MUMPS lacks the memory or cannot be called directly, H is computed from blocks of
+    sparse right-hand sides. A few columns are solved again and checked by their residuals with K. Only the upper
+    triangle of K is read.
 
     Raises
     ------
     FactorisationError
-        If the factorisation fails or H does not pass that check.
+        If the factorisation fails or H fails the check.
     """
     n, K = L.shape[0], upper_triangle(K)
     factorisation = None
@@ -103,11 +103,11 @@ def influence_matrix(K: csr_matrix, L: csr_matrix) -> tuple[np.ndarray, Factoris
 
 
 def _check(H, K, L, factorisation, columns: int = 3) -> None:
-    """Raise unless a few columns of H agree with solves whose residual is small in the sense of Rigal and Gaches.
+    """Raise unless a few columns of H agree with solves of small backward error (Rigal and Gaches).
 
-    K stands on and above its diagonal alone.
+    K is an upper triangle.
     """
-    # a functional that reads pinned freedoms alone has an empty row and H = 0
+    # a functional of pinned freedoms only has an empty row and H = 0
     loaded = np.flatnonzero(np.diff(L.indptr))
     if not len(loaded):
         return

@@ -1,4 +1,4 @@
-"""Shape functions of a field on a triangle, in barycentric coordinates, and the nodes that they belong to.
+"""Shape functions of a field on a triangle, in barycentric coordinates, and their nodes.
 
 Nodes come in threes, each three ordered like the vertices: vertices, or the midpoints of the edges opposite to them.
 """
@@ -33,7 +33,7 @@ class Interpolation:
 
     @property
     def mean(self) -> np.ndarray:
-        """(n,) ∫ N dA / A: the share of a uniform load that falls to each node."""
+        """(n,) ∫ N dA / A: the share of a uniform load at each node."""
         return self.shape(MIDPOINTS).mean(axis=0)  # exact for quadratics
 
 

@@ -1,7 +1,6 @@
-"""An order of elimination that keeps factors small: nested dissection, by METIS.
+"""Fill-reducing elimination order: nested dissection by METIS.
 
-Freedoms whose rows of the matrix have the same pattern, the six of a vertex or the three of an edge, are one node of
-the graph that is dissected.
+Freedoms with the same row pattern (the six of a vertex, the three of an edge) form one node of the graph.
 """
 
 from __future__ import annotations
@@ -20,9 +19,9 @@ _OK = 1  # METIS_OK
 
 
 def nested_dissection(pattern: csr_matrix) -> np.ndarray | None:
-    """(m,) the place of each row in the order of elimination, from 0; None where there is no METIS.
+    """(m,) position of each row in the elimination order, from 0; None if METIS is not installed.
 
-    `pattern` (m, m) has the entries of a symmetric matrix on and above its diagonal, which is full; none below it.
+    `pattern` (m, m) is the upper triangle of a symmetric matrix, with a full diagonal.
     """
     metis = _metis()
     if metis is None:
@@ -40,9 +39,9 @@ def nested_dissection(pattern: csr_matrix) -> np.ndarray | None:
 
 
 def _condensed(pattern: csr_matrix) -> tuple[np.ndarray, csr_matrix]:
-    """The node (m,) of each row, and the nodes' graph without loops, 32-bit integers."""
+    """Graph node (m,) of each row, and the graph without loops, in 32-bit integers."""
     m = pattern.shape[0]
-    # rows of one pattern have one sum of random keys, their own among them; sums of others agree once in 2^64 / m²
+    # rows of equal pattern have equal sums of random keys; others agree by chance with probability m² / 2^64
     key = np.random.default_rng(0).integers(2**64, size=m, dtype=np.uint64)
     entries = csr_matrix((np.ones(pattern.nnz, dtype=np.uint64), pattern.indices, pattern.indptr), pattern.shape)
     total = entries @ key + entries.T @ key - key
@@ -51,8 +50,8 @@ def _condensed(pattern: csr_matrix) -> tuple[np.ndarray, csr_matrix]:
     first_of_node[first] = True
     rows = pattern[first]
     row, column = np.repeat(np.arange(len(first)), np.diff(rows.indptr)), rows.indices
-    shown = first_of_node[column]
-    row, column = row[shown], node[column[shown]]
+    representative = first_of_node[column]
+    row, column = row[representative], node[column[representative]]
     row, column = row[row != column], column[row != column]
     ends = np.concatenate([row, column]), np.concatenate([column, row])
     graph = csr_matrix((np.ones(len(ends[0]), dtype=np.int8), ends), shape=(len(first), len(first)))
@@ -62,13 +61,13 @@ def _condensed(pattern: csr_matrix) -> tuple[np.ndarray, csr_matrix]:
 
 @cache
 def _metis() -> Any:
-    """METIS_NodeND, or None: no METIS, or one whose integers are not of 32 bits."""
+    """METIS_NodeND; None if METIS is missing or its integers do not have 32 bits."""
     try:
         function = ctypes.CDLL(ctypes.util.find_library("metis")).METIS_NodeND
-    except (OSError, AttributeError, TypeError):  # the last: no library was found, and None is no name
+    except (OSError, AttributeError, TypeError):  # TypeError: no library was found
         return None
     function.argtypes = [ctypes.c_void_p] * 7
-    # one node and no edge: an integer of 64 bits would clear the second place of 32 as well
+    # a graph of one node: METIS with 64-bit integers would overwrite the second 32-bit entry too
     one, none = np.array([1, 0], dtype=np.int32), np.zeros(4, dtype=np.int32)
     order, place = np.full(4, -1, dtype=np.int32), np.full(4, -1, dtype=np.int32)
     status = function(*(a.ctypes.data for a in (one, none, none)), None, None, order.ctypes.data, place.ctypes.data)

@@ -2,7 +2,7 @@
 
 Units mm, N, MPa, radians. A part is free: it has no supports of its own. Where a solve needs one, six nodal
 displacement components that suppress exactly the rigid motions are *pinned*. The reactions of such a statically
-determinate support vanish under self-equilibrated loads, so that nothing but a rigid motion depends on the choice.
+determinate support vanish under self-equilibrated loads, so that the choice changes only the rigid motion.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from fem_reference.shell.element import ELEMENTS, Material, opt_beta0
 from fem_reference.shell.factorisation import Factorisation, FactorisationError, OutOfMemory, upper_triangle
 from fem_reference.shell.influence import influence_matrix
 from fem_reference.shell.interpolation import P1
-from fem_reference.shell.sliver_elements import NEEDLE, without_needles
+from fem_reference.shell.sliver_elements import SLIVER, without_slivers
 from mic.compliance.functional import Functionals
 from mic.geometry.surface import Surface
 
@@ -32,12 +32,12 @@ __all__ = ["RIGID_MOTION_TOLERANCE", "ShellPart"]
 
 _log = logging.getLogger(__name__)
 
-POINTS = 20_000  # of patches that are read at a time: each has entries for all freedoms of its triangle
-RIGID_MOTION_TOLERANCE = 1e-2  # reached where t/L ~ 1e-5 on curved shells
+POINTS = 20_000  # patch points assembled at a time: each has entries for all freedoms of its triangle
+RIGID_MOTION_TOLERANCE = 1e-2  # relative; exceeded at t/L ~ 1e-5 on curved shells
 
 
 def _pieces(triangles: np.ndarray) -> int:
-    """Number of sets of triangles that hang together by edges."""
+    """Number of sets of triangles that are connected by edges."""
     edges = np.sort(np.concatenate([triangles[:, [1, 2]], triangles[:, [2, 0]], triangles[:, [0, 1]]]), axis=1)
     edge = np.unique(edges, axis=0, return_inverse=True)[1].ravel()
     triangle = np.tile(np.arange(len(triangles)), 3)
@@ -51,7 +51,7 @@ class ShellPart:
     Parameters
     ----------
     surface : Surface
-        Mid-surface, mm; every point belongs to a triangle, all triangles hang together.
+        Mid-surface, mm; every point belongs to a triangle, and the triangles are connected by edges.
     thickness : float
         t, mm, > 0.
     young : float
@@ -102,7 +102,7 @@ class ShellPart:
             )
         self.surface, self.element, self.comm = surface, element, comm
         self._kind, self._normals = ELEMENTS[element], None
-        self._stand_in: ShellPart | None = None
+        self._substitute: ShellPart | None = None
         self.thickness, self.young, self.poisson = float(thickness), float(young), float(poisson)
         self._build_tables()
 
@@ -152,8 +152,10 @@ class ShellPart:
         self.ndof = index_map.size_global * self._space.dofmap.index_map_bs
 
     def _cell_normals(self, triangle, vertex) -> np.ndarray:
-        """(cells, 9) normals at the corners of each cell in the cell's own order, on the side that this order turns
-        about; the cells are these triangles of the surface, with the vertices (cells, 3)."""
+        """(cells, 9) normals at the corners of each cell, in the order of the cell and on the side given by that order.
+
+        `triangle` (cells,) and `vertex` (cells, 3) are the surface's triangle and vertices of each cell.
+        """
         corner = np.argmax(self.surface.triangles[triangle][:, None, :] == vertex[:, :, None], axis=2)
         same_side = (corner[:, 1] - corner[:, 0]) % 3 == 1
         normals = self._kind.normals(self.surface)[triangle[:, None], corner]
@@ -205,7 +207,7 @@ class ShellPart:
     def stiffness(self) -> PETSc.Mat:
         """K, N/mm and N mm/rad: symmetric positive semidefinite with the six rigid motions as null space.
 
-        It lives as long as the part.
+        The matrix is destroyed with the part.
         """
         return self._assemble()
 
@@ -226,11 +228,11 @@ class ShellPart:
         return matrix
 
     def _gathered(self, own: Any) -> list[Any]:
-        """What each process has, in their order; one alone need not pickle it, which takes a tenth of the time."""
+        """The values of all processes, in rank order. A single process skips pickling, a tenth of the time."""
         return [own] if self.comm.size == 1 else self.comm.allgather(own)
 
     def stiffness_csr(self) -> csr_matrix:
-        """K as a scipy matrix, assembled anew, whole on each process; symmetric to rounding."""
+        """The whole K as a scipy matrix on each process, newly assembled; symmetric to rounding."""
         matrix = self._assemble()
         pieces = self._gathered(matrix.getValuesCSR())  # consecutive rows from each process
         matrix.destroy()  # petsc4py would keep it to the end of the process
@@ -243,7 +245,7 @@ class ShellPart:
 
     @cached_property
     def dof_component(self) -> np.ndarray:
-        """(ndof,) what each freedom is: 0, 1, 2 for u along x, y, z and 3, 4, 5 for θ about them."""
+        """(ndof,) component of each freedom: 0, 1, 2 for u along x, y, z and 3, 4, 5 for θ about them."""
         component = np.empty(self.ndof, dtype=int)
         component[self._displacement_dofs] = np.arange(3)
         component[self._rotation_dofs] = np.arange(3, 6)
@@ -251,7 +253,7 @@ class ShellPart:
 
     @cached_property
     def dof_position(self) -> np.ndarray:
-        """(ndof, 3) where each freedom sits, mm: at a vertex or at the midpoint of an edge."""
+        """(ndof, 3) position of each freedom, mm: a vertex or the midpoint of an edge."""
         corners = self.surface.corners
         position = np.empty((self.ndof, 3))
         position[self._displacement_dofs] = (self._kind.displacement.nodes @ corners)[:, :, None]
@@ -279,7 +281,7 @@ class ShellPart:
         return np.average(surface.points[surface.triangles].mean(axis=1), axis=0, weights=surface.areas)
 
     def functional_matrix(self, functionals: Functionals) -> csr_matrix:
-        """L (n, ndof): row i reads functional i off the vector of freedoms; its transpose spreads the unit load.
+        """L (n, ndof): row i evaluates functional i from the vector of freedoms; its transpose is the unit load.
 
         With the patch's quadrature points q (weights c_q, shape functions N) and s = side · t/2,
 
@@ -293,7 +295,7 @@ class ShellPart:
         return matrix
 
     def _reading(self, functionals, chosen) -> csr_matrix:
-        """Some rows of L, what its patches' points read of the same freedom added up."""
+        """The `chosen` rows of L; the entries of all points of a patch are added up."""
         rows, columns, values = [], [], []
         for at, row in enumerate(chosen):
             patch = functionals.patches[functionals.patch[row]]
@@ -338,7 +340,7 @@ class ShellPart:
     def pins(self) -> np.ndarray:
         """(6,) freedoms held in pinned solves: vertex displacements chosen by pivoted QR of the rigid modes.
 
-        Rotations are scaled by the largest distance from the centroid, so that all six modes count alike.
+        Rotations are scaled by the largest distance from the centroid, so that all six modes have the same weight.
         """
         candidates = self.vertex_displacement_dofs.ravel()
         size = np.linalg.norm(self.surface.points - self.centroid, axis=1).max()
@@ -353,7 +355,7 @@ class ShellPart:
 
     @cached_property
     def _pinned(self) -> tuple[csr_matrix, csr_matrix]:
-        """K_ff on and above its diagonal, and K_fp, of free freedoms f and pins p: half of K is all that is kept."""
+        """Upper triangle of K_ff, and K_fp, for free freedoms f and pins p; only half of K is stored."""
         rows = self.stiffness_csr()[self._free]
         return upper_triangle(rows[:, self._free]), rows[:, self.pins]
 
@@ -365,46 +367,46 @@ class ShellPart:
 
     @property
     def memory(self) -> float:
-        """MB that the factors took at most while they were computed."""
-        return self._serving.memory
+        """Peak memory of the factorisation, MB."""
+        return self._solver_factors.memory
 
     def _check_conditioning(self, factorisation: Factorisation) -> None:
-        """Move the pins rigidly and see whether the part follows: the exact answer to six solves is known.
+        """Check six solves with a known solution: the part follows rigid motions of its pins.
 
-        With free freedoms f and pins p, K_ff R_f = −K_fp R_p. The smooth rigid motions show the loss of digits at its
-        worst, and a part that holds a mechanism does not follow at all.
+        With free freedoms f and pins p, K_ff R_f = −K_fp R_p. Smooth rigid motions show the largest loss of digits, and
+        a part with a mechanism does not follow at all.
         """
         exact = self.rigid_modes[self._free]
         followed = factorisation.solve(-self._pinned[1] @ self.rigid_modes[self.pins])
         error = (abs(followed - exact).max(axis=0) / abs(exact).max(axis=0)).max()
         if not error < RIGID_MOTION_TOLERANCE:
             raise FactorisationError(
-                f"a rigid motion of the pins moves the part wrongly by {error:.1e} (allowed "
-                f"{RIGID_MOTION_TOLERANCE:.0e}): the part holds a mechanism, is too thin for its size in double "
-                "precision, or has elements so narrow beside the others that digits are lost: mesh it anew"
+                f"a rigid motion of the pins moves the part with a relative error of {error:.1e} (allowed "
+                f"{RIGID_MOTION_TOLERANCE:.0e}): the part has a mechanism, is too thin for its size in double "
+                "precision, or has elements that are too narrow; mesh it again"
             )
 
     @property
-    def _serving(self) -> Factorisation:
-        """The factors that solve: the part's own, or those of what stands in for it."""
-        if self._stand_in is None:
+    def _solver_factors(self) -> Factorisation:
+        """The factors of the part, or of its substitute without sliver elements."""
+        if self._substitute is None:
             try:
                 return self._factorisation
             except FactorisationError as refusal:
-                self._give_way(refusal)
-        return self._stand_in._factorisation
+                self._substitute_without_slivers(refusal)
+        return self._substitute._factorisation
 
-    def _give_way(self, refusal: FactorisationError) -> None:
-        """Let the part without its needles stand in, the freedoms of which the others follow; raise where nothing can.
+    def _substitute_without_slivers(self, refusal: FactorisationError) -> None:
+        """Set up the part without its sliver elements, and the map from its freedoms to those of this part.
 
-        Only a part that could not be solved gives way: all others are as they were.
+        Used only if the part itself cannot be solved. Raises `refusal` if there is no such substitute.
         """
         plain = self._kind.displacement is P1 and self._kind.rotation is P1 and self.comm.size == 1
-        found = without_needles(self.surface) if plain and not isinstance(refusal, OutOfMemory) else None
+        found = without_slivers(self.surface) if plain and not isinstance(refusal, OutOfMemory) else None
         if found is None:
             raise refusal
         left, number = found
-        self._stand_in = part = ShellPart(left, self.thickness, self.young, self.poisson, self.element)
+        self._substitute = part = ShellPart(left, self.thickness, self.young, self.poisson, self.element)
         d = self.surface.points - left.points[number]
         own, theirs = ((each._vertex_dofs[:, :3], each._vertex_dofs[:, 3:]) for each in (self, part))
         rows, columns, values = [], [], []
@@ -417,17 +419,17 @@ class ShellPart:
                 columns.append(theirs[1][number, turn])
                 values.append(sign * d[:, along])
         every = (np.concatenate(values), (np.concatenate(rows), np.concatenate(columns)))
-        self._follows = coo_matrix(every, (self.ndof, part.ndof)).tocsr()
+        self._from_substitute = coo_matrix(every, (self.ndof, part.ndof)).tocsr()
         _log.warning(
-            "%d elements are so narrow beside the others that digits are lost, and are left out: the ends of their "
-            "sides that are shorter than %g of the longest are made one",
+            "%d elements are too narrow for double precision and were removed: sides shorter than %g of the longest "
+            "side of their triangle were collapsed",
             len(self.surface.triangles) - len(left.triangles),
-            NEEDLE,
+            SLIVER,
         )
 
     @cached_property
     def _vertex_dofs(self) -> np.ndarray:
-        """(n_points, 6) global freedoms u and θ at each vertex, of an element that has all of them there."""
+        """(n_points, 6) global freedoms u and θ of each vertex, for elements with all freedoms at vertices."""
         dofs = np.empty((len(self.surface.points), 6), dtype=np.int64)
         dofs[self.surface.triangles] = np.concatenate([self._displacement_dofs, self._rotation_dofs], axis=2)
         return dofs
@@ -435,29 +437,29 @@ class ShellPart:
     def solve(self, nodal_forces: np.ndarray) -> np.ndarray:
         """Freedoms (ndof, r) of the pinned part under the load vectors (ndof, r); one factorisation serves all calls.
 
-        N and N mm in, mm and rad out.
+        Forces in N and N mm, freedoms in mm and rad.
         """
         nodal_forces = np.asarray(nodal_forces, dtype=float)
-        factors = self._serving
-        if self._stand_in is not None:
-            return self._follows @ self._stand_in.solve(self._follows.T @ nodal_forces)
+        factors = self._solver_factors
+        if self._substitute is not None:
+            return self._from_substitute @ self._substitute.solve(self._from_substitute.T @ nodal_forces)
         freedoms = np.zeros_like(nodal_forces)
         freedoms[self._free] = factors.solve(nodal_forces[self._free])
         return freedoms
 
     def influence(self, functionals: Functionals) -> tuple[np.ndarray, np.ndarray]:
-        """Compliance H (n, n) of the pinned part at the functionals, and their readings G (n, 6) of the rigid modes.
+        """Compliance H (n, n) of the pinned part at the functionals, and their values G (n, 6) of the rigid modes.
 
-        Forces f (n,) on the functionals move them by H f + G q, q (6,) being the rigid motion, once Gᵀ f = 0. Where
-        needles of elements cost the digits, H is that of the part without them (`fem_reference.shell.sliver_elements`).
+        Forces f (n,) with Gᵀ f = 0 move the functionals by H f + G q, where q (6,) is the rigid motion. If sliver
+        elements cost too many digits, H is that of the part without them (`fem_reference.shell.sliver_elements`).
         """
         L = self.functional_matrix(functionals)
-        if self._stand_in is None:
+        if self._substitute is None:
             try:
                 return self._influence(L), L @ self.rigid_modes
             except FactorisationError as refusal:
-                self._give_way(refusal)
-        return self._stand_in._influence((L @ self._follows).tocsr()), L @ self.rigid_modes
+                self._substitute_without_slivers(refusal)
+        return self._substitute._influence((L @ self._from_substitute).tocsr()), L @ self.rigid_modes
 
     def _influence(self, L: csr_matrix) -> np.ndarray:
         H, self._factorisation = influence_matrix(self._pinned[0], L[:, self._free])

@@ -1,12 +1,13 @@
-"""Elements so narrow that their stiffness drowns that of the sheet, taken out of a mesh.
+"""Remove sliver elements, whose stiffness exceeds that of the sheet by so much that digits are lost.
 
-A triangle of sides h and w ≪ h is stiffer than its neighbours by powers of h/w, and the sum of both keeps the digits of
-the larger alone: a rigid motion of the part costs energy, which is rounding. Its two nodes at the ends of w move as one
-all the same. Where they are made one, the node m in their middle, nothing narrow is left, and with d = x_i − x_m
+A triangle with sides h and w ≪ h is stiffer than its neighbours by powers of h/w. The assembled sum keeps only the
+digits of the larger term, so that rounding gives rigid motions of the part a strain energy. The two nodes at the ends
+of w move together in any case. Collapsing w into a node m at its midpoint removes the sliver. With d = x_i − x_m, the
+freedoms of the original nodes i are
 
     u_i = u_m + θ_m × d,      θ_i = θ_m,                                                                             (1)
 
-so that what reads the sheet at its own nodes reads it there as before, and a rigid motion of m is one of i.
+so that functionals still read the original nodes, and a rigid motion of m is one of i.
 """
 
 from __future__ import annotations
@@ -17,26 +18,26 @@ from scipy.sparse.csgraph import connected_components
 
 from mic.geometry.surface import Surface
 
-__all__ = ["NEEDLE", "without_needles"]
+__all__ = ["SLIVER", "without_slivers"]
 
-NEEDLE = 1e-3  # a side that is shorter than this share of its triangle's longest has its ends made one
-TURNED = 0.9  # cosine: what stays turns by less
+SLIVER = 1e-3  # a side shorter than this share of the longest side of its triangle is collapsed
+SMALLEST_COSINE = 0.9  # between the normals of a remaining triangle before and after
 
 
-def without_needles(surface: Surface) -> tuple[Surface, np.ndarray] | None:
-    """The surface with the ends of its needles' short sides made one, and the new number (n,) of each of its vertices.
+def without_slivers(surface: Surface) -> tuple[Surface, np.ndarray] | None:
+    """The surface with the short sides of its slivers collapsed, and the new number (n,) of each vertex.
 
-    No vertex moves by more than `NEEDLE` times the longest side of the needles at it.
+    No vertex moves by more than `SLIVER` times the longest side of the slivers at it.
 
     Returns
     -------
     tuple or None
-        None where there are no needles, or where what is left would be no sound mesh.
+        None if there are no slivers, or if the remaining triangles are not a valid mesh.
     """
-    # of each triangle the sides opposite to its corners, and their ends
+    # sides opposite to the corners of each triangle, and their end vertices
     length, ends = surface.edge_lengths, surface.triangles[:, [[1, 2], [2, 0], [0, 1]]]
     longest = length.max(axis=1)
-    short = length < NEEDLE * longest[:, None]
+    short = length < SLIVER * longest[:, None]
     if not short.any():
         return None
     points, (first, second) = surface.points, ends[short].T
@@ -46,10 +47,10 @@ def without_needles(surface: Surface) -> tuple[Surface, np.ndarray] | None:
     middle = np.stack([np.bincount(together, x) for x in points.T], axis=1) / count[:, None]
     allowed = np.zeros(n)
     np.maximum.at(
-        allowed, ends[short].ravel(), np.repeat(NEEDLE * np.broadcast_to(longest[:, None], short.shape)[short], 2)
+        allowed, ends[short].ravel(), np.repeat(SLIVER * np.broadcast_to(longest[:, None], short.shape)[short], 2)
     )
     if (np.linalg.norm(points - middle[together], axis=1) > allowed).any():
-        return None  # many in a row, which would draw the mesh together
+        return None  # many in a row, whose collapse would distort the mesh
     alone = count[together] == 1
     middle[together[alone]] = points[alone]  # to the last bit
     triangles = together[surface.triangles]
@@ -62,6 +63,6 @@ def without_needles(surface: Surface) -> tuple[Surface, np.ndarray] | None:
         left = Surface(middle, triangles, None if given is None else given[kept])
     except ValueError:
         return None
-    if (np.einsum("ij,ij->i", left.normals, surface.normals[kept]) < TURNED).any():
+    if (np.einsum("ij,ij->i", left.normals, surface.normals[kept]) < SMALLEST_COSINE).any():
         return None
     return left, together

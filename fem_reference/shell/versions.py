@@ -1,11 +1,11 @@
-"""The dolfinx versions that the finite-element reference takes: the one place that names them.
+"""The supported dolfinx versions.
 
-`fem_reference.shell.compat` holds the calls in which they differ. The tests pass with the versions in `TRIED`; those in
-`READ` were only followed in dolfinx's documentation and have not been run. Every other version is refused.
+`fem_reference.shell.compat` holds the calls that differ between them. The tests pass with the versions in `TRIED`; for
+those in `READ` only the documentation of dolfinx was read. Every other version is refused.
 
-The module needs nothing but the standard library, so that it can be asked before anything is installed:
-``python3 -I fem_reference/shell/versions.py`` says whether the interpreter's dolfinx is among them (exit code 0), or
-what to do.
+The module imports only the standard library, so that it can run before anything is installed:
+``python3 -I fem_reference/shell/versions.py`` ends with exit code 0 if the interpreter's dolfinx is supported, and
+otherwise says what to do.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ READ = ((0, 10),)
 
 
 class UnsupportedVersion(ImportError):
-    """dolfinx is missing, or of a version that the finite-element reference does not take."""
+    """dolfinx is missing or its version is not supported."""
 
 
 def supported(text: str) -> tuple[int, int]:

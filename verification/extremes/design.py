@@ -1,8 +1,8 @@
-"""Cells drawn over all axes at once: a Sobol sequence in the unit cube, whose coordinates are the axes.
+"""Cells that vary all parameters at once: points of a Sobol sequence.
 
-Three families, each with an answer that is known: a strip bent onto a stop, a sheet on an incline, a contact problem
-made from its solution. An axis that is a choice takes its values in equal shares; the others go through their decades.
-Where a cell is refused, what its reason advises is done to it (:data:`REMEDIES`), and it is tried again.
+Three families with known solutions: a strip bent onto a stop, a sheet on an incline, and a contact problem constructed
+from its solution. Choices take their values with equal frequency; other parameters are distributed evenly in their
+logarithm. If a cell is refused, the remedy of its message is applied (:data:`REMEDIES`) and the cell is tried again.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ __all__ = ["FAMILIES", "REMEDIES", "Cell", "Family", "cells", "remedied"]
 
 @dataclass(frozen=True)
 class Decades:
-    """Values from `low` to `high`, even in their logarithm; `share` of the cells take `else_` in their place."""
+    """Values from `low` to `high`, evenly spread in their logarithm; a `share` of the cells takes `else_` instead."""
 
     low: float
     high: float
@@ -42,7 +42,7 @@ class Decades:
 
 @dataclass(frozen=True)
 class Choice:
-    """One of several values, in equal shares."""
+    """One of several values, with equal frequency."""
 
     values: tuple
 
@@ -57,13 +57,13 @@ class Family:
     Attributes
     ----------
     axes : dict
-        What each coordinate of the design means, by its name.
+        Parameters of the design, by name.
     error : callable
         ``error(context, values)`` of a cell.
     right : float
-        Error that counts as right.
+        Largest error that counts as right.
     cells, quick : int
-        Their number, of the full and of the quick version; powers of two, as Sobol's sequence wants them.
+        Number of cells in the full and in the quick version; powers of two, as a Sobol sequence requires.
     """
 
     axes: dict[str, Callable[[float], object]]
@@ -149,7 +149,7 @@ def _twins(scene, apart):
 
 
 def _stages(scene, count):
-    """The load brought on in so many stages of equal shares, the last of which keeps the stage's name."""
+    """The load divided over several equal stages, the last with the original name."""
     if count == 1:
         return scene
     stages, clamps = [], []
@@ -197,12 +197,12 @@ def incline(context, values: dict) -> float:
     return abs(found - exact)
 
 
-# --- a contact problem made from its solution
+# --- a contact problem constructed from its solution
 # ------------------------------------------------------------------------------------------------------
 
 
 def contacts(context, values: dict) -> float:
-    """Worst violation of the law over four samples, relative; formed here, not by the solver's certificate."""
+    """Largest relative violation of the law over four samples, computed independently of the solver's certificate."""
     rng = np.random.default_rng(values["seed"])
     m = round(values["contacts"])
     first, second = (compliant(m, rng, values["condition"], values["tangential"]) for _ in range(2))
@@ -227,7 +227,7 @@ def contacts(context, values: dict) -> float:
     opening = u[..., 0] - (1 - law.shift) * mu * slip
     tiny = np.finfo(float).tiny
     long, cone = np.abs(b).max(), mu * f[..., 0]
-    high = max(np.abs(f).max(), tiny / long)  # none closed in any sample: each force must be nothing
+    high = max(np.abs(f).max(), tiny / long)  # no contact closed in any sample: all forces must be zero
     errors = [
         (-opening).max() / long,
         (traction - cone).max() / high,
@@ -252,7 +252,7 @@ FAMILIES: dict[str, Family] = {
             "pairs apart": Decades(1e-9, 0.5, share=0.6, else_=-1.0),
             "locators given": Choice((1, 2, 3, 4)),
             "stages": Choice((1, 2, 3)),
-            "law": Choice(("coulomb", "frictionless")),  # the associated law opens what slips beside the middle
+            "law": Choice(("coulomb", "frictionless")),  # the associated law opens sliding contacts
             "unit of length": UNIT,
             "unit of force": UNIT,
         },
@@ -302,16 +302,16 @@ FAMILIES: dict[str, Family] = {
 # --- remedies
 # ------------------------------------------------------------------------------------------------------
 
-#: What a refusal's reason advises, or the documentation (`docs/contact.md` of friction of 10 and more): a piece of its
-#: text, and what is done to the cell's values.
+#: Remedies of messages, or of the documentation (`docs/contact.md` for friction of 10 and more): a part of the message,
+#: and the change of the cell's parameters.
 REMEDIES: dict[str, Callable[[dict], dict]] = {
-    "mesh it anew": lambda values: {"sliver": 1.0},
+    "mesh it again": lambda values: {"sliver": 1.0},
     "did not converge": lambda values: {"friction": min(values["friction"], 5.0)},
 }
 
 
 def remedied(cell: Cell, reason: str) -> Cell | None:
-    """The cell with done to it what the reason of its refusal advises; None where it advises nothing known."""
+    """The cell with the remedy of its refusal applied; None if the message contains no known remedy."""
     for text, change in REMEDIES.items():
         if text in reason:
             return replace(cell, values=cell.values | change(cell.values))

@@ -1,5 +1,4 @@
-"""How far the sizes, materials, gaps and meshes may go before an answer is no longer right, and whether the program
-says so."""
+"""Range of sizes, materials, gaps and meshes with right results, and whether the program refuses the others."""
 
 from __future__ import annotations
 
@@ -22,7 +21,7 @@ from verification.plots import panels
 from verification.study import Acceptance, Finding, Study
 
 REFUSALS = (SceneError, FactorisationError, ValueError, ArithmeticError)
-RIGHT = 0.005  # relative error of a case that counts as right: the meshes are coarse
+RIGHT = 0.005  # largest relative error of a right result: the meshes are coarse
 EXACT = 1e-6  # the same for contact problems with a manufactured solution
 
 
@@ -52,7 +51,7 @@ def friction(context, value):
 
 
 def sliver(context, value):
-    """Columns of elements narrower than the others by this factor, right where the strip is loaded and stopped."""
+    """Columns of elements narrower than the others by this factor, where the strip is loaded and stopped."""
     sheet = Sheet(size=5.0)
 
     def alter(scene):
@@ -66,7 +65,7 @@ def sliver(context, value):
 
 
 def coincident(context, value):
-    """Two contact pairs this close to each other (mm), read at single points."""
+    """Two contact pairs at this distance (mm), as nodal functionals."""
     sheet = Sheet(size=5.0)
 
     def alter(scene):
@@ -80,7 +79,7 @@ def coincident(context, value):
 
 
 def redundant(context, value):
-    """Each locator given this many times over."""
+    """Each locator repeated this many times."""
 
     def alter(scene):
         more = [
@@ -103,8 +102,7 @@ UNITS = {
 
 
 def units(context, name):
-    """The same strip in other consistent units of length and force; what a scene calls mm and N is what the user makes
-    of it."""
+    """The same strip in other consistent units of length and force."""
     length, force = UNITS[name]
     sheet = Sheet(
         length=200 * length, width=10 * length, depth=length, size=5 * length, young=210e3 * force / length**2
@@ -136,8 +134,11 @@ def scaled(context, mu, scale):
 
 
 def manufactured_error(compliance, mu):
-    """Worst violation of Coulomb's law over four samples, formed here anew: gap, cone, complementarity and slip
-    direction, relative. The compliance is made twice: of 3000 contacts it is most of what the study holds."""
+    """Largest relative violation of Coulomb's law over four samples: gap, cone, complementarity and slip direction.
+
+    The check is independent of the solver. The compliance is generated twice to save memory, of which it takes most for
+    3000 contacts.
+    """
     problem = manufactured(compliance(), mu, 4, np.random.default_rng(11))
     solver, b = ContactSolver(problem.S, problem.mu), problem.b
     del problem
@@ -164,7 +165,7 @@ def manufactured_error(compliance, mu):
 
 
 def sweeps(quick):
-    """Name of each sweep, the function of its cells, their values, and the error that counts as right."""
+    """Name of each sweep, function of its cells, their values, and the largest error that counts as right."""
     moduli = (1.0, 1e7) if quick else (1.0, 1e3, 210e3, 1e7)
     slendernesses = (1e-5, 1e-3, 1e-1) if quick else (1e-5, 1e-4, 1e-3, 1e-2, 1e-1)
     rows = [
@@ -216,7 +217,7 @@ def attempt(context, name, function, value, right):
 
 
 def heat_map(table):
-    """One row per sweep; colour by outcome, the error written in."""
+    """Figure with a row for each sweep; colour shows the outcome, text the error."""
     names = list(dict.fromkeys(table["sweep"]))
     colours = {"right": "#bfe3c7", "refused": "#f3e2a9", "wrong": "#e98b80"}
     figure, (axis,) = panels(1, width=9.5, height=0.42 * len(names) + 0.8)
@@ -246,8 +247,7 @@ def tile(x, y, colour):
 
 
 def try_drawn(context, cell):
-    """A drawn cell's outcome; where it was refused, also that of the cell with its remedy, and with that of what then
-    refuses it, until a remedy was there already."""
+    """Outcome of a random cell. If it is refused, remedies are applied in turn, until a remedy changes nothing."""
     family = design.FAMILIES[cell.family]
 
     def solve(one):
@@ -258,15 +258,15 @@ def try_drawn(context, cell):
     if outcome["outcome"] != "refused":
         return row
     while outcome["outcome"] == "refused":
-        mended = design.remedied(cell, outcome["reason"])
-        if mended is None or mended == cell:
+        changed = design.remedied(cell, outcome["reason"])
+        if changed is None or changed == cell:
             return row | {"with its remedy": "refused"}
-        cell, outcome = mended, solve(mended)
+        cell, outcome = changed, solve(changed)
     return row | {"with its remedy": outcome["outcome"]}
 
 
 def drawn(rows):
-    """What was found of the cells of the design over all axes at once."""
+    """Findings on the cells that vary all parameters at once."""
     table = pd.DataFrame(rows, columns=["family", "cell", "outcome", "error", "reason", "with its remedy"])
     refused = table[table["outcome"] == "refused"].drop(columns=["outcome", "error"])
     worked = (refused["with its remedy"] == "right").mean() if len(refused) else 1.0
@@ -283,7 +283,7 @@ def run(context):
     cells = [
         (name, function, value, right) for name, function, values, right in sweeps(context.quick) for value in values
     ]
-    # Half of the time goes into the problem of the most contacts, the last of its sweep: it comes first.
+    # The problem with the most contacts, the last of its sweep, takes half of the time and so starts first.
     tasks = [partial(attempt, context, *cell) for cell in cells]
     order = sorted(range(len(cells)), key=lambda i: -cells[i][2] if cells[i][1] is contacts else 0)
     tasks = [tasks[i] for i in order] + [partial(try_drawn, context, cell) for cell in design.cells(context.quick)]

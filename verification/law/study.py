@@ -25,10 +25,10 @@ FULL = {
     "lap_joint": FRICTION,
     "hat_on_plate": (0.05, 0.27, 0.8),
     "wheelhouse": (0.27,),
-}  # where the finite elements are the truth
+}  # scenes with full finite elements as the reference
 QUICK_FULL = {"lap_joint": (0.05, 0.27, 0.8), "hat_on_plate": (0.27,), "wheelhouse": ()}
 LAWS = ("associated", "frictionless")
-INCREMENTS = 2  # of each step, where sliders must remember where they stand
+INCREMENTS = 2  # increments of each step, for history-dependent sliders
 #: Keys of the lap joint's zone, over the pressures that its clamps make; and tangential stiffnesses, N/mm³, from one
 #: that changes what contacts do to one that hardly does.
 FUNCTIONS = {
@@ -85,7 +85,7 @@ def solved_both_ways(built, law) -> dict:
 
 
 def other_laws(context) -> pd.DataFrame:
-    """Both laws with data of their own, and friction by stage, on the lap joint: reduced against full."""
+    """Pressure-dependent, micro-slip and stage-dependent friction on the lap joint: reduced against full."""
     stiffnesses = QUICK_STIFFNESSES if context.quick else STIFFNESSES
     cases = [("pressure-dependent", name, keys) for name, keys in FUNCTIONS.items()]
     cases += [("micro-slip", f"{k:g} N/mm³", {"tangential_stiffness": k}) for k in stiffnesses]
@@ -103,7 +103,7 @@ def loaded_gap(resolution) -> np.ndarray:
 
 
 def compare(model, deviations, law) -> dict:
-    """A law against Coulomb's, the worst over samples and stages unless said otherwise."""
+    """A law against Coulomb's, the largest over samples and stages unless stated otherwise."""
     truth, found = model.evaluate(deviations, "coulomb"), model.evaluate(deviations, law)
     ok = ~(truth.failed | found.failed)
     zones = len(model.scene.zones)
@@ -120,7 +120,7 @@ def compare(model, deviations, law) -> dict:
             changed + int((touching & (exact.state[ok] != mine.state[ok])).sum()),
             closed + int(touching.sum()),
         )
-        if law == "associated":  # what (13) implies where a contact carries load: u_n = μ‖u_t‖
+        if law == "associated":  # (13) implies u_n = μ‖u_t‖ for contacts under load
             u, loaded = mine.displacement[ok], g[..., 0] > LOADED * g[..., 0].max(axis=1, keepdims=True)
             excess = np.abs(u[..., 0] - model.contacts.friction_in(stage).coefficient * np.hypot(u[..., 1], u[..., 2]))
             sliding = loaded & (mine.state[ok] == 2)
@@ -173,7 +173,7 @@ def _effects(rows: pd.DataFrame):
 
 
 def _in_words(law: str, row: pd.Series) -> str:
-    """Effect of a law on the published case, in a sentence."""
+    """Sentence on the effect of a law on the published case."""
     return (
         f"{law}: largest differences of forces {row['force']:.0%} of the largest force "
         f"({row['force when clamped']:.0%} when clamped), of the total normal force {row['total normal force']:.0%}, "
@@ -207,7 +207,7 @@ def _of_other_laws(others: pd.DataFrame) -> list[Finding]:
             float(
                 min(yielding[0], others[others["law"] == "pressure-dependent"]["tangential motion off Coulomb's"].min())
             ),
-            "Were a law ignored on one of the two routes, they would part by that much.",
+            "If one of the two methods ignored the law, they would differ by that much.",
         ),
     ]
 

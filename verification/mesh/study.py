@@ -1,7 +1,7 @@
-"""The element size: what it leaves in mean and 6σ of key characteristics and of the zones' tangential displacement.
+"""Mesh error of mean and 6σ of key characteristics and of the tangential displacement of the zones.
 
-Contact pairs stand at the same points on every mesh. Where meshes are extrapolated from they also read the same discs,
-so that nothing but the elements changes.
+Contact pairs have the same positions on every mesh. For extrapolation they also average over the same discs, so that
+only the elements change.
 """
 
 from __future__ import annotations
@@ -29,17 +29,17 @@ NEAR, CAUTIOUS, SAFETY = 0.1, 3.0, 1.25
 
 @dataclass(frozen=True)
 class Convergence:
-    """Of one quantity on several meshes.
+    """Convergence of one quantity over several meshes.
 
     Attributes
     ----------
     order : float
-        Observed; NaN where the values do not tell (they oscillate, or two meshes agree to rounding).
+        Observed order; NaN if the values oscillate or two meshes agree to rounding.
     kind : {"monotone", "oscillating"}
     extrapolated : float
         The limit.
     index : float
-        Of the finest mesh: half-width of the band about its value, in the quantity's unit.
+        Grid convergence index of the finest mesh: half width of the band around its value, in the unit of the quantity.
     """
 
     order: float
@@ -55,10 +55,10 @@ def converge(size, value) -> Convergence:
 
         p = |ln|ε₃₂/ε₂₁| + ln((r₂₁ᵖ − 1)/(r₃₂ᵖ − 1))| / ln r₂₁
 
-    The index is F |ε₂₁|/(r₂₁ᵖ − 1). As Oberkampf and Roy advise [2]_, F = 1.25 with the formal order where p is within
-    a tenth of it, and elsewhere F = 3 with p kept within 0.5 … FORMAL. Where the values oscillate (ε₃₂/ε₂₁ < 0) nothing
-    is extrapolated: if the oscillation dies down the limit lies between the last two values, and the index is 3 |ε₂₁|.
-    Two differences tell no scatter from a low order: where values scatter, a mesh that is much finer tells more.
+    The index is F |ε₂₁|/(r₂₁ᵖ − 1). Following Oberkampf and Roy [2]_, F = 1.25 with the formal order if p is within
+    a tenth of it, and otherwise F = 3 with p limited to 0.5 … FORMAL. Oscillating values (ε₃₂/ε₂₁ < 0) are not
+    extrapolated: a decaying oscillation has its limit between the last two values, and the index is 3 |ε₂₁|. Two
+    differences cannot distinguish scatter from a low order; a much finer mesh can.
 
     Parameters
     ----------
@@ -102,10 +102,9 @@ def same_points(scene, contacts):
 
 
 def same_discs(scene, contacts):
-    """The scene with its contact pairs at given points, each averaging over a disc of its zone's mean area.
+    """The scene with its contact pairs at given points, each averaging over a disc of the zone's mean area per pair.
 
-    The cells that a zone is divided into by itself are made up of pieces of elements: at the same points they are
-    others on each mesh, and their centres lie elsewhere.
+    The default patches consist of pieces of elements, so that they differ from mesh to mesh at the same points.
     """
     zones = [
         zone.model_copy(update={"patch": float(np.sqrt(contacts.area[contacts.zone == z].mean() / np.pi))})
@@ -130,17 +129,17 @@ def statistics_of(model, samples) -> dict[tuple[str, str], float]:
     }
 
 
-#: How the contact pairs of a scene's first mesh are held on all of them.
+#: Function that transfers the contact pairs of the first mesh of each scene to all meshes.
 HELD = {"lap_joint": same_discs, "wheelhouse": same_points}
 
 
 def on_mesh(context, name, size, samples, contacts):
-    """h = √(area / triangles), mm, and :func:`statistics_of` a scene on a mesh, its contact pairs those given.
+    """h = √(area / triangles), mm, and :func:`statistics_of` a scene on a mesh with the given contact pairs.
 
     Raises
     ------
     RuntimeError
-        If elements of meshes that are extrapolated from were divided at nuggets, so that there they are no series.
+        If elements of meshes for extrapolation were divided at nuggets, so that they are not uniformly refined.
     """
     model, assembly = reduced_and_assembly(HELD[name](shipped(name, size), contacts), context.cache)
     drawn = assembly.surfaces
@@ -157,16 +156,16 @@ def on_mesh(context, name, size, samples, contacts):
 
 
 def on_meshes(context, sizes, samples):
-    """By scene h and :func:`statistics_of` each of its meshes, coarse to fine, pairs where the first has them."""
+    """h and :func:`statistics_of` the meshes of each scene, coarse to fine, with the pairs of the first mesh."""
     first = {name: assemble(shipped(name, own[0]), context.cache).contacts for name, own in sizes.items()}
-    # The finest mesh of the last scene is the dearest by far.
+    # The finest mesh of the last scene takes by far the longest.
     tasks = [(name, size) for name in reversed(sizes) for size in reversed(sizes[name])]
     made = dict(zip(tasks, context.team.map(lambda task: on_mesh(context, *task, samples, first[task[0]]), tasks)))
     return {name: tuple(zip(*(made[name, size] for size in own))) for name, own in sizes.items()}
 
 
 def extrapolated(h, values) -> pd.DataFrame:
-    """One row per quantity: its value on each mesh, and what the first three make of its limit."""
+    """One row per quantity: its value on each mesh, and the limit extrapolated from the first three."""
     rows = []
     for key in values[0]:
         series = [value[key] for value in values]
@@ -187,8 +186,7 @@ def extrapolated(h, values) -> pd.DataFrame:
 
 
 def against_the_last(values) -> pd.DataFrame:
-    """One row per quantity: its value on each mesh, and how far medium and fine are from the last; of a 6σ over its own
-    there, of a mean over 6σ."""
+    """One row per quantity: its value on each mesh, and the errors of medium and fine against the last, over 6σ."""
     rows = []
     for kind, name in values[-1]:
         series = [value[kind, name] for value in values]
@@ -212,7 +210,7 @@ def run(context):
     figure, axes = panels(2, 5.4)
     for _, row in lap.iterrows():
         off = [abs(row[f"mesh {i + 1}"] - row["extrapolated"]) / row["scale"] for i in range(3)]
-        # where nothing is extrapolated the finest value stands for the limit
+        # without extrapolation the finest value replaces the limit
         shown = 3 if off[-1] > 0 else 2
         axes[0].loglog(h[:shown], np.maximum(off[:shown], 1e-8), **_line(row, row["kind"]))
     for _, row in wheelhouse[wheelhouse["quantity"].str.startswith("6σ")].iterrows():

@@ -1,4 +1,4 @@
-"""MIC's assumption: one stiffness, that of the nominal mesh, for every deviated part."""
+"""Error of the nominal stiffness, which the method of influence coefficients uses for all deviated parts."""
 
 from __future__ import annotations
 
@@ -18,19 +18,18 @@ from verification.stiffness import DeviatedStiffness
 from verification.study import Acceptance, Finding, Study
 
 CASES = (("lap_joint", "coarse", "coarse"), ("hat_on_plate", 12.0, 12.0), ("wheelhouse", "coarse", None))
-DEVIATIONS = (0.1, 0.3, 1.0, 3.0, 10.0)  # mm, the largest displacement of the shape anywhere
+DEVIATIONS = (0.1, 0.3, 1.0, 3.0, 10.0)  # mm, largest displacement of the shape
 QUICK_DEVIATIONS = (0.1, 1.0, 10.0)
 TYPICAL = 1.0  # mm, of a stamped part
-SYSTEMATIC = ("lap_joint", "hat_on_plate")  # assemblies whose parts are out of shape in the mean
+SYSTEMATIC = ("lap_joint", "hat_on_plate")  # assemblies whose parts have a mean shape deviation
 MEANS, SPREAD = (0.25, 0.5, 1.0), 0.25  # mm, the largest displacement of the mean shape; the spread as a share of it
 SAMPLES, QUICK_SAMPLES = 12, 4
-TIGHT = 1e-12  # tolerance of the reduced model's contacts where the two routes' rounding is judged
+TIGHT = 1e-12  # contact tolerance of the reduced model for the comparison of rounding
 JUDGED = ("key characteristics", "normal force", "zone slip")
 
 
 def scaled(assembly, full, size):
-    """Deviations of the scene's first sample with its shapes scaled so that the largest displacement is `size` mm, and
-    nothing else moved."""
+    """Shape deviations of the first sample, scaled to a largest displacement of `size` mm; no other deviations."""
     scene = assembly.scene
     shaped = np.array([deviation.kind == "force" for deviation in scene.deviations])
     deviations = np.where(shaped, draw(scene, scene.monte_carlo.seed, 0, 1)[0], 0.0)
@@ -39,16 +38,14 @@ def scaled(assembly, full, size):
 
 
 def stretching(assembly, full) -> float:
-    """Bound on what geometric nonlinearity does: membrane energy of the strains that linear kinematics leaves out, over
-    the strain energy.
+    """Bound on the effect of geometric nonlinearity: membrane energy omitted by linear kinematics over strain energy.
 
-    In each flat triangle, with ∇w the gradient of the displacement normal to it once the part's rigid motion is taken
-    out, the strain ½ ∇w ⊗ ∇w of von Kármán comes on top of the linear membrane strain. The energy of this part alone,
+    In each flat triangle, with ∇w the gradient of the normal displacement without the rigid motion of the part, the von
+    Kármán strain ½ ∇w ⊗ ∇w adds to the linear membrane strain. The energy of this part alone,
 
         U = Σ ½ A ε : D : ε,      ε = ½ ∇w ⊗ ∇w,      D = E t/(1 − ν²) [plane stress],
 
-    is put on a displacement that was found without it. A plate free to move in its plane gives way and keeps much less:
-    hence a bound.
+    is computed for the linear displacement. A plate that can move in its plane stores much less, so this is a bound.
     """
     stage = next(iter(full.resolutions))
     added, fields = 0.0, full.field(stage)
@@ -63,7 +60,9 @@ def stretching(assembly, full) -> float:
         gradient = (
             (w[:, 1] - w[:, 0])[:, None] * np.cross(b, normal) + (w[:, 2] - w[:, 0])[:, None] * np.cross(normal, a)
         ) / double_area[:, None]
-        square = (gradient**2).sum(axis=1)  # ε has the one eigenvalue ½|∇w|², so ε : D : ε = E t/(1 − ν²) (½|∇w|²)²
+        square = (gradient**2).sum(
+            axis=1
+        )  # ε has the single non-zero eigenvalue ½|∇w|², so ε : D : ε = E t/(1 − ν²) (½|∇w|²)²
         added += float(
             (0.5 * double_area / 2 * part.young * part.thickness / (1 - part.poisson**2) * (0.5 * square) ** 2).sum()
         )
@@ -71,7 +70,7 @@ def stretching(assembly, full) -> float:
 
 
 def _without_rigid_motion(x, u):
-    """(n, 3) displacements less the rigid motion (translation and small rotation) nearest to them."""
+    """(n, 3) displacements minus the best-fit rigid motion (translation and small rotation)."""
     r = x - x.mean(axis=0)
     skew = np.zeros((len(x), 3, 3))
     skew[:, 0, 1], skew[:, 0, 2], skew[:, 1, 2] = r[:, 2], -r[:, 1], r[:, 0]
@@ -117,7 +116,7 @@ def compare(built, nominal, size) -> dict:
 
 
 def followed(assembly, stiffness, mean, sigma, cache) -> ReducedModel:
-    """What production makes of deviations with these means (p,) and standard deviations (p,) and this ``stiffness``."""
+    """The scene's model with deviations of these means (p,) and standard deviations (p,) and this ``stiffness``."""
     items = [
         item.model_copy(update={"mean": float(m), "sigma": float(s)})
         for item, m, s in zip(assembly.scene.deviations, mean, sigma)
@@ -127,11 +126,11 @@ def followed(assembly, stiffness, mean, sigma, cache) -> ReducedModel:
 
 
 def systematic(built, size, samples, cache) -> list[dict]:
-    """Errors of three stiffnesses against that of each sample's own shape, where shapes are off in the mean.
+    """Errors of three stiffnesses against the stiffness of each sample's shape, for shapes with a mean deviation.
 
     The shapes of the scene's mean are scaled until the largest displacement is `size` mm. The samples' shapes scatter
-    about it as the scene has it, scaled to a root mean square of :data:`SPREAD` of that; nothing else deviates. The
-    stiffnesses are those of scenes that say so, with these means and standard deviations.
+    about it as in the scene, scaled to a root mean square of :data:`SPREAD` times that; other deviations are zero. The
+    stiffnesses are those of scenes with these means and standard deviations.
     """
     model, assembly = built
     stiffness = DeviatedStiffness(assembly, model)
@@ -163,7 +162,7 @@ def systematic(built, size, samples, cache) -> list[dict]:
 
 
 def _judged(model, assembly, sample) -> dict[str, np.ndarray]:
-    """What a sample is judged by: key characteristics, mm; normal forces of all stages, N; slips of the zones, mm."""
+    """Compared results of samples: key characteristics, mm; normal forces of all stages, N; slips of the zones, mm."""
     made = model.evaluate(sample, "coulomb")
     zones = len(assembly.scene.zones)
     return {
@@ -276,7 +275,7 @@ def ratios(means, name) -> pd.DataFrame:
 
 
 def _told(means) -> str:
-    """Errors at the largest mean shape, and what is left of them on all."""
+    """Sentences: errors at the largest mean shape, and the ratio to the nominal stiffness's error over all cases."""
     last = means[means["mean shape, mm"] == means["mean shape, mm"].max()]
     sentences = [
         f"{row['assembly'].replace('_', ' ')}, {row['stiffness']}: "
@@ -311,7 +310,7 @@ STUDY = Study(
             "measurement",
             "Key characteristics at deviations of 1.0 mm: largest relative difference.",
             0.1,
-            reason="The tenth that the error budget grants in all.",
+            reason="The tenth that the error budget allows in total.",
         ),
         Acceptance(
             "growth",
@@ -336,7 +335,7 @@ STUDY = Study(
                 "the strain energy."
             ),
             0.1,
-            reason="The tenth that the error budget grants in all.",
+            reason="The tenth that the error budget allows in total.",
         ),
         Acceptance(
             "mean-shape",

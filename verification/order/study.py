@@ -19,8 +19,8 @@ from verification.scenes import shipped
 from verification.study import Acceptance, Finding, Study
 
 ORDERS = Path(__file__).parent / "orders.toml"
-LOCATED = "A4-A8, then clamps one by one"  # all that moves has moved before the clamps press
-MEANWHILE = "A4-A8, then clamps, settled meanwhile"  # the same, but for how the parts were set down
+LOCATED = "A4-A8, then clamps one by one"  # all locators close before the clamps press
+MEANWHILE = "A4-A8, then clamps, settled meanwhile"  # the same, except for the placement of the parts
 PRESSED = (STATED, "clamps together, then A4-A8")  # the sheets slide under clamps
 RESAMPLED = 2000
 SHARE, ABSOLUTE, MEASURED = 0.01, 2e-3, 0.005  # of a slip's mean or 6σ; mm; of a key characteristic's 6σ
@@ -50,8 +50,11 @@ def spread(values):
 
 
 def ratios(model, rubbing: Evaluation, smooth: Evaluation):
-    """Tangential displacement of the zones while clamping, with friction over without: mean and 6σ, (2, zones), and
-    the ends of their bootstrap intervals (95 %), (2, 2, zones); samples are drawn in pairs."""
+    """Ratio with/without friction of the tangential displacement of the zones while clamping.
+
+    Returns mean and 6σ (2, zones) and the ends of their 95 % bootstrap intervals (2, 2, zones); samples are resampled
+    in pairs.
+    """
     valid = ~(rubbing.failed | smooth.failed)
     a, b = (
         zone_slip(each.resolutions["clamp"].displacement[valid], model.contacts, len(model.scene.zones))
@@ -63,8 +66,11 @@ def ratios(model, rubbing: Evaluation, smooth: Evaluation):
 
 
 def departure(found: Evaluation, exact: Evaluation, model) -> tuple[float, float]:
-    """Largest difference of mean and 6σ, of slips under load and of key characteristics, in units of what is allowed:
-    the larger of a share of the exact mean or 6σ (of 6σ alone for key characteristics) and an absolute amount."""
+    """Largest difference of mean and 6σ of slips under load and of key characteristics, over the allowed error.
+
+    The allowed error is the larger of a share of the exact mean or 6σ (for key characteristics of 6σ) and an absolute
+    amount.
+    """
     slip = []
     for stage in exact.resolutions:
         for zone in range(len(model.scene.zones)):
@@ -79,7 +85,7 @@ def departure(found: Evaluation, exact: Evaluation, model) -> tuple[float, float
 
 
 def table_of(model, others, rubbing, smooth):
-    """One row per order: ratios with intervals, and change of key characteristics from the stated order over its 6σ."""
+    """One row per order: ratios with intervals, and change of key characteristics from the stated order over 6σ."""
     rows = []
     base = spread(next(each for order, each in zip(others, rubbing) if order.name == STATED).measurements)
     for order, each in zip(others, rubbing):
@@ -95,7 +101,7 @@ def table_of(model, others, rubbing, smooth):
 
 
 def columns(table, kind="", end=""):
-    """Those of the ratios, of a kind (mean, 6σ), or of one end of their intervals."""
+    """Columns of the ratios of a kind (mean, 6σ), or of one end of their intervals."""
     own = [name for name in table if name.startswith("CZ") and kind in name]
     return table[[name for name in own if name.endswith(end or ("mean", "6σ"))]]
 
@@ -158,7 +164,7 @@ def run(context):
 
 
 def picture(table, zones):
-    """The zones' ratios with their intervals, one line for each order; the figure and its two axes, mean and 6σ."""
+    """Figure of the ratios of the zones with intervals, a line for each order; returns figure and axes (mean, 6σ)."""
     figure, axes = panels(2, width=6.0)
     for axis, kind in zip(axes, ("mean", "6σ")):
         for z, zone in enumerate(zones):

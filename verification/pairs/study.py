@@ -19,8 +19,8 @@ from verification.study import Acceptance, Finding, Study
 
 LEAST = 2e-3  # mm: resolution of coordinate measuring machines on sheets
 SHARE = 0.05  # of 6σ: less than the uncertainty by 500 samples, 6.2 %
-BEYOND = 3.0  # radii of a nugget: nearer to it, sums of nodal forces do not settle
-SEED = 777  # not that of the scenes
+BEYOND = 3.0  # radii of a nugget: within it, sums of nodal forces do not converge
+SEED = 777  # seed, not that of the scenes
 
 
 @dataclass(frozen=True)
@@ -31,13 +31,13 @@ class Outcome:
     ----------
     pairs : int
     nodes : int
-        Of all meshes.
+        Number of nodes of all meshes.
     measurements : (n, k) array
         Key characteristics, mm; NaN in samples that failed.
     force : (n, s) array
         Sum of the normal forces beyond the nuggets in each stage that resolves contact, N.
     work : (n, z) array
-        Of friction in each zone, in all stages, N mm.
+        Work of friction in each zone over all stages, N mm.
     """
 
     pairs: int
@@ -68,16 +68,15 @@ def outcome(scene: Scene, cache, samples: int, every_node: bool, alter=lambda mo
 
 
 def compared(name: str, own: Outcome, every: Outcome) -> dict:
-    """Errors of a scene's own pairs: of key characteristics over what can be borne, of forces and work as shares of the
-    largest."""
+    """Errors of a scene's own pairs: key characteristics over the allowed error, forces and work over the largest."""
     kept = np.isfinite(own.measurements).all(axis=1) & np.isfinite(every.measurements).all(axis=1)
     mine, truth = own.measurements[kept], every.measurements[kept]
     six = 6 * truth.std(axis=0, ddof=1)
-    borne = np.maximum(LEAST, SHARE * six)
+    allowed = np.maximum(LEAST, SHARE * six)
     means = abs(mine.mean(axis=0) - truth.mean(axis=0))
     changes = [six_sigma_change(x, y) for x, y in zip(truth.T, mine.T)]
     spreads = np.array([abs(change.value) for change in changes])
-    worst = int(np.argmax(means / borne))
+    worst = int(np.argmax(means / allowed))
     return {
         "scene": name,
         "pairs": own.pairs,
@@ -86,9 +85,9 @@ def compared(name: str, own: Outcome, every: Outcome) -> dict:
         "samples": int(kept.sum()),
         "mean, µm": 1e3 * means[worst],
         "of 6σ, µm": 1e3 * six[worst],
-        "mean": (means / borne).max(),
-        "6σ": (spreads / borne).max(),
-        "6σ, ±": max((change.high - change.value) / one for change, one in zip(changes, borne)),
+        "mean": (means / allowed).max(),
+        "6σ": (spreads / allowed).max(),
+        "6σ, ±": max((change.high - change.value) / one for change, one in zip(changes, allowed)),
         "force": _largest(own.force[kept], every.force[kept]),
         "work": _largest(own.work[kept], every.work[kept]),
     }
@@ -100,7 +99,7 @@ def _largest(mine, truth) -> float:
 
 
 def scene_of(name: str, size: str | None = None, watched: bool = False) -> Scene:
-    """A shipped scene as it is, or meshed at another size, or with candidates in place of the pairs that it states."""
+    """A shipped scene, optionally with another mesh size or with candidates instead of its stated pairs."""
     scene = load_scene(folder(name))
     report = scene.report.model_copy(update={"laws": ["coulomb"], "fields": False})
     change = {"report": report}
@@ -111,7 +110,7 @@ def scene_of(name: str, size: str | None = None, watched: bool = False) -> Scene
     return scene.model_copy(update=change)
 
 
-#: Name in the table, the folder, its size, whether candidates replace stated pairs, samples; the last is not judged.
+#: Name in the table, the folder, its size, whether candidates replace stated pairs, samples; the last has no limit.
 SCENES = (
     ("lap joint", "lap_joint", None, False, 40),
     ("bracket", "bracket", None, False, 40),
@@ -122,7 +121,7 @@ SCENES = (
 QUICK = (("lap joint", "lap_joint", None, False, 20),)
 
 
-def judge(context, task) -> dict:
+def case_row(context, task) -> dict:
     """The row of one scene."""
     name, where, size, watched, samples = task
     scene = scene_of(where, size, watched)
@@ -131,8 +130,8 @@ def judge(context, task) -> dict:
 
 def run(context):
     tasks = QUICK if context.quick else SCENES
-    table = pd.DataFrame(context.team.map(lambda task: judge(context, task), tasks))
-    judged = table if context.quick else table.iloc[:-1]
+    table = pd.DataFrame(context.team.map(lambda task: case_row(context, task), tasks))
+    limited = table if context.quick else table.iloc[:-1]
     figure, (axis,) = panels(1, width=7.0, height=0.5 * len(table) + 1.0)
     for shift, (column, limit) in zip((-0.3, -0.1, 0.1, 0.3), LIMITS.items()):
         axis.barh(np.arange(len(table)) + shift, table[column] / limit, height=0.18, label=column)
@@ -150,9 +149,9 @@ def run(context):
         )
     )
     return [
-        Finding("mean", float(judged["mean"].max()), "Over the larger of 2 µm and 5 % of 6σ." + other, figure, table),
+        Finding("mean", float(limited["mean"].max()), "Over the larger of 2 µm and 5 % of 6σ." + other, figure, table),
         *(
-            Finding(name, float(judged[column].max()))
+            Finding(name, float(limited[column].max()))
             for name, column in (("spread", "6σ"), ("force", "force"), ("work", "work"))
         ),
     ]

@@ -18,13 +18,13 @@ from verification.plots import panels
 from verification.scenes import shipped, with_path
 from verification.study import Acceptance, Finding, Study
 
-PULL = 0.03  # weight of the pull towards the scene's own forces: twelve unknowns, six targets
+PULL = 0.03  # weight of the regularisation towards the forces of the scene: twelve unknowns, six targets
 LAWS = ("frictionless", "associated", "coulomb")
-CUTS = (1, 4, 16)  #: increments of every step, the first the programme as the paper has it
+CUTS = (1, 4, 16)  #: increments of every step; the first is programme (13) as in the paper
 
 
 def zone_slip(model, evaluation):
-    """(n, zones) RMS slip of each zone after clamping, mm, samples that failed left out."""
+    """(n, zones) RMS slip of each zone after clamping, mm, without failed samples."""
     square = (evaluation.resolutions["clamp"].displacement[~evaluation.failed][:, :, 1:] ** 2).sum(-1)
     return np.column_stack(
         [np.sqrt(square[:, model.contacts.zone == z].mean(1)) for z in range(len(model.scene.zones))]
@@ -39,7 +39,7 @@ def calibrate(model, targets, samples):
     targets : (2, zones) array
         Means and 6σ, mm.
     samples : int
-        Fixed standard normal draws serve all steps, so that the residual is a smooth function of the forces.
+        Fixed standard normal numbers for all iterations, so that the residual is a smooth function of the forces.
 
     Returns
     -------
@@ -65,23 +65,23 @@ def calibrate(model, targets, samples):
 
 
 def by_order(context, model, deviations, published):
-    """Friction's share of the zones' slip under Coulomb's law in each order of `verification/order/orders.toml`.
+    """Effect of friction on the slip under Coulomb's law in each order of `verification/order/orders.toml`.
 
-    The frictionless slips are the same in all of them: where nothing is held, the order leaves no trace.
+    The frictionless slips do not depend on the order.
 
     Parameters
     ----------
     deviations : (n, p) array
     published : (2, zones) array
-        The paper's ratios of mean and 6σ, the dotted lines of the picture.
+        Ratios of mean and 6σ in the paper, the dotted lines of the figure.
 
     Returns
     -------
     table : DataFrame
-        As that of the study of the order.
+        In the form of the study `order`.
     figure : Figure
     moved : (zones,) array
-        Range of the mean's ratio over the orders, over what friction takes of the mean in the paper.
+        Range of the ratio of means over the orders, over the reduction of the mean by friction in the paper.
     """
     orders = variants(model.scene, ORDERS)
     smooth = evaluate(model, orders[0], deviations, "frictionless")
@@ -97,16 +97,16 @@ def by_order(context, model, deviations, published):
 
 
 def laws_by_cut(context, model, deviations, followed):
-    """Mean slip of the zones under the programme and under Coulomb's law, every step cut alike.
+    """Mean slip of the zones under programme (13) and under Coulomb's law, with equal increments.
 
-    The programme opens a contact by ``μ`` times the slip of an increment, so that it tends to Coulomb's law as
-    increments get shorter: the two are one law on one path, and what sets them apart is how the step is cut.
+    The programme opens a contact by ``μ`` times the slip of an increment, so that it tends to Coulomb's law for shorter
+    increments: the two differ only through the number of increments.
 
     Parameters
     ----------
     deviations : (n, p) array
     followed : (zones,) array
-        Means under Coulomb's law, its path followed, mm.
+        Means under Coulomb's law with the followed path, mm.
 
     Returns
     -------
@@ -143,7 +143,7 @@ def slip_forces(evaluation):
 
 
 def _trend(evaluations, slip, published, names) -> pd.DataFrame:
-    """Mean and 6σ of each zone's slip under each law, with their intervals, beside the paper's."""
+    """Mean and 6σ of each zone's slip under each law, with intervals and the values of the paper."""
     rows = []
     for law in LAWS:
         reported = published["frictionless" if law == "frictionless" else "associated"]
@@ -185,7 +185,7 @@ def _trend_in_words(ratio, published_ratio, names) -> str:
 
 
 def _fitted(model, mean, sigma) -> pd.DataFrame:
-    """Calibrated corrective forces beside the scene's."""
+    """Calibrated corrective forces and those of the scene."""
     deviations = model.scene.deviations
     return pd.DataFrame(
         {
@@ -218,7 +218,7 @@ def _densities(slip, published, names):
 
 
 def _forces(forces, measured):
-    """Figure of the friction forces of the active contacts beside the published ranges."""
+    """Figure of the friction forces of the active contacts and the published ranges."""
     figure, (axis,) = panels(1, width=7)
     axis.bar(
         np.arange(len(forces)), np.sort(forces)[::-1], color="tab:red", label="active contacts, mean of the samples"
@@ -251,7 +251,7 @@ def run(context):
     model = context.model(scene)
     mean, sigma = calibrate(model, published["frictionless"], 150 if context.quick else 500)
 
-    # Fresh samples: those that calibrated the forces are not the judge of the calibration.
+    # fresh samples, not those of the calibration
     base_mean = np.array([deviation.mean for deviation in scene.deviations])
     base_sigma = np.array([deviation.sigma for deviation in scene.deviations])
     deviations = mean + sigma * (draw(scene, 202, 0, 500) - base_mean) / base_sigma
@@ -274,7 +274,7 @@ def run(context):
     worst = max(r.max() for r in ratio.values())
     few = deviations[: 40 if context.quick else 100]
     orders, order_figure, moved = by_order(context, model, few, published_ratio)
-    there = int((~evaluations["coulomb"].failed[: len(few)]).sum())  # of the slips, those of the few samples
+    there = int((~evaluations["coulomb"].failed[: len(few)]).sum())  # slips of the few samples
     laws = laws_by_cut(context, model, few, slip["coulomb"][:there].mean(0))
     uncut = laws.loc[laws["increments of a step"] == CUTS[0], "Coulomb's law / followed"]
 
@@ -284,7 +284,7 @@ def run(context):
         Finding(
             "order",
             float(moved.min()),
-            f"Coulomb's law, {len(few)} samples, the path followed; intervals are 95 % of the bootstrap. The paper "
+            f"Coulomb's law, {len(few)} samples, the path followed; intervals are 95 % bootstrap intervals. The paper "
             "does not say the order in which its locators and clamps close. Where further locators close before the "
             "sheets are pressed, friction has nothing left to hold; how much it holds elsewhere is a fact of the order "
             "more than of the law. Ratios such as the paper's (dotted) belong to orders that press first.",

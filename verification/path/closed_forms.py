@@ -1,7 +1,7 @@
-"""Paths of one or two contacts that are known in closed form; loads and positions in mm, compliance in mm/N.
+"""Closed-form paths of one or two contacts; loads and positions in mm, compliance in mm/N.
 
-Each contact has compliance 1 in all directions unless said otherwise, so that a normal displacement of -1 presses it
-with 1 N, and the spring that pulls it is as long as its force.
+Each contact has compliance 1 in all directions unless stated otherwise: a normal displacement of -1 presses it with
+1 N, and the length of the spring that pulls it equals its force.
 """
 
 from __future__ import annotations
@@ -28,13 +28,13 @@ class Case:
     compliance : (3m, 3m) array
     friction : (m,) array
     loads : (k + 1, m, 3) array
-        Displacements without contact forces, straight in between.
+        Displacements without contact forces, linear in between.
     force : (m, 3) array
-        At the first load.
+        Forces at the first load.
     anchor : (m, 2) array
-        Where the contacts stand there.
+        Positions of the contacts at the first load.
     end : (m, 2) array
-        Where they stand after the last.
+        Positions after the last load.
     linear : bool
         Whether the path is piecewise linear.
     """
@@ -50,7 +50,7 @@ class Case:
 
 
 def error(case: Case, path: Path) -> float:
-    """Distance of the contacts' end from the closed form's, over the way that the load makes tangentially."""
+    """Distance between final position and closed form, relative to the tangential path length of the load."""
     solver = ContactSolver(case.compliance, case.friction, tol=1e-12)
     b = case.loads.reshape(1, len(case.loads), -1)
     found = solver.follow(b, case.force.reshape(1, -1), case.anchor[None], path)
@@ -68,8 +68,10 @@ def _one(name, loads, force, anchor, end, linear):
 
 
 def _tractrix() -> Case:
-    """A slider dragged round a corner: pulled by a spring of length l whose end goes straight on at an angle φ to it,
-    it follows the tractrix, ``tan(φ/2) = tan(φ₀/2) exp(−v/l)`` after a way v."""
+    """A slider dragged around a corner by a spring of length l whose end moves straight at an angle φ to the spring.
+
+    It follows the tractrix: ``tan(φ/2) = tan(φ₀/2) exp(−v/l)`` after a path length v.
+    """
     l, start, v = MU, 1.2, 1.0
     angle = 2 * np.arctan(np.tan(start / 2) * np.exp(-v / l))
     spring = l * np.array([np.cos(start), np.sin(start)])
@@ -91,17 +93,17 @@ def _arc() -> Case:
 
 
 def _closing() -> Case:
-    """A contact that closes after 0.37 of the way, while it moves along, and sticks there."""
+    """A contact that closes after 0.37 of the path while it moves tangentially, and sticks."""
     return _one("closing while it moves", [[0.37, 0, 0], [-0.63, 0.4, 0]], [0, 0, 0], [0, 0], [0.37 * 0.4, 0], True)
 
 
 def _turning_round() -> Case:
-    """A load that goes out and comes back beyond its start: the block is left at l before its end each time."""
+    """A load that reverses and returns beyond its start: the slider stops at a distance l from each end."""
     return _one("turning round", [[-1, 0, 0], [-1, 1, 0], [-1, -0.7, 0]], [1, 0, 0], [0, 0], [-0.7 + MU, 0], True)
 
 
 def _in_series() -> Case:
-    """Two blocks on one string, the one slipping before the other; the load comes back a little, and both stick."""
+    """Two coupled sliders, of which one slips first; the load then reverses a little, and both stick."""
     along = np.array([[1, 0.5], [0.5, 1]])
     compliance = np.eye(6)
     for axis in (1, 2):
@@ -110,7 +112,7 @@ def _in_series() -> Case:
     shares = np.array([0.0, 2.0, 1.9])
     loads = np.zeros((3, 2, 3))
     loads[:, :, 0], loads[:, :, 1] = -1, shares[:, None] * pull
-    end = along @ -friction + shares[1] * pull  # at the peak both slide against their full friction
+    end = along @ -friction + shares[1] * pull  # at the peak both slide with full friction
     rest = np.zeros((2, 2))
     force = np.array([[1.0, 0, 0], [1.0, 0, 0]])
     return Case("two in series", compliance, friction, loads, force, rest, np.column_stack([end, [0, 0]]), True)

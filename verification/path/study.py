@@ -21,24 +21,24 @@ from verification.plots import panels
 from verification.scenes import shipped, with_path
 from verification.study import Acceptance, Finding, Study
 
-SCENES = {"lap_joint": 2, "hat_on_plate": 4, "wheelhouse": 10}  # and what a path may cost, in single increments
-SLIP, KEY, LENGTH = 0.01, 0.005, 0.002  # of a mean or 6σ, and mm: what a number of the report may be off by
-ROUNDING = 1e-6  # mm: errors below are neither estimated nor of use
+SCENES = {"lap_joint": 2, "hat_on_plate": 4, "wheelhouse": 10}  # and largest cost of a path, in single increments
+SLIP, KEY, LENGTH = 0.01, 0.005, 0.002  # allowed error of a mean or 6σ: relative, and mm
+ROUNDING = 1e-6  # mm: smaller errors are neither estimated nor relevant
 STEPS = (8, 16, 32, 64)
-#: A twenty-fifth of what production asks of a step, and less; and a tenth of that, which judges.
+#: Path tolerances: a twenty-fifth of the default, smaller, and a tenth of that as the reference.
 TIGHT, TIGHTER = Followed(tolerance=1e-5, least=0.01), Followed(tolerance=1e-6, least=0.01)
-#: How far a step may err, mm: of the full solve's path, and of the reduced model's, in ever finer ones. What is less
-#: than the rounding of a place, 1e-16 of some 100 mm, a hundred times over, would cut steps until they are rounding.
+#: Path tolerances of the full solve and of the reduced model, mm, ever finer. The limit is a hundred times the rounding
+#: error of a position, 1e-16 of some 100 mm; below it, steps would shrink without end.
 FULL, REDUCED = (1e-6, 1e-8, 1e-10), (1e-9, 1e-11, 1e-12)
 QUICK_FULL, QUICK_REDUCED = (1e-4, 1e-6), (1e-8, 1e-10)
-STATED = (("increments", 3), ("one-step", None))  # paths that both routes go alike
+STATED = (("increments", 3), ("one-step", None))  # paths with the same increments in both methods
 SEED = 303
-FEW = 8  # samples that many increments are taken of
+FEW = 8  # samples solved with many increments
 
 
 @dataclass(frozen=True)
 class Ended:
-    """How a stage ended: of an evaluation, what goes from one process to another."""
+    """End of a stage: the part of an evaluation that is sent between processes."""
 
     displacement: np.ndarray
     trace: Trace
@@ -46,7 +46,7 @@ class Ended:
 
 @dataclass(frozen=True)
 class Gone:
-    """A process gone through by n samples: of an evaluation, what is compared."""
+    """Evaluation of n samples: the part that is compared."""
 
     failed: np.ndarray
     measurements: np.ndarray
@@ -54,7 +54,7 @@ class Gone:
 
     @classmethod
     def of(cls, found) -> Gone:
-        """What is kept of an evaluation."""
+        """The compared part of an evaluation."""
         ends = {stage: Ended(one.displacement, one.trace) for stage, one in found.resolutions.items()}
         return cls(found.failed, found.measurements, ends)
 
@@ -68,7 +68,7 @@ def evaluate(model, deviations, path=None):
 
 
 def slips(model, evaluation):
-    """By stage, zone and kind, RMS over a zone's contacts of each sample, mm."""
+    """RMS over the contacts of a zone for each sample, mm, by stage, zone and kind."""
     found = {}
     for stage, resolution in evaluation.resolutions.items():
         for kind, values in (("slip", resolution.trace.slip), ("displacement", resolution.displacement[:, :, 1:])):
@@ -85,7 +85,7 @@ def quantities_of(model, evaluation):
 
 
 def extrapolated(coarser, finer, ratio):
-    """The limit of increments, from so many and `ratio` times as many: what they leave falls with their number."""
+    """Limit for many increments, extrapolated at first order from two numbers of increments with this ratio."""
     return {name: y + (y - coarser[name]) / (ratio - 1) for name, y in finer.items()}
 
 
@@ -136,9 +136,10 @@ def paths_of(counts):
 
 
 def on_scene(name, model, evaluations, counts):
-    """One scene: followed, by so many increments a step and by the limit of the last two numbers of them, each against
-    the tightest path on the samples that it was given; its table, errors and estimates of the followed samples, and how
-    all near the tightest."""
+    """Compare the followed path, increments and their extrapolated limit with the tightest path of one scene.
+
+    Returns the table, errors and error estimates of the followed samples, and the distances from the tightest path.
+    """
     for label, evaluation in evaluations.items():
         if evaluation.failed.any():
             raise ArithmeticError(f"{name}, {label}: {evaluation.failed.sum()} samples failed")
@@ -182,9 +183,11 @@ def on_scene(name, model, evaluations, counts):
 
 
 def fall(nearing, counts):
-    """By what factor the increments' median distance from the judge falls for each doubling of their number, the least
-    over the scenes: 2 of a method of first order, and 1 once they near another end.  Within :data:`ROUNDING` they are
-    there."""
+    """Factor by which the median distance from the reference falls for each doubling of the increments.
+
+    The smallest over the scenes: 2 for a method of first order, 1 without convergence to the reference. Distances below
+    :data:`ROUNDING` count as converged.
+    """
     left = nearing.set_index(["path", "scene"])["off the judge, median, mm"]
     coarsest, finest = (left[f"{count} increments"] for count in (counts[0], counts[-1]))
     factors = (coarsest / finest) ** (1 / np.log2(counts[-1] / counts[0]))
@@ -192,7 +195,7 @@ def fall(nearing, counts):
 
 
 def closed_forms(context):
-    """Every case by default, and by equal steps."""
+    """All closed forms with default settings and with equal steps."""
     return pd.DataFrame(
         [
             {"case": case.name, "piecewise linear": case.linear, "followed": error(case, Followed())}
@@ -204,7 +207,7 @@ def closed_forms(context):
 
 
 def reversal(context):
-    """The layered cantilever loaded to twice its slip load and unloaded, followed, or straight to the end."""
+    """The layered cantilever, loaded to twice its slip load and unloaded: followed path, or directly to the end."""
     leaves = Leaves(size=5.0, columns=20)
     loads = np.array([2.0, 0.0]) * leaves.slip_load
     skipped = deflections(leaves, context, loads[1:] + 1e-9 * leaves.slip_load)
@@ -214,7 +217,7 @@ def reversal(context):
 
 @dataclass(frozen=True)
 class Route:
-    """One sample of the lap joint by one route: what both tell of it, by quantity and stage."""
+    """One sample of the lap joint by one method: results by quantity and stage."""
 
     measurements: np.ndarray
     arrays: dict[str, np.ndarray]
@@ -237,13 +240,13 @@ class Route:
 
 
 def one_lap_joint(scene=None):
-    """The lap joint that both routes solve, and its sample."""
+    """The lap joint for both methods, and its sample."""
     scene = shipped("lap_joint", "coarse") if scene is None else scene
     return scene, draw(scene, 5, 0, 1)
 
 
 def in_full(context, tolerance=None, scene=None) -> Route:
-    """By full finite elements, its path extrapolated to a tolerance."""
+    """Solve by full finite elements with an extrapolated path of a given tolerance."""
     scene, deviations = one_lap_joint(scene)
     options = {} if tolerance is None else {"path_tolerance": tolerance}
     found = FullModel(assemble(scene, context.cache), comm=MPI.COMM_SELF, **options).evaluate(deviations[0])
@@ -251,14 +254,14 @@ def in_full(context, tolerance=None, scene=None) -> Route:
 
 
 def reduced(context, path=None, scene=None) -> Route:
-    """By the reduced model."""
+    """Solve by the reduced model."""
     scene, deviations = one_lap_joint(scene)
     found = evaluate(context.model(scene), deviations, path)
     return Route.of(found.measurements[0], found.resolutions)
 
 
 def full_tasks(context, tolerances, floors):
-    """What :func:`against_full` puts together, the dearest first, by route and path."""
+    """Solves for :func:`against_full` by method and path, the longest first."""
     tasks = {
         ("full finite elements", f"extrapolated to {mm:.0e} mm"): partial(in_full, context, mm)
         for mm in reversed(tolerances)
@@ -276,8 +279,7 @@ def full_tasks(context, tolerances, floors):
 
 
 def against_full(routes):
-    """The lap joint by both routes, each with an ever finer path of its own method, against the finest full solve; and
-    one against the other with the same increments."""
+    """Compare both methods on the lap joint: ever finer paths against the finest full solve, and equal increments."""
     truth = routes[next(iter(routes))]
     rows = [
         {"route": route, "path": path} | routes[route, path].off(truth)
@@ -321,7 +323,7 @@ def _on_scenes(table, nearing, counts, samples) -> list[Finding]:
 
 
 def _coverage(true, estimate) -> Finding:
-    """How often a sample's own estimate covers its error."""
+    """Finding on the share of samples whose estimate covers their error."""
     seen = true > ROUNDING
     over = estimate[seen] / true[seen]
     return Finding(
@@ -380,12 +382,12 @@ def run(context):
     paths = paths_of(counts)
 
     def follow(name, label):
-        """Increments, which are many and only have to near the judge, are held against it on fewer samples."""
+        """Many increments are compared with the reference on fewer samples."""
         model = models[name]
         number = FEW if isinstance(paths[label], Increments) and label != "1 increments" else samples
         return Gone.of(evaluate(model, draw(model.scene, SEED, 0, number), paths[label]))
 
-    cells = [(name, label) for label in reversed(paths) for name in reversed(SCENES)]  # the dearest begin
+    cells = [(name, label) for label in reversed(paths) for name in reversed(SCENES)]  # the longest first
     routes = full_tasks(context, tolerances, floors)
     tasks = [
         *routes.values(),
@@ -411,7 +413,7 @@ def run(context):
 
 
 def picture(table):
-    """Increments close in on the judge; the followed path stands where it stands, at its cost."""
+    """Figure of error against cost of increments and of the followed path."""
     figure, axes = panels(2, width=4.6)
     for axis, quantity in zip(axes, ("slip / allowed", "key characteristic / allowed")):
         for name, own in table.groupby("scene", sort=False):

@@ -1,7 +1,7 @@
-"""Benchmarks of frictional contact that others published, each as a function of the mesh.
+"""Published benchmarks of frictional contact, each as a function of the mesh.
 
-Geometry, loads and published values are those of the command files and manuals of code_aster, which name their own
-sources; what each value is, and how far it can be trusted, stands in the study's page.
+Geometry, loads and published values come from the command files and manuals of code_aster, which name their sources.
+The page of the study explains each value and its accuracy.
 """
 
 from __future__ import annotations
@@ -26,9 +26,9 @@ def shoe(stiffer: float = 1.0, divisions: int = 4) -> np.ndarray:
     Parameters
     ----------
     stiffer : float
-        Times the modulus of steel: the published solution is that of a rigid shoe.
+        Factor on the modulus of steel; the published solution has a rigid shoe.
     divisions : int
-        Of the shoe's height.
+        Elements over the height of the shoe.
 
     Returns
     -------
@@ -64,7 +64,7 @@ def shoe(stiffer: float = 1.0, divisions: int = 4) -> np.ndarray:
 
 
 def rigid_shoe() -> np.ndarray:
-    """What a rigid shoe does, as :func:`shoe` has it: springs of 4 N/mm along the plane, 0.01 N/mm across."""
+    """Closed form for a rigid shoe, as :func:`shoe`: springs of 4 N/mm along the plane, 0.01 N/mm normal to it."""
     normal = 300.0 * 40 - 0.01 * 2
     push = np.array([0.0, *(178.2 * 20, 181.8 * 20)])
     slid = np.maximum(0.0, (push - 0.3 * normal) / 4)
@@ -74,24 +74,23 @@ def rigid_shoe() -> np.ndarray:
 # --- SSNV128: a plate on a rigid plane
 # ------------------------------------------------------------------------------------------------------
 
-#: Where the plate's motion along the plane is read, mm from its loaded face, and what was published, mm.
+#: Distance from the loaded face, mm, and published displacement along the plane there, mm.
 PLATE = {0.0: 28.6e-3, 1.25: 27.2e-3, 5.0: 22.8e-3, 7.5: 19.8e-3, 11.25: 15.0e-3}
 
 
 def plate(divisions: int, friction: float = 1.0) -> np.ndarray:
-    """A plate of 40 × 40 mm pressed onto a rigid plane by 50 MPa, and along it by 150 MPa; its far face does not move
-    along.
+    """A plate of 40 × 40 mm, pressed onto a rigid plane by 50 MPa and along it by 150 MPa; its far face is fixed.
 
     Parameters
     ----------
     divisions : int
-        Of its sides, a multiple of 16.
+        Elements along each side, a multiple of 16.
     friction : float
 
     Returns
     -------
     (5,) array
-        Motion along the plane at the places of :data:`PLATE`, mm.
+        Displacement along the plane at the points of :data:`PLATE`, mm.
     """
     side = np.linspace(0, 40.0, divisions + 1)
     body = Body(*rectangle(side, side), 130e3, 0.2)
@@ -112,17 +111,18 @@ def plate(divisions: int, friction: float = 1.0) -> np.ndarray:
 # ------------------------------------------------------------------------------------------------------
 
 
-#: Of the path where what friction changes counts, a sixtieth of what is read: ten times it leaves 1e-3 of that.
+#: Path tolerance for the effect of friction, a sixtieth of the result; with ten times this tolerance that effect has an
+#: error of 1e-3.
 FINE = 1e-4
-TURNS = 4  # of the faces' normals; more change what friction does by less than 1e-4 of it
+TURNS = 4  # iterations of the normals; more change the effect of friction by less than 1e-4
 
 
 def _squeezed(lower: Body, upper: Body, below, above, gap, held, top, friction, chord, tolerance=PATH):
-    """Two bodies that meet node by node, the second pressed onto the first along y.
+    """Two bodies with matching nodes, the second pressed onto the first along y.
 
-    Displacements are small, but pairs turn with the faces: what they move along a face that lies at an angle closes or
-    opens it, of a rounded edge by a hundredth of its gap. Normals are those of the first's face as it lies under load,
-    found by repetition; what is open has that of the last pair that is closed.
+    Displacements are small, but normals follow the deformed face of the first body. On an inclined face, tangential
+    motion changes the gap, for a rounded edge by a hundredth. Normals are found by iteration; open pairs have the
+    normal of the last closed pair.
 
     Parameters
     ----------
@@ -131,19 +131,19 @@ def _squeezed(lower: Body, upper: Body, below, above, gap, held, top, friction, 
     gap : (n,) array
         Along y, mm.
     held : two sequences of int
-        Freedoms that do not move.
+        Fixed freedoms.
     top : (freedoms,) array
-        The load on the second, N.
+        Load on the second body, N.
     friction : float
     chord : float
-        Length over which a face's slope is taken, mm: from node to node it would answer to itself.
+        Length over which the slope of a face is computed, mm; node by node the iteration would not converge.
     tolerance : float
-        As :func:`verification.plane.followed` has it.
+        As in :func:`verification.plane.followed`.
 
     Returns
     -------
     force, motion : (n,) arrays
-        Normal forces, N, and what the first's nodes move along y, mm.
+        Normal forces, N, and displacements of the first body along y, mm.
     """
     a = lower.reduced(lower.rows(below), held[0])
     b = upper.reduced(upper.rows(above), held[1], steered=[top / top.sum()])
@@ -153,7 +153,7 @@ def _squeezed(lower: Body, upper: Body, below, above, gap, held, top, friction, 
         turn = sp.block_diag([[[-s, c], [c, s]] for s, c in zip(across, along)]).tocsr()  # normal, then tangent
         pairs = Pairs(turn @ (turn @ (a.H + b.H)).T, turn @ apart, turn @ b.G)
         force, _ = followed(pairs, friction, [np.zeros(len(pairs.b))], [[top.sum()]], tolerance)
-        motion = -(a.H @ (turn.T @ force))[1::2]  # the forces act on the first the other way
+        motion = -(a.H @ (turn.T @ force))[1::2]  # opposite forces act on the first body
         last = np.flatnonzero(force[::2] > 0)[-1]
         left, right = np.maximum(x - chord / 2, x[0]), np.minimum(x + chord / 2, x[-1])
         slope = (np.interp(right, x, motion) - np.interp(left, x, motion)) / (right - left)
@@ -172,7 +172,7 @@ class Roller:
     Attributes
     ----------
     size : float
-        Distance of the contacts' nodes, twice, mm.
+        Twice the distance of the contact nodes, mm.
     """
 
     size: float
@@ -192,7 +192,7 @@ class Roller:
 
     def solve(self, friction: float) -> tuple[float, float, float]:
         """Displacement of the block's top under the axis (mm, down negative), half width and largest pressure, the last
-        two as an ellipse has them that is as wide."""
+        two as for an elliptic pressure of the same width."""
         R, h = self.radius, self.size
         reach = np.arange(0, 9.0 + h / 2, h)
         angle = np.linspace(np.arcsin(reach[-1] / R), np.pi, 24)[1:]
@@ -221,14 +221,14 @@ def _round(x, R):
 
 
 def _spaced(first: float, last: float, spacing) -> np.ndarray:
-    """Points from the first to the last, as far apart as ``spacing(x)`` asks, nearly."""
+    """Points from the first to the last, at distances of about ``spacing(x)``."""
     x = np.linspace(first, last, 100_001)
     count = np.append(0.0, np.cumsum(0.5 * np.diff(x) * (1 / spacing(x)[1:] + 1 / spacing(x)[:-1])))
     return np.interp(np.linspace(0.0, count[-1], max(1, round(count[-1])) + 1), count, x)
 
 
 def _meshed(outline, largest: float, reach):
-    """A mesh as fine as the contact there, whose sides are the outline's first, growing with the distance from it."""
+    """A mesh with the spacing of the contact nodes there, coarser with the distance from the contact."""
     kept = len(reach) - 1
     middle = 0.5 * (outline[:kept] + outline[1 : kept + 1])
     near = np.diff(reach) + 0.25 * np.linalg.norm(outline[:, None] - middle, axis=2)
@@ -243,15 +243,15 @@ class Punch:
     Attributes
     ----------
     size : float
-        Element size in the contact, mm; nearer to its end than `width` in proportion to the distance, down to `least`.
+        Element size in the contact, mm; within `width` of its end proportional to the distance, down to `least`.
     end : float
-        Where the contact ends, mm from the axis: 40.40 on the finest mesh, where the edge has been round for 0.4 mm.
+        Distance of the contact's end from the axis, mm: 40.40 on the finest mesh, where the edge is round from 40.
     width : float
         mm.
     least : float
-        Share of the size at the contact's end.
+        Relative size at the end of the contact.
     chord : float
-        Length over which a face's slope is taken, mm: a seventh of what touches of the rounded edge.
+        Length over which the slope of a face is computed, mm: a seventh of the contact on the rounded edge.
     """
 
     size: float
@@ -297,7 +297,7 @@ class Punch:
 
 @dataclass(frozen=True)
 class Sheared:
-    """Tractions between two cylinders as forces of nodes, and where they act."""
+    """Tractions between two cylinders as nodal forces, with their positions."""
 
     x: np.ndarray
     normal: np.ndarray
@@ -317,9 +317,9 @@ def cattaneo(
     Parameters
     ----------
     divisions : int
-        Of the half width.
+        Elements over the half width.
     share : float
-        Of the load.
+        Share of the load.
 
     Returns
     -------

@@ -1,4 +1,4 @@
-"""Benchmarks of contact with friction that others published, solved by the program's own contact solver."""
+"""Published benchmarks of contact with friction, solved by the contact solver of the program."""
 
 from __future__ import annotations
 
@@ -19,17 +19,17 @@ PUNCH = {(1, 0.0): -0.1307341, (1, 0.1): -0.1285802, (2, 0.0): -0.1329412, (2, 0
 
 @dataclass(frozen=True)
 class Measured:
-    """A quantity on three meshes, beside what was published.
+    """A quantity on three meshes, and its published value.
 
     Attributes
     ----------
     name, quantity : str
-        Of the acceptance number, and what it is.
+        Name of the acceptance limit, and description.
     published : float
     values : tuple of three float
         From coarse to fine.
     scale : float or None
-        What errors are shares of; the published value where none is given.
+        Reference of relative errors; default: the published value.
     """
 
     name: str
@@ -40,17 +40,17 @@ class Measured:
 
     @property
     def size(self) -> float:
-        """What errors are shares of."""
+        """Reference of relative errors."""
         return abs(self.published if self.scale is None else self.scale)
 
     @property
     def error(self) -> float:
-        """Of the finest mesh."""
+        """Relative error on the finest mesh."""
         return abs(self.values[2] - self.published) / self.size
 
     @property
     def own(self) -> float:
-        """What the finest mesh leaves, by three meshes."""
+        """Mesh error of the finest mesh, estimated from three meshes."""
         return converge((4.0, 2.0, 1.0), self.values).index / self.size
 
 
@@ -126,10 +126,10 @@ CASES = {"SSNV503": shoe, "SSNV128": plate, "SSNP154": roller, "SSNA122": punch,
 
 
 def traction_figure():
-    """Tractions of the sheared cylinders beside those of Cattaneo and Mindlin."""
+    """Figure of the tractions of the sheared cylinders and of those by Cattaneo and Mindlin."""
     sheared, a, c = cases.cattaneo(16)
     cell = np.gradient(sheared.x)
-    weight = np.where(np.arange(len(cell)) % 2, 4, 2) / 3 * cell  # middles of edges carry twice what corners do
+    weight = np.where(np.arange(len(cell)) % 2, 4, 2) / 3 * cell  # midpoints of edges carry twice the force of corners
     figure, (axis,) = panels(1)
     fine = np.linspace(-1.2 * a, 1.2 * a, 400)
 
@@ -174,9 +174,9 @@ def run(context):
 
 NOTES = {
     "roller": f"Published with linear elements {ROLLER[1, 0.0]:g} and {ROLLER[1, 0.1]:g} mm, with quadratic ones, "
-    f"judged here, {ROLLER[2, 0.0]:g} and {ROLLER[2, 0.1]:g} mm, all with large displacements.",
+    f"used here, {ROLLER[2, 0.0]:g} and {ROLLER[2, 0.1]:g} mm, all with large displacements.",
     "punch": f"Published with linear elements {PUNCH[1, 0.0]:g} and {PUNCH[1, 0.1]:g} mm, with quadratic ones, "
-    f"judged here, {PUNCH[2, 0.0]:g} and {PUNCH[2, 0.1]:g} mm: the finer, the softer.",
+    f"used here, {PUNCH[2, 0.0]:g} and {PUNCH[2, 0.1]:g} mm: the finer, the softer.",
 }
 
 STUDY = Study(

@@ -1,4 +1,4 @@
-"""Error of 102 pairs, their patches and the surfaces that they read against a continuous interface."""
+"""Error of 102 pairs, of their patches and of reading the mid-surfaces, against a continuous interface."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def summary(context, scene, samples):
     resolution = evaluation.resolutions["clamp"]
     square = (resolution.displacement[ok][:, :, 1:] ** 2).sum(-1)
     zone = model.contacts.zone
-    # RMS over the zone's area, so that unequal cells do not count alike
+    # RMS over the area of the zone: cells have unequal areas
     slip = [
         np.sqrt(np.average(square[:, zone == z], axis=1, weights=model.contacts.area[zone == z]))
         for z in range(len(scene.zones))

@@ -1,7 +1,7 @@
-"""One of the twelve cases: its scene on meshes of three sizes, and the numbers that are read of it.
+"""One of the twelve cases: its scene on meshes of three sizes, and its results.
 
-Candidates for contact stand as near to each other as nodes do, so that elements and contact are refined together, and
-the path of friction is followed 250 times more closely than scenes ask by default.
+The spacing of contact candidates equals the element size, so that elements and contact are refined together. The load
+path has a tolerance 250 times smaller than the default of scenes.
 """
 
 from __future__ import annotations
@@ -25,16 +25,16 @@ from verification.pairs.study import BEYOND
 __all__ = ["FINEST", "FOLDER", "LEVELS", "TOLERANCES", "Case", "Quantity", "cases"]
 
 FOLDER = Path(__file__).parent / "cases"
-LEVELS = ("coarse", "medium", "fine")  # each 1.5 times finer than the one before
-FINEST = "finest"  # and once more: a judge of the three
-#: Of the path: what tells its error, and what the values are computed with. Scenes ask for 2.5e-4 by default: with that
-#: single works are off by a few thousandths, and come out otherwise as soon as the last digit of anything differs.
+LEVELS = ("coarse", "medium", "fine")  # each 1.5 times finer than the previous one
+FINEST = "finest"  # once more finer, to check the three
+#: Path tolerances: one that shows the path error, and that of the values. With the default of scenes, 2.5e-4, single
+#: works have errors of a few thousandths, which change with the last digit of any input.
 TOLERANCES = (1e-5, 1e-6)
 
 
 @dataclass(frozen=True)
 class Quantity:
-    """A number that is read of a case.
+    """A result of a case.
 
     Attributes
     ----------
@@ -50,7 +50,7 @@ class Quantity:
 
 @dataclass(frozen=True)
 class Case:
-    """A case by its folder, which holds ``scene.toml``, ``geometry.py`` and what is told of it in ``about.md``."""
+    """A case by its folder with ``scene.toml``, ``geometry.py`` and the description ``about.md``."""
 
     folder: Path
 
@@ -67,11 +67,11 @@ class Case:
 
     @property
     def text(self) -> str:
-        """What is told of it."""
+        """Description of the case."""
         return (self.folder / "about.md").read_text(encoding="utf-8").strip()
 
     def scene(self, level: str, tolerance: float = TOLERANCES[1]) -> Scene:
-        """On meshes of a level, its paths followed to a tolerance."""
+        """The scene on the meshes of a level, with a path tolerance."""
         scene = load_scene(self.folder)
         parts = [part.model_copy(update={"size": self.sizes[level]}) for part in scene.parts]
         zones = [zone.model_copy(update={"spacing": self.sizes[level]}) for zone in scene.zones]
@@ -83,7 +83,7 @@ class Case:
         return reduced_and_assembly(scene, cache)[0]
 
     def plans(self, cache: Path) -> list[StagePlan]:
-        """What each stage does, step by step."""
+        """The actions of each stage, step by step."""
         return plan_assembly(assemble(self.scene("coarse"), cache))
 
     def quantities(
@@ -93,7 +93,7 @@ class Case:
         tolerance: float = TOLERANCES[1],
         alter: Callable[[ReducedModel], ReducedModel] = lambda model: model,
     ) -> list[Quantity]:
-        """All that is read: displacements at the end; by stage and zone the sum of normal forces, the resultant of
+        """All results: displacements at the end; by stage and zone the sum of normal forces, the resultant of
         friction, and its work. `alter` may change the model first.
 
         Raises
@@ -123,5 +123,5 @@ class Case:
 
 
 def cases() -> dict[str, Case]:
-    """All twelve by name."""
+    """All twelve cases by name."""
     return {path.parent.name: Case(path.parent) for path in sorted(FOLDER.glob("*/scene.toml"))}

@@ -2,11 +2,11 @@
 
     U = max(index, half the range of the three values, least) + |v(1e-5) − v(1e-6)|
 
-The index is that of :func:`verification.mesh.study.converge`: Celik's procedure, with the observed order where values
-are monotone and three times the last difference where they are not. Half the range holds where two meshes agree by
-chance, and the least, a hundredth of what gauges and load cells tell, where all three do, as sums of forces that
-equilibrium prescribes. The last term is the path's, on the medium mesh: the values are those of the second tolerance,
-so that it says more than what is left. The value is that of the finest mesh; nothing is extrapolated.
+The index is that of :func:`verification.mesh.study.converge`: Celik's procedure, with the observed order for monotone
+values and three times the last difference otherwise. Half the range covers two meshes that agree by chance. The least,
+a hundredth of the resolution of gauges and load cells, covers values on which all three agree, such as sums of forces
+given by equilibrium. The last term is the path error on the medium mesh; it is an upper bound, because the values have
+the second tolerance. The value is that of the finest mesh; nothing is extrapolated.
 """
 
 from __future__ import annotations
@@ -22,12 +22,12 @@ from verification.shell_contact.case import LEVELS, TOLERANCES, Case, Quantity
 
 __all__ = ["FINEST_TOLD", "KNOWN", "LEAST", "Converged", "converged", "read", "write"]
 
-#: What a quantity must reach on some mesh to be told of.
+#: Quantities that are smaller on all meshes are not published.
 LEAST = {"µm": 0.0, "N": 0.5, "N mm": 2e-3}
-#: What no value is told more closely than: a hundredth of what gauges and load cells tell.
+#: Smallest uncertainty of a value: a hundredth of the resolution of gauges and load cells.
 FINEST_TOLD = {"µm": 0.01, "N": 0.01, "N mm": 1e-4}
-KNOWN = 0.25  # of a value: the uncertainty beyond which it is told, but not to be compared with
-DIGITS = 8  # with which values are written
+KNOWN = 0.25  # relative uncertainty above which a value is published, but not for comparison
+DIGITS = 8  # of the published values
 COLUMNS = ("quantity", "unit", "value", "uncertainty", "order", *LEVELS, "path")
 
 
@@ -39,11 +39,11 @@ class Converged:
     ----------
     name, unit : str
     sizes : tuple of three float
-        Of the elements, coarse to fine, mm.
+        Element sizes, coarse to fine, mm.
     levels : tuple of three float
-        Its values, in its unit.
+        Values on the three meshes.
     path : float
-        By how much a path of the looser tolerance moves it on the medium mesh.
+        Change by a path with the larger tolerance, on the medium mesh.
     """
 
     name: str
@@ -54,38 +54,38 @@ class Converged:
 
     @property
     def value(self) -> float:
-        """Of the finest mesh."""
+        """Value on the finest mesh."""
         return self.levels[-1]
 
     @property
     def order(self) -> float:
-        """Observed over the three meshes; NaN where the values are not monotone."""
+        """Observed order over the three meshes; NaN if the values are not monotone."""
         return converge(self.sizes, self.levels).order
 
     @property
     def uncertainty(self) -> float:
-        """Half-width of the interval about the value."""
+        """Half width of the 95 % interval around the value."""
         found = converge(self.sizes, self.levels).index, float(np.ptp(self.levels)) / 2, FINEST_TOLD[self.unit]
         return max(found) + self.path
 
     @property
     def known(self) -> bool:
-        """Whether its uncertainty lets it be compared with."""
+        """Whether the value is certain enough for a comparison."""
         return self.uncertainty <= KNOWN * abs(self.value)
 
     @property
-    def told(self) -> bool:
-        """Whether it is large enough to be compared."""
+    def published(self) -> bool:
+        """Whether the value is large enough to be published."""
         return max(abs(value) for value in self.levels) >= LEAST[self.unit]
 
 
 def converged(case: Case, cache: Path) -> list[Converged]:
-    """A case's values, computed anew."""
+    """Compute the values of a case."""
     levels = [case.quantities(level, cache) for level in LEVELS]
     loose = case.quantities("medium", cache, TOLERANCES[0])
     sizes = tuple(case.sizes[level] for level in LEVELS)
     found = [_one(sizes, *each) for each in zip(*levels, loose)]
-    return [one for one in found if one.told]
+    return [one for one in found if one.published]
 
 
 def _one(sizes, *four: Quantity) -> Converged:
@@ -95,18 +95,18 @@ def _one(sizes, *four: Quantity) -> Converged:
 
 
 def _written(value: float) -> float:
-    """As a file holds it, so that what is made of it is the same before and after."""
+    """The number as written to a file, so that results are the same before and after reading."""
     return float(f"{value:.{DIGITS}g}")
 
 
 def write(path: Path, values: list[Converged]) -> None:
-    """Values as CSV: quantity, unit, value, uncertainty, observed order, the three meshes, and what the path leaves."""
+    """Values as CSV: quantity, unit, value, uncertainty, observed order, the three meshes, and the path error."""
     rows = [(one.name, one.unit, one.value, one.uncertainty, one.order, *one.levels, one.path) for one in values]
     pd.DataFrame(rows, columns=list(COLUMNS)).to_csv(path, index=False, float_format=f"%.{DIGITS}g")
 
 
 def read(case: Case) -> list[Converged]:
-    """The values that the case's folder holds."""
+    """The published values in the folder of a case."""
     table = pd.read_csv(case.folder / "values.csv")
     sizes = tuple(case.sizes[level] for level in LEVELS)
     return [

@@ -1,11 +1,11 @@
-"""Contact problems in FCLIB's format, HDF5: written and read by a process of its own, for h5py brings an HDF5 that
-fails beside the one of dolfinx.
+"""Contact problems in FCLIB's HDF5 format, written and read in a separate process because the HDF5 libraries of h5py
+and dolfinx conflict.
 
     find u, r:   u = W r + q,      K_μ ∋ r ⊥ u + μ ‖u_t‖ n ∈ K_μ*
 
-by contacts in the order n, t1, t2; mm and N. A file holds the groups ``fclib_local`` (``spacedim``, ``W`` in compressed
-rows, ``vectors/q``, ``vectors/mu``, ``info``) and ``solution`` (``u``, ``r``), as the library's ``fclib_write_local``
-and ``fclib_write_solution`` leave them.
+with components in the order n, t1, t2; mm and N. A file contains the groups ``fclib_local`` (``spacedim``, ``W`` in
+compressed rows, ``vectors/q``, ``vectors/mu``, ``info``) and ``solution`` (``u``, ``r``), as written by
+``fclib_write_local`` and ``fclib_write_solution`` of the library.
 
     python fclib.py write PROBLEM.npz PROBLEM.hdf5
     python fclib.py read PROBLEM.hdf5 PROBLEM.npz
@@ -25,18 +25,18 @@ import numpy as np
 
 __all__ = ["available", "interpreter", "read", "write"]
 
-CSR = -2  # FCLIB's word for compressed rows
+CSR = -2  # FCLIB's name of compressed rows
 KEYS = ("W", "q", "mu", "u", "r", "title", "description", "math_info")
 
 
 def interpreter() -> str:
-    """The Python that ``script/bootstrap test`` gives h5py, if it is there, else this one."""
-    beside = Path(sys.prefix) / "h5py" / "bin" / "python"
-    return str(beside) if beside.is_file() else sys.executable
+    """The Python with h5py that ``script/bootstrap test`` installs, or this one if it is missing."""
+    installed = Path(sys.prefix) / "h5py" / "bin" / "python"
+    return str(installed) if installed.is_file() else sys.executable
 
 
 def available(python: str) -> bool:
-    """Whether a Python has h5py, asked in a process of its own."""
+    """Whether a Python interpreter has h5py."""
     return subprocess.run([python, "-P", "-c", "import h5py"], capture_output=True).returncode == 0
 
 
@@ -49,12 +49,12 @@ def write(path: Path, problem: dict, python: str) -> None:
     problem : dict
         ``W`` (3m, 3m), ``q`` (3m,), ``mu`` (m,), ``u`` and ``r`` (3m,); ``title``, ``description`` and ``math_info``.
     python : str
-        That has numpy and h5py.
+        Interpreter with numpy and h5py.
 
     Raises
     ------
     RuntimeError
-        If the process fails; the text holds its last line.
+        If the process fails; the message holds its last line.
     """
     with tempfile.TemporaryDirectory() as folder:
         between = Path(folder) / "problem.npz"
@@ -63,12 +63,12 @@ def write(path: Path, problem: dict, python: str) -> None:
 
 
 def read(path: Path, python: str) -> dict:
-    """A problem as :func:`write` takes it; W is dense.
+    """Read a problem in the form of :func:`write`; W is dense.
 
     Raises
     ------
     RuntimeError
-        If the process fails; the text holds its last line.
+        If the process fails; the message holds its last line.
     """
     with tempfile.TemporaryDirectory() as folder:
         between = Path(folder) / "problem.npz"
@@ -80,11 +80,11 @@ def read(path: Path, python: str) -> dict:
 def _call(python: str, verb: str, source: Path, target: Path) -> None:
     outcome = subprocess.run([python, "-P", __file__, verb, str(source), str(target)], capture_output=True, text=True)
     if outcome.returncode:
-        raise RuntimeError(f"{target.name}: {(outcome.stderr.strip().splitlines() or ['no word'])[-1]}")
+        raise RuntimeError(f"{target.name}: {(outcome.stderr.strip().splitlines() or ['no message'])[-1]}")
 
 
 def _write(source: str, target: str) -> None:
-    import h5py  # in the process of its own alone
+    import h5py  # only in the separate process
 
     given = np.load(source)
     W = given["W"]
@@ -107,7 +107,7 @@ def _write(source: str, target: str) -> None:
 
 
 def _read(source: str, target: str) -> None:
-    import h5py  # in the process of its own alone
+    import h5py  # only in the separate process
 
     with h5py.File(source) as file:
         local = file["fclib_local"]

@@ -1,4 +1,4 @@
-"""The page of a case: geometry, contact, process and values; `case.json` beside it holds every position and load."""
+"""The page of a case: geometry, contact, process and values. `case.json` has all positions and loads."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ def _values(case: Case, values: Sequence[Converged]) -> list[str]:
 
 
 def row(one: Converged) -> tuple[str, str]:
-    """Name with unit, and value ± uncertainty, of a quantity; bold where it is for comparison."""
+    """Name with unit, and value ± uncertainty, of a quantity; bold if it is for comparison."""
     digits = max(0, 1 - int(np.floor(np.log10(max(one.uncertainty, 1e-9)))))
     value = f"{one.value:.{digits}f} ± {one.uncertainty:.{digits}f}"
     return f"{one.name}, {one.unit}", f"**{value}**" if one.known else value

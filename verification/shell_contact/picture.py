@@ -1,4 +1,4 @@
-"""A case as it is drawn: its sheets, what holds and pushes them, where they are welded and read."""
+"""Picture of a case: sheets, supports, clamps, welds and measurement points."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from verification.shell_contact.case import Case
 
 __all__ = ["picture"]
 
-COLOURS = ("#9ecae1", "#fdd0a2", "#c7e9c0")  # of the parts, in their order
+COLOURS = ("#9ecae1", "#fdd0a2", "#c7e9c0")  # of the parts, in order
 
-SHADES = 160  # a picture takes a third of what all of them would
+SHADES = 160  # reduces a picture to a third of its size
 
 
 def picture(case: Case, cache: Path) -> bytes:

@@ -1,4 +1,4 @@
-"""All files of a case, as they are shipped: values, page, picture, plain data, contact problem."""
+"""All published files of a case: values, page, picture, plain data, contact problem."""
 
 from __future__ import annotations
 
@@ -15,22 +15,22 @@ from verification.shell_contact.problem import contact_problem
 
 __all__ = ["SOURCES", "publish"]
 
-SOURCES = ("scene.toml", "geometry.py", "about.md")  # what the others are made from
+SOURCES = ("scene.toml", "geometry.py", "about.md")  # sources of the other files
 
 
 def publish(case: Case, folder: Path, cache: Path, python: str, anew: bool = True) -> None:
-    """Write a case's files into a folder.
+    """Write the files of a case into a folder.
 
     Parameters
     ----------
     case : Case
     folder : Path
-        Made where it is missing; the case's own is one.
+        Created if missing; may be the folder of the case.
     cache : Path
     python : str
-        A Python that has numpy and h5py; where it has not, the contact problem is left out.
+        Interpreter with numpy and h5py; without h5py no contact problem is written.
     anew : bool
-        Whether values are computed, or taken as they are shipped.
+        Whether values are computed, or taken from the published ones.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""The shipped values of the twelve cases of shell contact, computed again; and on meshes finer than theirs."""
+"""The published values of the twelve cases of shell contact, computed again, also on finer meshes."""
 
 from __future__ import annotations
 
@@ -12,18 +12,18 @@ from verification.shell_contact.case import FINEST, LEVELS, Case, Quantity, case
 from verification.shell_contact.converged import FINEST_TOLD, Converged, read
 from verification.study import Acceptance, Finding, Study
 
-SAME = 1e-4  # of a value: what rounding and paths of controlled error may change
-#: The cases that are solved on a mesh finer than theirs: those of which that costs least.
-JUDGES = (("double_lap", "lap_bending", "lap_shear", "lap_welded", "leaves"), ("lap_bending",))
+SAME = 1e-4  # relative change of a value that rounding and path error control can cause
+#: Cases that are also solved on a finer mesh: the cheapest ones (full run, quick run).
+FINER = (("double_lap", "lap_bending", "lap_shear", "lap_welded", "leaves"), ("lap_bending",))
 
 
 def held(name: str, shipped: Sequence[Converged], found: Sequence[Quantity], level: str) -> list[dict]:
-    """A row for each shipped quantity: what it is now on a level's mesh, beside what it was and what is told of it.
+    """A row for each published quantity: its present value on the mesh of a level, and the published one.
 
     Raises
     ------
     KeyError
-        If a shipped quantity was not found.
+        If a published quantity was not found.
     """
     values = {one.name: one.value for one in found}
     rows = []
@@ -46,7 +46,7 @@ def held(name: str, shipped: Sequence[Converged], found: Sequence[Quantity], lev
     return rows
 
 
-def judged(case: Case, cache, levels: Sequence[str], alter: Callable = lambda model: model) -> list[dict]:
+def compared(case: Case, cache, levels: Sequence[str], alter: Callable = lambda model: model) -> list[dict]:
     """A case computed again on some of its meshes."""
     shipped = read(case)
     found = {level: case.quantities(level, cache, alter=alter) for level in levels}
@@ -54,7 +54,7 @@ def judged(case: Case, cache, levels: Sequence[str], alter: Callable = lambda mo
 
 
 def beyond(case: Case, cache, alter: Callable = lambda model: model) -> list[dict]:
-    """A case on a mesh finer than any of its own: how far each value lies off the shipped one, over its uncertainty."""
+    """Differences between values on a still finer mesh and published values, over the uncertainty."""
     values = {one.name: one.value for one in case.quantities(FINEST, cache, alter=alter)}
     return [
         {
@@ -71,9 +71,9 @@ def beyond(case: Case, cache, alter: Callable = lambda model: model) -> list[dic
 
 def run(context):
     known = cases()
-    finer = context.team.map(lambda name: beyond(known[name], context.cache), JUDGES[context.quick])
+    finer = context.team.map(lambda name: beyond(known[name], context.cache), FINER[context.quick])
     levels = LEVELS[:1] if context.quick else LEVELS
-    rows = context.team.map(lambda case: judged(case, context.cache, levels), known.values())
+    rows = context.team.map(lambda case: compared(case, context.cache, levels), known.values())
     table = pd.DataFrame([row for one in rows for row in one])
     last = table[table["mesh"] == levels[-1]]
     figure, (axis,) = panels(1, width=7.0, height=3.4)
@@ -87,15 +87,15 @@ def run(context):
         f"{100 * share.median():.2g} %. Largest change: {worst['quantity']} of {worst['case']}, "
         f"{worst['shipped']:.6g} to {worst['now']:.6g} {worst['unit']}."
     )
-    judges = pd.DataFrame([row for one in finer for row in one])
-    worst = judges.loc[judges["off"].idxmax()]
+    differences = pd.DataFrame([row for case in finer for row in case])
+    worst = differences.loc[differences["off"].idxmax()]
     other = (
-        f"{len(judges)} quantities of {judges['case'].nunique()} cases; the farthest off is {worst['quantity']} of "
-        f"{worst['case']}, {worst['off']:.2g} times its uncertainty."
+        f"{len(differences)} quantities of {differences['case'].nunique()} cases; the largest difference is that of "
+        f"{worst['quantity']} of {worst['case']}, {worst['off']:.2g} times its uncertainty."
     )
     return [
         Finding("values", float(table["change"].max()), note, figure, table),
-        Finding("finer", float((judges["off"] > 1).mean()), other, table=judges),
+        Finding("finer", float((differences["off"] > 1).mean()), other, table=differences),
     ]
 
 

@@ -1,4 +1,4 @@
-"""The shipped scenes' sheets, drawn anew as quadrilaterals whose nodes lie upon each other where the sheets touch."""
+"""Sheets of the shipped scenes as quadrilateral meshes with matching nodes where the sheets touch."""
 
 from __future__ import annotations
 
@@ -9,20 +9,20 @@ from mic.scene import Scene
 
 __all__ = ["hat_on_plate", "lap_joint"]
 
-ABOUT = 1.6  # radii of a nugget: so far about its middle elements are fine
-#: Thicknesses: so near to a fold stands the first line. Elements that a mitre cuts askew hardly bend; as long as those
-#: elsewhere, they would stiffen the section by their length.
+ABOUT = 1.6  # radius of the finely meshed area around a weld, in nugget radii
+#: Distance of the first grid line from a fold, in thicknesses. Elements cut obliquely by a mitre hardly bend; with the
+#: usual length they would stiffen the section.
 FOLD = 0.6
 
 
 def lap_joint(scene: Scene, fine: float, coarse: float) -> list[Sheet]:
-    """Two strips of 100 by 25 mm, the upper one 60 mm farther and 1 mm higher.
+    """Two strips of 100 by 25 mm; the upper one is shifted by 60 mm and lies 1 mm higher.
 
     Parameters
     ----------
     scene : Scene
     fine, coarse : float
-        Largest element, mm, about the welds and elsewhere.
+        Largest element, mm, around the welds and elsewhere.
     """
     x = graded([0.0, 60.0, 100.0, 160.0], _about(scene, 0), fine, coarse)
     y = graded([0.0, 25.0], _about(scene, 1), fine, coarse)
@@ -35,14 +35,15 @@ def lap_joint(scene: Scene, fine: float, coarse: float) -> list[Sheet]:
 
 
 def hat_on_plate(scene: Scene, fine: float, coarse: float) -> list[Sheet]:
-    """A plate of 160 by 120 mm, and on it a hat: flanges of 20 mm, webs that are 30 mm high and lean inwards by 5, a
-    top of 40 mm. The lower face of a flange ends where the fold's mitre meets it; there the plate has a line, too.
+    """A plate of 160 by 120 mm under a hat: flanges of 20 mm, webs 30 mm high and inclined by 5 mm, top of 40 mm.
+
+    The lower face of a flange ends at the mitre of the fold; the plate has a grid line there too.
 
     Parameters
     ----------
     scene : Scene
     fine, coarse : float
-        Largest element, mm, about the welds and elsewhere.
+        Largest element, mm, around the welds and elsewhere.
     """
     plate, hat = scene.parts
     x = graded([0.0, 160.0], _about(scene, 0), fine, coarse)

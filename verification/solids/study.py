@@ -1,4 +1,4 @@
-"""The whole process of two scenes by solids of another code: its stiffness, geometry and increments of its own."""
+"""The whole process of two scenes with solid elements of another code, with independent geometry and increments."""
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ from verification.plots import panels
 from verification.solids import geometry
 from verification.study import Acceptance, Finding, Study
 
-SEED, DRAWN, BEYOND = 9, 2, 3.0  # not that of the scenes; samples beside the means; radii of a nugget
-LEAST = 2e-3  # mm: what coordinate measuring machines tell apart
-#: Of the clamps' force, and of the largest slip of any stage: a zone that carries less in a stage, or slips less, is
-#: told, not judged.
+SEED, DRAWN, BEYOND = 9, 2, 3.0  # seed, not that of the scenes; random samples in addition to the mean; nugget radii
+LEAST = 2e-3  # mm: resolution of coordinate measuring machines
+#: Relative to the clamp force and to the largest slip of any stage: smaller forces and slips of a zone in a stage are
+#: reported without a limit.
 CARRIES = 0.1
 SMALLEST = 1e-12  # N, mm
 
@@ -37,18 +37,18 @@ class Case:
     Attributes
     ----------
     name : str
-        Of its folder.
+        Name of its folder.
     size : str
-        Of production's mesh.
+        Mesh size of the reduced model.
     sheets : callable
         ``sheets(scene, fine, coarse)``, see :mod:`verification.solids.geometry`.
     meshes : tuple of (float, float)
-        Largest element of the solids about the welds and elsewhere, mm.
+        Largest solid element around the welds and elsewhere, mm.
     share : float
-        Of a key characteristic that may be off, where that is more than what machines tell apart.
+        Allowed relative error of a key characteristic, if that exceeds the resolution of measuring machines.
     largest : bool
-        Whether forces and slips are taken over those of the stage in which they are largest; else over their own, in
-        stages and zones that carry enough.
+        Whether forces and slips are relative to the stage in which they are largest; otherwise relative to their own
+        value, in stages and zones with enough load.
     """
 
     name: str
@@ -59,7 +59,7 @@ class Case:
     largest: bool
 
     def scene(self) -> tuple[Scene, np.ndarray]:
-        """The scene, and its samples: the means, and some that are drawn."""
+        """The scene and its samples: the mean and some random ones."""
         scene = load_scene(folder(self.name))
         parts = [part.model_copy(update={"size": self.size}) for part in scene.parts]
         report = scene.report.model_copy(update={"laws": ["coulomb"], "fields": False})
@@ -73,12 +73,12 @@ class Case:
         mesh: tuple[float, float],
         increments: int = 8,
     ) -> Outcome:
-        """The solids on a mesh; each contact problem is solved by the program's solver, given their stiffness."""
+        """The process with solids on a mesh; its contact problems are solved by the solver of the program."""
         solver = partial(ContactSolver, semidefinite=True)
         return process(scene, self.sheets(scene, *mesh), samples, solver, increments, BEYOND)
 
-    def judged(self, scene: Scene, solid: Outcome, name: str) -> np.ndarray:
-        """(n, stages, zones) which forces or slips are judged."""
+    def limited(self, scene: Scene, solid: Outcome, name: str) -> np.ndarray:
+        """(n, stages, zones) whether the limit applies to a force or slip."""
         if self.largest:
             return np.ones(solid.force.shape, bool)
         carries = solid.force > CARRIES * sum(one.force or 0.0 for one in scene.clamps)
@@ -91,10 +91,9 @@ class Case:
         return abs(getattr(mine, name) - truth) / scale
 
     def errors(self, scene: Scene, mine: Outcome, solid: Outcome) -> dict[str, float]:
-        """Largest relative differences of forces and slips, sample by sample; of key characteristics over what can be
-        borne."""
+        """Largest relative differences of forces and slips, and of key characteristics over the allowed error."""
         allowed = np.maximum(self.share * abs(solid.measurements), LEAST)
-        found = {one: self.off(mine, solid, one)[self.judged(scene, solid, one)].max() for one in ("force", "slip")}
+        found = {one: self.off(mine, solid, one)[self.limited(scene, solid, one)].max() for one in ("force", "slip")}
         found["key-characteristic"] = (abs(mine.measurements - solid.measurements) / allowed).max()
         return {name: float(value) for name, value in found.items()}
 
@@ -104,7 +103,7 @@ HAT = Case("hat_on_plate", "medium", geometry.hat_on_plate, ((2.0, 8.0), (8 / 7,
 
 
 def ours(scene: Scene, samples: np.ndarray, cache, alter: Callable = lambda model: model) -> Outcome:
-    """What production gives, read as :func:`fem_reference.peers.calculix_process.process` reads it."""
+    """Results of the reduced model in the form of :func:`fem_reference.peers.calculix_process.process`."""
     model: ReducedModel = alter(reduced_and_assembly(scene, cache)[0])
     contacts, found = model.contacts, model.evaluate(samples, "coulomb")
     away = nuggets(scene, contacts.zone, contacts.point, contacts.frame[:, :, 0], BEYOND) < 0
@@ -138,7 +137,7 @@ def _findings(context, case: Case, prefix: str) -> list[Finding]:
     axis.axhline(1.0, color="k", lw=1)
     title = case.name.replace("_", " ")
     axis.set(
-        xlabel="elements about the welds, mm",
+        xlabel="elements around the welds, mm",
         ylabel="difference over its limit",
         xscale="log",
         yscale="log",
@@ -148,9 +147,9 @@ def _findings(context, case: Case, prefix: str) -> list[Finding]:
     axis.tick_params(axis="x", which="minor", bottom=False, labelbottom=False)
     axis.legend()
     note = (
-        f"{title.capitalize()}. {_told(case, scene, mine, last)} From the last mesh but one to the last solids change: "
-        f"forces by {100 * own['force']:.2g} %, slips by {100 * own['slip']:.2g} %, key characteristics by "
-        f"{own['key-characteristic']:.2g} of what can be borne."
+        f"{title.capitalize()}. {_unlimited(case, scene, mine, last)} From the second to the finest mesh the solids "
+        f"change: forces by {100 * own['force']:.2g} %, slips by {100 * own['slip']:.2g} %, key characteristics by "
+        f"{own['key-characteristic']:.2g} of the allowed error."
     )
     names = [f"{fine:.3g} and {coarse:g} mm" for fine, coarse in meshes]
     table = _table(scene, [*zip(names, solids), ("production", mine)])
@@ -169,23 +168,24 @@ def _findings(context, case: Case, prefix: str) -> list[Finding]:
     ]
 
 
-def _told(case: Case, scene: Scene, mine: Outcome, solid: Outcome) -> str:
-    """What is not judged, in words."""
+def _unlimited(case: Case, scene: Scene, mine: Outcome, solid: Outcome) -> str:
+    """Sentences on the values without a limit."""
     if case.largest:
         alone = (abs(mine.force - solid.force) / solid.force)[:, -1].max()
-        return f"Of {mine.force[0, -1].sum():.3g} N that are left after the release alone {100 * alone:.2g} % differ."
+        force = mine.force[0, -1].sum()
+        return f"The force that remains after the release, {force:.3g} N, differs by {100 * alone:.2g} %."
     words = []
     for j, stage in enumerate(solid.stages):
         for z, zone in enumerate(scene.zones):
             for name, unit, scale in (("force", "N", 1.0), ("slip", "µm", 1e3)):
-                rest = ~case.judged(scene, solid, name)[:, j, z]
+                rest = ~case.limited(scene, solid, name)[:, j, z]
                 most = abs(getattr(mine, name) - getattr(solid, name))
                 of = getattr(solid, name)[rest, j, z].max(initial=0.0)
                 if of > SMALLEST:
                     words.append(
                         f"{name}, {stage}, {zone.name}: {scale * most[rest, j, z].max():.2g} of {scale * of:.2g} {unit}"
                     )
-    return f"Not judged, largest differences: {'; '.join(words)}."
+    return f"Largest differences without a limit: {'; '.join(words)}."
 
 
 def _table(scene: Scene, outcomes: list[tuple[str, Outcome]]) -> pd.DataFrame:

@@ -1,5 +1,4 @@
-"""How well a finite number of samples knows the mean, σ, 6σ and Cpk, and whether the intervals that are reported
-hold."""
+"""Errors of mean, σ, 6σ and Cpk from a finite number of samples, and coverage of the reported intervals."""
 
 from __future__ import annotations
 
@@ -35,8 +34,7 @@ def truth(mean, sigma, limits):
 
 
 def repeat(draw_samples, known, limits, count, repetitions, block=500):
-    """Relative error of each estimate in each repetition, and the share of repetitions whose interval held the
-    truth."""
+    """Relative error of each estimate in each repetition, and coverage of the intervals."""
     errors, covered = {name: [] for name in ESTIMATES}, dict.fromkeys(ESTIMATES, 0)
     for first in range(0, repetitions, block):
         x = draw_samples(count, min(block, repetitions - first))
@@ -63,8 +61,8 @@ def normal_population(context, repetitions):
 def scene_population(context, samples, repetitions, count):
     """Repetition on the coarse wheelhouse: its own samples are the population, so that the truth is known exactly.
 
-    They are taken in single increments: a path that is followed costs five times as much, and leaves values that are
-    nearer to normal, so that it asks less of the intervals.
+    Each step has a single increment: a followed path costs five times as much, and its values are nearer to normal,
+    which is an easier test of the intervals.
     """
     scene = with_path(shipped("wheelhouse", "coarse"), "increments", 1)
     model = context.model(scene)

@@ -28,28 +28,28 @@ from verification.target import as_set, leading
 TARGETS = (0.01, 0.02, 0.05, 0.10)  # of 6σ
 COUNTS = (50, 100, 200, 500, 1000, 2000, 5000, 10000, 20000, 50000)
 SEED = 17
-STILL = 4  # increments a step, where the path is not to choose its steps anew
+STILL = 4  # increments a step, if the path is not adaptive
 KINDS = {"measurement": "key characteristics", "slip": "slips"}
 FINE = Followed.tolerance / 4
-COARSER = 16  # times the tolerance of the judge's own judge: a sixteenth leaves about a sixth
+COARSER = 16  # ratio of path tolerances for the error of the truth: a sixteenth reduces the error to about a sixth
 
 
 @dataclass(frozen=True)
 class Knobs:
-    """What of a scene is turned; None leaves a knob as it is.
+    """Changed parameters of a scene; None means unchanged.
 
     Attributes
     ----------
     size : str or float or None
-        Of elements, a name or mm.
+        Element size, a name or mm.
     factor : float or None
-        Times the distance between candidates.
+        Factor on the distance between candidates.
     pairs : int or None
-        Stated in each zone, in place of candidates.
+        Number of stated pairs in each zone, instead of candidates.
     increments : int or None
-        For each step of the process, in place of a path that is followed.
+        For each step of the process, instead of an adaptive path.
     tolerance : float or None
-        Of the path that is followed.
+        Tolerance of the adaptive path.
     """
 
     size: str | float | None = None
@@ -59,7 +59,7 @@ class Knobs:
     tolerance: float | None = None
 
     def turn(self, scene: Scene) -> Scene:
-        """The scene with these knobs turned."""
+        """The scene with these parameters changed."""
         change = {}
         if self.size is not None:
             change["parts"] = [part.model_copy(update={"size": self.size}) for part in scene.parts]
@@ -77,16 +77,16 @@ class Knobs:
 
 @dataclass(frozen=True)
 class Truth:
-    """A version finer in every knob than any setting, and what it is itself held against.
+    """A version finer in every parameter than any setting, and the versions that show its own error.
 
     Attributes
     ----------
     knobs : Knobs
     coarser : dict
-        By knob: one notch coarser in this knob alone, and by how much its difference from the truth is multiplied to be
-        the truth's own error.
+        By parameter: a version that is coarser in this parameter alone, and the factor that converts its difference
+        from the truth to the error of the truth.
     samples : int
-        Half of them for knobs that are turned one at a time, which no limit holds.
+        Half of them for parameters that are changed one at a time, which have no limit.
     """
 
     knobs: Knobs
@@ -95,7 +95,7 @@ class Truth:
 
 
 def truth(size: float, factor: float, samples: int) -> Truth:
-    """Of a mesh and candidates; meshes are of second order, candidates between first and second."""
+    """Factors for mesh and candidates. Meshes are of second order, candidates between first and second."""
     knobs = Knobs(size=size, factor=factor, tolerance=FINE)
     coarser = {
         "element size": (replace(knobs, size=2 * size), 1 / 3),
@@ -107,7 +107,7 @@ def truth(size: float, factor: float, samples: int) -> Truth:
 
 TRUTHS = {"lap_joint": truth(0.625, 0.5, 100), "bracket": truth(1.0, 0.5, 120)}
 QUICK = {"lap_joint": truth(0.625, 0.5, 24)}
-#: What the standard setting's knobs are turned to, one at a time.
+#: Values of single parameters, changed one at a time from the setting standard.
 TURNED = {
     "element size": (Knobs(size="coarse"), Knobs(size="medium")),
     "pairs": (Knobs(pairs=34), Knobs(pairs=102), Knobs(factor=1.0), Knobs(factor=1.4)),
@@ -130,7 +130,7 @@ def opened(name: str) -> Scene:
 
 
 def versions_of(name: str, truth: Truth) -> dict[tuple[str, str], Scene]:
-    """Every version of a scene, by knob and value: the truth and its coarser kin, the settings, knobs turned."""
+    """All versions of a scene by parameter and value: the truth, versions coarser than it, settings, single changes."""
     scene = opened(name)
     standard = as_set(scene, "standard")
     found = {("truth", "all finer"): truth.knobs.turn(standard)}
@@ -144,17 +144,17 @@ def versions_of(name: str, truth: Truth) -> dict[tuple[str, str], Scene]:
 
 
 def given(knobs: Knobs) -> dict:
-    """The knobs that are turned."""
+    """The changed parameters."""
     return {key: value for key, value in vars(knobs).items() if value is not None}
 
 
 def measure(scene: Scene, deviations: np.ndarray, cache) -> dict:
-    """Zones' slips and key characteristics of a version on given samples, and what it costs, CPU s."""
+    """Slips of the zones and key characteristics of a version on given samples, and its cost, CPU s."""
     start = time.process_time()
     model, assembly = reduced_and_assembly(scene, cache)
     prepared = time.process_time()
     process = model.process("coulomb")
-    process.attempt(deviations[:2])  # compiled before the clock goes on
+    process.attempt(deviations[:2])  # compile before the time is measured
     compiled = time.process_time()
     evaluation = process.attempt(deviations)
     return {
@@ -168,10 +168,11 @@ def measure(scene: Scene, deviations: np.ndarray, cache) -> dict:
 
 
 def errors(own: pd.DataFrame, exact: pd.DataFrame) -> dict:
-    """By kind the largest error of a 6σ that leads its kind, and half its 95 % interval, shares of that 6σ; and the
-    most that single samples differ, root mean square about the mean over σ. `own` may be of the first samples alone.
+    """Largest relative error of a 6σ by kind, with half its 95 % interval; largest difference of single samples.
 
-    Since |σ(y) − σ(x)| ≤ σ(y − x) the latter bounds the error of the 6σ of the samples; some twenty tell it.
+    Only quantities whose 6σ is among the largest of their kind count. The difference of single samples is a root mean
+    square about the mean, relative to σ. Since |σ(y) − σ(x)| ≤ σ(y − x), it bounds the error of 6σ; some twenty samples
+    suffice. `own` may hold only the first samples.
     """
     kept = own.notna().all(axis=1) & exact.loc[own.index].notna().all(axis=1)
     own, exact = own[kept], exact.loc[own.index][kept]
@@ -204,7 +205,7 @@ def row(scene, knob, value, found, exact) -> dict:
 
 
 def sampling_error(samples) -> float:
-    """Half-width of the 95 % interval of σ that so many normal samples leave, relative."""
+    """Relative half width of the 95 % interval of σ from normal samples."""
     values = np.ones(samples)
     values[::2] = -1
     interval = estimates.sigma(values)
@@ -212,13 +213,12 @@ def sampling_error(samples) -> float:
 
 
 def cost(line, samples) -> float:
-    """CPU time of a run from nothing, s."""
+    """CPU time of a run without caches, s."""
     return line["preparation, s"] + 1e-3 * line["per sample, ms"] * samples
 
 
 def cheapest(lines, target):
-    """The cheapest version and number of samples whose error and sampling error together keep the target; None if there
-    is none."""
+    """The cheapest version and number of samples whose error plus sampling error meets the target; None without one."""
     fitting = [
         (cost(line, count), line, count)
         for _, line in lines.iterrows()
@@ -229,7 +229,7 @@ def cheapest(lines, target):
 
 
 def front(lines, samples) -> list:
-    """Index of the versions that no other beats in both cost and error, from cheap to dear."""
+    """Index of the Pareto-optimal versions in cost and error, in order of cost."""
     kept, best = [], np.inf
     for index in sorted(lines.index, key=lambda i: cost(lines.loc[i], samples)):
         if lines.loc[index, "error of 6σ"] < best:
@@ -255,7 +255,7 @@ def turn_knobs(truths, context) -> pd.DataFrame:
 
 
 def own_error(lines: pd.DataFrame, truths) -> pd.DataFrame:
-    """What the truths leave, by scene and knob: a share of a 6σ, from a version one notch coarser."""
+    """Relative error of 6σ of the truths by scene and parameter, from versions that are one step coarser."""
     rows = []
     for _, line in lines[lines["knob"] == "truth"].iterrows():
         knob = line["value"].removeprefix("but ")
@@ -267,8 +267,10 @@ def own_error(lines: pd.DataFrame, truths) -> pd.DataFrame:
 
 
 def still_tolerances(context, samples) -> dict[float, tuple[np.ndarray, float]]:
-    """σ of the wheelhouse's key characteristics by the solver's tolerance, and ms of CPU a sample. A followed path
-    would differ by what it leaves, as soon as anything makes it choose other steps."""
+    """σ of the key characteristics of the wheelhouse by solver tolerance, and CPU time per sample, ms.
+
+    Fixed increments, because an adaptive path would change its steps and so add its own error.
+    """
     scene = with_path(shipped("wheelhouse", "coarse"), "increments", STILL)
     model = context.model(scene)
     deviations = draw(scene, SEED, 0, samples)
@@ -285,8 +287,8 @@ def still_tolerances(context, samples) -> dict[float, tuple[np.ndarray, float]]:
 
 
 def full_solves(plan, context) -> pd.DataFrame:
-    """One sample of the lap joint by full finite elements: what the penalty leaves, and what a full solve costs."""
-    # One increment each step, so that both routes solve the same problems.
+    """One sample of the lap joint by full finite elements: error of the penalty, and cost of a full solve."""
+    # one increment a step, so that both methods solve the same problems
     scene = Knobs(size=plan["full"], increments=1).turn(as_set(opened("lap_joint"), "standard"))
     model, assembly = reduced_and_assembly(scene, context.cache)
     deviations = draw(model.scene, SEED, 0, 1)
@@ -307,7 +309,7 @@ def full_solves(plan, context) -> pd.DataFrame:
 
 
 def advice(lines, full) -> pd.DataFrame:
-    """What to run for 6σ to a given accuracy, and what it saves."""
+    """Setting and number of samples for a given accuracy of 6σ, and the cost of full solves relative to it."""
     rows = []
     for target in TARGETS:
         found = cheapest(lines, target)
@@ -359,7 +361,7 @@ def in_words(table) -> str:
 
 
 def picture(lines, samples):
-    """Error against cost of every version, a panel for each scene."""
+    """Figure of error against cost of all versions, a panel for each scene."""
     scenes = list(dict.fromkeys(lines["scene"]))
     figure, axes = panels(len(scenes), 5.2, 4.8)
     for axis, scene in zip(axes, scenes):
@@ -380,7 +382,7 @@ def picture(lines, samples):
                 name, (0.01, limit), xycoords=("axes fraction", "data"), va="bottom", fontsize=7.5, color="0.4"
             )
         axis.margins(x=0.25)
-        axis.set(title=scene.replace("_", " "), xlabel=f"CPU time from nothing with {samples} samples, s")
+        axis.set(title=scene.replace("_", " "), xlabel=f"CPU time without caches with {samples} samples, s")
     axes[0].set_ylabel("error of 6σ, largest over key characteristics and slips")
     axes[-1].legend(loc="center left", bbox_to_anchor=(1.05, 0.5))
     return figure
@@ -416,7 +418,7 @@ def run(context):
             picture(lines, samples),
             lines[lines["knob"] != "truth"],
         ),
-        Finding("standard", judged["standard"], "The settings, with their cost from nothing.", table=shown),
+        Finding("standard", judged["standard"], "The settings, with their cost without caches.", table=shown),
         Finding(
             "reference",
             judged["reference"],
@@ -426,7 +428,7 @@ def run(context):
         Finding(
             "truth",
             most / LIMITS["reference"],
-            "By scene and parameter, from versions one notch coarser; the limit applies to their sum.",
+            "By scene and parameter, from versions that are one step coarser; the limit applies to their sum.",
             table=left,
         ),
         Finding("saving", told["times cheaper"].max(), "The lap joint. " + in_words(told), table=told),
@@ -458,14 +460,14 @@ STUDY = Study(
     ),
     reference=(
         "Lap joint and bracket, finer in every parameter than any setting (elements, candidate distance, path), on "
-        "the same samples; the error of this reference comes from versions one notch coarser in each parameter."
+        "the same samples; the error of this reference comes from versions that are one step coarser in each parameter."
     ),
     acceptance=(
         Acceptance(
             "draft",
             "Setting draft: largest error of a 6σ of key characteristics and zone slips, without sampling error.",
             LIMITS["draft"],
-            reason="500 samples leave 6.2 % of a 6σ open.",
+            reason="The sampling error of 500 samples is 6.2 % of 6σ.",
         ),
         Acceptance(
             "standard",
