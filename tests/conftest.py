@@ -4,6 +4,7 @@ import gc
 import importlib.util
 import os
 import re
+from collections import Counter
 from pathlib import Path
 
 import pytest
@@ -31,7 +32,9 @@ def pytest_ignore_collect(collection_path):
 
 
 def pytest_collection_modifyitems(items):
-    """Without finite elements, what is marked ``fem`` is skipped, and says so."""
+    """Files with many slow tests first, so that two processes end together; skip ``fem`` without finite elements."""
+    slow = Counter(item.path for item in items if item.get_closest_marker("slow") or item.get_closest_marker("fem"))
+    items.sort(key=lambda item: -slow[item.path])
     for item in items:
         if not FINITE_ELEMENTS and item.get_closest_marker("fem"):
             item.add_marker(pytest.mark.skip(reason="needs finite elements (dolfinx) or gmsh"))
