@@ -105,32 +105,6 @@ def test_a_closing_weld_closes_gap_and_tilt(hat_model):
     assert np.abs(sideways[:, closing]).max() > 1e-4
 
 
-def test_rough_contact_sticks_and_smooth_contact_slides(lap_model):
-    """All at once a contact that ends stuck has not moved; on a followed path it may have slipped a little before."""
-
-    def clamped(friction, law, path="one-step"):
-        rough = np.full_like(lap_model.contacts.friction, friction)
-        model = replace(lap_model, contacts=replace(lap_model.contacts, friction=rough))
-        model = changed(model, [stage.model_copy(update={"path": path}) for stage in lap_model.scene.stages])
-        resolution = model.process(law).evaluate(draw(model.scene, 3, 0, 4)).resolutions["clamp"]
-        assert resolution.converged.all()
-        loaded = resolution.state > 0
-        slip = np.linalg.norm(resolution.displacement[:, :, 1:], axis=2)
-        under_load = np.linalg.norm(resolution.trace.slip, axis=2)
-        stuck = resolution.state == 1
-        return slip[loaded], stuck[loaded].mean(), slip[stuck], under_load[stuck]
-
-    free, _, _, _ = clamped(0.27, "frictionless")
-    smooth, sticking, _, _ = clamped(1e-9, "coulomb")
-    assert sticking == 0 and smooth.max() == pytest.approx(free.max(), rel=1e-4)
-    usual, _, _, _ = clamped(0.27, "coulomb")
-    assert usual.mean() < 0.97 * free.mean()
-    rough, sticking, held, _ = clamped(50.0, "coulomb")
-    assert sticking > 0.5 and held.max() < 1e-8 * free.max() and rough.mean() < 0.2 * free.mean()
-    _, sticking, _, slipped = clamped(50.0, "coulomb", "followed")
-    assert sticking > 0.5 and slipped.max() < 0.01 * free.max()
-
-
 def test_a_sample_that_misses_its_tolerance_in_one_step_fails(lap_model, monkeypatch):
     """The first step of the clamp stage, in which overlaps settle; all others meet theirs."""
     follow, calls = ContactSolver.follow, []

@@ -87,22 +87,11 @@ class DifferentiatedProcess:
             characteristics = self.process.model.characteristics
             jacobian = np.matmul(characteristics.tangent(values), jacobian)
             values = characteristics.values(values)
-        jacobian[state.failed | self.undetermined] = np.nan
-        return Sensitivities(
-            self.process.law,
-            self.names,
-            self.sigma,
-            values,
-            jacobian,
-            np.repeat(jacobian[..., None], 2, axis=-1),
-            contacts,
-            self.reach,
-            self.reach_along,
-            self.where,
-            state.failed | self.undetermined,
-            self.exact,
-            self.steps,
-        )
+        failed = state.failed | self.undetermined
+        jacobian[failed] = np.nan
+        sides = np.repeat(jacobian[..., None], 2, axis=-1)
+        own, reach = (self.process.law, self.names, self.sigma), (self.reach, self.reach_along, self.where)
+        return Sensitivities(*own, values, jacobian, sides, contacts, *reach, failed, self.exact, self.steps)
 
     def _columns(self, slope: np.ndarray) -> np.ndarray:
         """(n, ..., p) from (n p, ...)."""
@@ -302,20 +291,16 @@ class DifferentiatedProcess:
         """The step with the samples' force limits, and with the derivatives of the limits in their place."""
         none = np.zeros(self.p)
 
-        def unit(limits):
-            return tuple(
-                replace(limit, force=np.tile(self.inputs.limit.get(limit.row, none), self.n)) for limit in limits
-            )
+        def unit(limit):
+            return np.tile(self.inputs.limit.get(limit.row, none), self.n)
 
-        units = replace(step, limits=unit(step.limits), dropped_limits=unit(step.dropped_limits))
-        if not (self.offset.any() and self.inputs.limit):
-            return step, units
+        def with_forces(force):
+            tables = {name: getattr(step, name) for name in ("limits", "dropped_limits")}
+            forces = {name: tuple(replace(one, force=force(one)) for one in limits) for name, limits in tables.items()}
+            return replace(step, **forces)
 
-        def beside(limits, of):
-            return tuple(replace(limit, force=limit.force + self.offset * one.force) for limit, one in zip(limits, of))
-
-        moved = beside(step.limits, units.limits), beside(step.dropped_limits, units.dropped_limits)
-        return replace(step, limits=moved[0], dropped_limits=moved[1]), units
+        moved = self.offset.any() and self.inputs.limit
+        return with_forces(lambda limit: limit.force + self.offset * unit(limit)) if moved else step, with_forces(unit)
 
     def _varied(self, value, slope) -> Dual:
         return Dual(value, self._columns(slope))
@@ -449,11 +434,9 @@ def _chain_rule(end: End, p: int, position_slope: np.ndarray) -> End:
     """Derivatives by the p inputs, with those by the positions of resting parts, whose slopes are (n, k, p)."""
 
     def own(one):
-        return (
-            Dual(one.value, one.slope[:, :, :p] + one.slope[:, :, p:] @ position_slope)
-            if isinstance(one, Dual)
-            else one
-        )
+        if not isinstance(one, Dual):
+            return one
+        return Dual(one.value, one.slope[:, :, :p] + one.slope[:, :, p:] @ position_slope)
 
     return End(**{one.name: own(getattr(end, one.name)) for one in fields(End)})
 

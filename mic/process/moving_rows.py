@@ -54,10 +54,10 @@ class MovingRows:
 
         The contact forces are left out.
         """
-        response, step = self.eliminated.response, self.eliminated.step
+        step, response, maps = self.eliminated.step, self.eliminated.response, self.eliminated.position_maps
         for place in self.places:
-            own, α = b[place.input :: inputs], self._position_map("L", place)
-            reads = self._reads(place, v, p)
+            own, α, out = b[place.input :: inputs], maps["L"][:, place.number], self.first + place.number
+            reads = v @ response.T_out[out] + p @ response.L_out[out]  # a'·y without the contact forces
             for column in _columns(step.bilateral, place):
                 pushed = v @ response.reaction_T[column] + p @ response.reaction_L[column]
                 own += pushed[:, None] * α - reads[:, None] * response.T[:, column]
@@ -73,7 +73,7 @@ class MovingRows:
         right: list[np.ndarray] = []
         inputs: list[int] = []
         for place in self.places:
-            α = self._position_map("L", place)
+            α = self.eliminated.position_maps["L"][:, place.number]
             for column in _columns(step.bilateral, place):
                 left += [-response.T[:, column], -α]
                 right += [α, response.T[:, column]]
@@ -87,16 +87,7 @@ class MovingRows:
             return None
         return ComplianceDerivative(np.array(left), np.array(right), np.array(inputs))
 
-    def read(
-        self,
-        stage,
-        slope: ProcessState,
-        state: ProcessState,
-        inputs: int,
-        v: np.ndarray,
-        p: np.ndarray,
-        solved: bool,
-    ) -> None:
+    def read(self, stage, slope: ProcessState, state: ProcessState, inputs: int, v, p, solved: bool) -> None:
         """Add the effect on readings, reactions and, where parts were placed, contacts to the slope state, in place."""
         step, response, maps = self.eliminated.step, self.eliminated.response, self.eliminated.position_maps
         contacts = slope.left.shape[1] * slope.left.shape[2]
@@ -111,8 +102,7 @@ class MovingRows:
             for out, reaction, share in terms:
                 for kind, rows in stage.output.items():
                     slope.reading[kind][own] += share[:, None] * out[rows]
-                for j, row in enumerate(step.bilateral):
-                    slope.reaction[row][own] += share * reaction[j]
+                slope.reaction.table[own] += share[:, None] * reaction
         if step.sets_down and not solved and contacts:
             moved = np.zeros((len(slope.left), len(response.T)))
             self.load(moved, inputs, v, p)
@@ -120,14 +110,6 @@ class MovingRows:
             slope.left[:] += moved
             if not np.shares_memory(slope.anchor, slope.left):
                 slope.anchor[:] += moved[:, :, 1:]
-
-    def _reads(self, place: Place, v: np.ndarray, p: np.ndarray) -> np.ndarray:
-        """(n,) ``a'·y`` without the contact forces."""
-        response, row = self.eliminated.response, self.first + place.number
-        return v @ response.T_out[row] + p @ response.L_out[row]
-
-    def _position_map(self, name: str, place: Place) -> np.ndarray:
-        return self.eliminated.position_maps[name][:, place.number]
 
     def _stops(self, place: Place) -> list[tuple[int, int]]:
         """The contact rows of its stops, and the direction in which they push."""

@@ -465,8 +465,8 @@ class Process:
         model, n, state = self.model, len(deviations), resolutions.history.state
         reaction, value = (one.take(last.plan.bilateral) for one in (state.reaction, state.value))
         push = np.zeros((n, model.rows["clamp"].shape[0]))
-        for i, force in state.push.items():
-            push[:, i] = force
+        for i in state.push.names.column:
+            push[:, i] = state.push[i]
         for limit in last.plan.steps[-1].stops:
             push[:, limit.row[1]] = limit.force - state.stop[limit.row]
         force = reaction @ last.steps[-1].bilateral[: reaction.shape[1]] + push @ model.rows["clamp"]

@@ -188,7 +188,6 @@ class Rest:
             λ = segment.pushed_end - product(found, G)
             scale = np.abs(np.column_stack([found, segment.pushed_end])).max(axis=1, initial=0.0)
             carried = np.abs(λ).max(axis=1, initial=0.0)
-            position = target - c * λ
             free = (carried > PRESSED * scale) & (c * carried <= STILL)
             # If λ does not change, the part slides on, by doubled strides, until something stops it.
             stride = np.where(np.abs(λ - before).max(axis=1, initial=0.0) < STAYS * carried, 2 * stride, 1.0)

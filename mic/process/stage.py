@@ -401,7 +401,8 @@ class PreparedStage:
     def stop_forces(self, step: Step, state: ProcessState) -> np.ndarray:
         """(n, s) forces of a step's stops before it; zero for new stops."""
         none = np.zeros(len(state.failed))
-        return columns(len(none), [state.stop.get(stop.row, none) for stop in step.stops])
+        rows = [stop.row for stop in step.stops]
+        return columns(len(none), [state.stop[row] if row in state.stop else none for row in rows])
 
     def unloaded(self, batch: BatchStep, s: float) -> np.ndarray:
         """(n, d m + s) b of contacts and stops, at s of the ramp; linear."""

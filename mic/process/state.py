@@ -7,9 +7,8 @@ previous step.
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Iterable, Iterator, Mapping
+from collections.abc import Hashable, Iterable, Mapping
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -34,7 +33,7 @@ class Names:
         return len(self.column)
 
 
-class Values(Mapping[Any, np.ndarray]):
+class Values:
     """(n,) values by name: views of the columns of one array, so that a step reads or writes them all at once.
 
     Attributes
@@ -43,8 +42,6 @@ class Values(Mapping[Any, np.ndarray]):
     table : (n, k) array
         At least one column for each name.
     """
-
-    __slots__ = ("names", "table")
 
     def __init__(self, names: Names, table: np.ndarray):
         self.names, self.table = names, table
@@ -58,12 +55,6 @@ class Values(Mapping[Any, np.ndarray]):
 
     def __contains__(self, name: object) -> bool:
         return name in self.names.column
-
-    def __iter__(self) -> Iterator[Any]:
-        return iter(self.names.column)
-
-    def __len__(self) -> int:
-        return len(self.names)
 
 
 def columns(n: int, values: list[np.ndarray]) -> np.ndarray:
