@@ -64,6 +64,7 @@ def test_changes_agree_with_the_closed_form(dragged, effects):
     ]
 
 
+@pytest.mark.slow
 def test_the_zone_that_decides_and_how_well_its_friction_must_be_known(effects):
     needed = friction_needed(effects).set_index("zone")
     six_sigma = effects["six_sigma"].iloc[0]
@@ -106,6 +107,7 @@ def test_friction_by_pressure_is_scaled_with_the_rest(lap_model):
     assert with_scaled_friction(model, np.array([]), 2.0).contacts.pressure[0, 0, 1] == 0.2
 
 
+@pytest.mark.slow
 def test_the_command_prints_effects_and_refuses_a_frictionless_law(dragged, effects, tmp_path, monkeypatch):
     asked = []
     monkeypatch.setattr("mic.studies.friction.friction_effects", lambda *given: asked.append(given) or effects)
@@ -120,6 +122,7 @@ def test_the_command_prints_effects_and_refuses_a_frictionless_law(dragged, effe
     assert refused.exit_code != 0 and "the effect of friction cannot be computed" in str(refused.exception)
 
 
+@pytest.mark.slow
 def test_an_assembly_held_by_friction_alone_has_no_row_without_it(effects):
     held = effects[effects["factor"] > 0]
     said = friction_words(held, friction_needed(held))

@@ -34,7 +34,9 @@ def readings(model, evaluation):
     return compliance.displace(evaluation.functional_force) + compliance.carry(evaluation.motion)
 
 
-@pytest.mark.parametrize("name, law", [("lap_model", "frictionless"), ("hat_model", "coulomb")])
+@pytest.mark.parametrize(
+    "name, law", [("lap_model", "frictionless"), pytest.param("hat_model", "coulomb", marks=pytest.mark.slow)]
+)
 def test_forces_balance_and_reproduce_the_measurements(name, law, request):
     model = request.getfixturevalue(name)
     evaluation = model.process(law).evaluate(draw(model.scene, 3, 0, 6))
@@ -184,6 +186,7 @@ def test_normal_rows_suffice_without_friction(lap_scene, lap_model, cache):
     np.testing.assert_allclose(normal, expected, atol=1e-6 * np.abs(normal).max())
 
 
+@pytest.mark.slow
 def test_a_scene_without_friction_runs_under_the_default_law(lap_scene, cache):
     zones = [zone.model_copy(update={"friction": 0.0}) for zone in lap_scene.zones]
     model = mic.reduce(lap_scene.model_copy(update={"zones": zones}), cache)
@@ -193,6 +196,7 @@ def test_a_scene_without_friction_runs_under_the_default_law(lap_scene, cache):
     np.testing.assert_array_equal(default.measurements, smooth.measurements)
 
 
+@pytest.mark.slow
 def test_increments_change_the_result_and_converge(hat_model):
     def measured(increments):
         stages = [stage.model_copy(update={"increments": increments}) for stage in hat_model.scene.stages]
@@ -226,6 +230,7 @@ def test_a_tighter_path_tolerance_reduces_the_error(lap_model):
     assert np.linalg.norm(tight - exact) < np.linalg.norm(usual - exact) / 3  # of second order, a sixth is left
 
 
+@pytest.mark.slow
 def test_a_part_without_support_is_refused_before_computation(lap_scene, cache, monkeypatch):
     stages = [
         stage.model_copy(update={"keep": ["lower-A1", "lower-A2"]}) if stage.kind == "release" else stage
@@ -240,6 +245,7 @@ def test_a_part_without_support_is_refused_before_computation(lap_scene, cache, 
         mic.reduce(lap_scene.model_copy(update={"stages": stages}), cache)
 
 
+@pytest.mark.slow
 def test_a_redundant_locator_is_named_and_has_no_effect(lap_scene, lap_model, cache):
     # Of one increment each, because a step more is a leg more, and a path that is followed has errors of its own.
     twin = lap_scene.locators[0].model_copy(update={"name": "twin", "stage": "clamp"})
@@ -269,6 +275,7 @@ def test_invalid_deviations_are_named(lap_model, values, word):
         lap_model.evaluate(values)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("law", ["frictionless", "associated"])
 def test_the_solvers_of_the_paper_give_the_same_results(lap_model, law):
     pytest.importorskip("cvxpy")

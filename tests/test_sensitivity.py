@@ -332,6 +332,7 @@ def resting(force=100.0, gap=(0.02, -0.03, 0.01), **path) -> ReducedModel:
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("law", "path"), [("coulomb", {}), ("associated", {"increments": 3}), ("coulomb", {"path": "one-step"})]
 )

@@ -122,6 +122,7 @@ def test_yielding_contacts_move_in_proportion_to_their_forces(evaluated):
     same(stiff, coulomb, 1e-5)
 
 
+@pytest.mark.slow
 def test_zones_with_different_friction_functions_can_be_combined(lap_scene, cache):
     """Under one law: a zone with a long table, one with a short, one with friction by stage alone."""
     scene = with_zone(lap_scene, pairs=6)
@@ -148,6 +149,7 @@ def test_pressure_is_the_force_over_the_patch_area(lap_scene, cache):
     np.testing.assert_allclose(disc.compliance, 1.0 / (YIELDING * np.pi * 9.0))
 
 
+@pytest.mark.slow
 def test_a_saved_model_keeps_its_friction(evaluated, tmp_path):
     model, found = evaluated("pressure-dependent", friction_table=TABLE, friction={"clamp": 0.1, "default": 0.3})
     model.save(tmp_path / "model.npz")

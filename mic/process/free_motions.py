@@ -251,8 +251,7 @@ class _RigidParts:
                 weld, axis = self.scene.welds[number], row - int(first[number])
                 unit = np.eye(3)[axis % 3]  # a translation at the weld, or a rotation
                 read = self._reading(weld.point, unit) if axis < 3 else np.array([0.0, 0.0, 0.0, *unit])
-                for name, sign in zip(weld.parts, (-1.0, 1.0)):
-                    line[self._columns(name)] = sign * read
+                line[:] = self._relative(weld.parts, read)
             else:
                 item = getattr(self.scene, f"{kind}s")[row]
                 line[self._columns(item.part)] = self._reading(item.point, item.direction)
@@ -271,24 +270,15 @@ class _RigidParts:
 
     def relative_motions(self, zones) -> np.ndarray:
         """(6 z, 6P) all relative motions of bodies that zones join; fixtures do not move."""
-        lines = np.zeros((len(zones), 6, len(self.size)))
-        for own, zone in zip(lines, zones):
-            for name, sign in zip(zone.parts, (-1.0, 1.0)):
-                if name in self.number:
-                    own[:, self._columns(name)] = sign * np.eye(6)
-        return lines.reshape(-1, len(self.size))
+        lines = [self._relative(zone.parts, np.eye(6)) for zone in zones]
+        return np.concatenate([np.zeros((0, len(self.size))), *lines])
 
     def contacts(self, contacts, stage: str, law) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """(m, 6P) and (m, 2, 6P) readings of pairs along normals and tangents, and their friction (m,)."""
-        m = len(contacts)
-        reading = np.zeros((m, 3, len(self.size)))
+        reading, mu = np.zeros((len(contacts), 3, len(self.size))), np.zeros(len(contacts))
         for k, zone in enumerate(contacts.zone):
-            for name, sign in zip(self.scene.zones[zone].parts, (-1.0, 1.0)):
-                if name in self.number:
-                    for axis in range(3):
-                        along = self._reading(contacts.point[k], contacts.frame[k, :, axis])
-                        reading[k, axis, self._columns(name)] = sign * along
-        mu = np.zeros(m)
+            along = self._reading(contacts.point[k], contacts.frame[k].T)
+            reading[k] = self._relative(self.scene.zones[zone].parts, along)
         if law.frictional:
             friction = contacts.friction_in(stage)
             mu = friction.coefficient.copy()
@@ -328,4 +318,12 @@ class _RigidParts:
         return slice(6 * self.number[name], 6 * self.number[name] + 6)
 
     def _reading(self, point, direction) -> np.ndarray:
-        return np.array([*direction, *np.cross(np.subtract(point, self.centre), direction)])
+        return np.concatenate([direction, np.cross(np.subtract(point, self.centre), direction)], axis=-1)
+
+    def _relative(self, bodies, reading: np.ndarray) -> np.ndarray:
+        """(..., 6P) a reading (..., 6) of the second body less that of the first; fixtures do not move."""
+        line = np.zeros((*reading.shape[:-1], len(self.size)))
+        for name, sign in zip(bodies, (-1.0, 1.0)):
+            if name in self.number:
+                line[..., self._columns(name)] = sign * reading
+        return line

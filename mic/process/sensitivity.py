@@ -36,14 +36,14 @@ SHAPE_STEP = 1e-2  # standard deviations of a shape that the stiffness follows: 
 
 def _refuse_resting(process) -> None:
     """Raise SceneError where a part rests by contact alone."""
-    for stage in process.stages:
-        for each in stage.steps:
-            if each.rest.soft.any():
-                part = next(own for own, soft in zip(each.rest.name, each.rest.soft) if soft)
-                raise SceneError(
-                    f"stages ({stage.plan.name}): part {part!r} rests by contact alone, and derivatives by positions "
-                    "in sheets are not available for such parts; leave these inputs out, or give the part six locators"
-                )
+    steps = [(stage.plan.name, each.rest) for stage in process.stages for each in stage.steps]
+    resting = [(stage, rest.name[i]) for stage, rest in steps for i in np.flatnonzero(rest.soft)]
+    if resting:
+        stage, part = resting[0]
+        raise SceneError(
+            f"stages ({stage}): part {part!r} rests by contact alone, and derivatives by positions in sheets are not "
+            "available for such parts; leave these inputs out, or give the part six locators"
+        )
 
 
 @one_thread
