@@ -1,12 +1,12 @@
 """What the path left in a run's results: its first samples on a tighter path, against the same by another route."""
 
 import shutil
-from dataclasses import replace
 
 import numpy as np
 import pandas as pd
 import pytest
 from support.runs import edit, fail
+from support.stages import on_the_way
 
 from mic.contact.path import Followed, Increments
 from mic.process.process import Process
@@ -22,21 +22,12 @@ from mic.statistics.draw import draw
 SAMPLES, SEED = path_error.SAMPLES + 4, 5
 
 
-def with_increments(model, count):
-    """The model whose stages take so many increments a step."""
-    path = {"path": "increments", "increments": count}
-    stages = [
-        stage.model_copy(update=path if stage.kind in ("clamp", "release") else {}) for stage in model.scene.stages
-    ]
-    return replace(model, scene=model.scene.model_copy(update={"stages": stages}))
-
-
 @pytest.fixture(scope="module")
 def folder(lap_model, tmp_path_factory):
     """A run of two increments a step, and its study."""
     folder = tmp_path_factory.mktemp("run")
     # No more than are repeated: of the same batch every product is rounded alike.
-    model = with_increments(lap_model, 2)
+    model = on_the_way(lap_model, 2)
     sample_into(folder, model, ["coulomb", "associated", "frictionless"], path_error.SAMPLES, SEED)
     studied(folder)
     write_tables(read_outcome(folder))
@@ -47,7 +38,7 @@ def folder(lap_model, tmp_path_factory):
 def samples(lap_model, tmp_path_factory):
     """A run of two increments a step, and more samples than are repeated."""
     folder = tmp_path_factory.mktemp("samples")
-    sample_into(folder, with_increments(lap_model, 2), ["coulomb", "frictionless"], SAMPLES, SEED)
+    sample_into(folder, on_the_way(lap_model, 2), ["coulomb", "frictionless"], SAMPLES, SEED)
     return folder
 
 
@@ -67,7 +58,7 @@ def studied(folder):
 def on_both(lap_model):
     """The repeated samples with two increments and with eight."""
     deviations = draw(lap_model.scene, SEED, 0, path_error.SAMPLES)
-    return [with_increments(lap_model, count).evaluate(deviations, "coulomb") for count in (2, 8)]
+    return [on_the_way(lap_model, count).evaluate(deviations, "coulomb") for count in (2, 8)]
 
 
 def zone_rms(moved):

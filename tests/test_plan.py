@@ -10,6 +10,7 @@ import pytest
 from scipy.sparse import csr_matrix
 from support.springs import STIFFNESS, at_face, contacts_at, stage_list, two_plates
 from support.springs import six as springs_six
+from support.stages import with_stages
 
 import mic
 from mic.contact.laws import LAWS
@@ -377,6 +378,5 @@ def test_a_release_opens_in_reverse_order():
     np.testing.assert_allclose(back.slip[0, 0], [-(drag - 2 * HOLD) * YIELD, 0.0], atol=1e-9)
     stages = list(model.scene.stages)
     stages[2] = stages[2].model_copy(update={"order": [["press"], ["drag"]]})
-    other = replace(model, scene=model.scene.model_copy(update={"stages": stages}))
-    on = other.evaluate({}).resolutions["release"].trace
+    on = with_stages(model, stages).evaluate({}).resolutions["release"].trace
     np.testing.assert_allclose(on.slip[0, 0], [2 * HOLD * YIELD, 0.0], atol=1e-9)

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from support.stages import on_the_way, with_stages
 from threadpoolctl import threadpool_info, threadpool_limits
 
 import mic
@@ -18,14 +19,9 @@ from mic.system.matrix_product import one_thread
 ROOT = Path(__file__).resolve().parents[1]
 
 
-def changed(model, stages):
-    """The model of the same scene with other stages."""
-    return replace(model, scene=model.scene.model_copy(update={"stages": stages}))
-
-
 def with_kinds(model, *kinds):
     """The model with its stages of these kinds alone."""
-    return changed(model, [stage for stage in model.scene.stages if stage.kind in kinds])
+    return with_stages(model, [stage for stage in model.scene.stages if stage.kind in kinds])
 
 
 def readings(model, evaluation):
@@ -199,8 +195,7 @@ def test_a_scene_without_friction_runs_under_the_default_law(lap_scene, cache):
 @pytest.mark.slow
 def test_increments_change_the_result_and_converge(hat_model):
     def measured(increments):
-        stages = [stage.model_copy(update={"increments": increments}) for stage in hat_model.scene.stages]
-        return changed(hat_model, stages).evaluate(draw(hat_model.scene, 3, 0, 4)).measurements
+        return on_the_way(hat_model, increments).evaluate(draw(hat_model.scene, 3, 0, 4)).measurements
 
     one, many, more = measured(1), measured(8), measured(16)
     assert np.abs(more - one).max() > 1e-4  # mm: were increments ignored, nothing would move

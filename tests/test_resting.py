@@ -245,13 +245,11 @@ def on_pads(**change):
     """b alone, on three pads; no locator holds anything."""
     keys = {
         "parts": plates("b", "b"),
+        "locators": [],
         "fixtures": [{"name": "P", "point": [0, 0, 0], "normal": [0, 0, 1], "radius": 5}],
-        "clamps": [PRESS, push(12, AT, ALONG_X, "D")],
         "zones": [zone("P", "b", pairs=3)],
-        "measurements": [gauge("b", foot, name=f"M{i}") for i, foot in enumerate(FEET)],
-        "stages": stage_list("locate", "clamp", "measure"),
     }
-    return standing([("Z", foot, UP) for foot in FEET], **keys | change)
+    return table([PRESS, push(12, AT, ALONG_X, "D")], **keys | change)
 
 
 def test_pads_and_friction_can_replace_all_locators():

@@ -10,6 +10,7 @@ from pydantic import ValidationError
 from scipy.sparse import vstack
 from support.feet import push, table
 from support.springs import STIFFNESS, at_face, stage_list, two_plates
+from support.stages import on_the_way
 from typer.testing import CliRunner
 
 import mic
@@ -33,16 +34,6 @@ STEP = 1e-5  # standard deviations
 MOVED = (1e-4, 3e-5, 1e-5, 3e-6)
 TIGHT = 1e-12  # of the contact certificate: differences of less would be rounding
 SIGMA = {"locator": 0.05, "clamp": 5.0}
-
-
-def on_the_way(model, way) -> ReducedModel:
-    """The model with every stage followed as named; one increment in all is ``one-step``."""
-    keys = {"path": way} if isinstance(way, str) else {"path": "increments", "increments": way}
-    stages = [
-        stage.model_copy(update=keys) if stage.kind in ("clamp", "weld", "release") else stage
-        for stage in model.scene.stages
-    ]
-    return replace(model, scene=model.scene.model_copy(update={"stages": stages}))
 
 
 def with_positions(model) -> ReducedModel:

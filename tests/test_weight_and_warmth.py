@@ -42,17 +42,9 @@ def strip(folder, deviations, hung=False):
     """A strip on supports at its ends, measured in its middle, and how long it is; or hung to be measured."""
     points, triangles = extrude([(0, 0), (b, 0)], 0.0, L, 5.0)[:2]
     write_deck(folder / "strip.inp", {"strip": (points, triangles)})
-    along = int(np.argmax(np.ptp(points, axis=0)))
-    across = int(np.argsort(np.ptp(points, axis=0))[1])
-
-    def at(x, y):
-        point = np.zeros(3)
-        point[along], point[across] = x, y
-        return point.tolist()
-
-    unit = {"x": np.eye(3)[along].tolist(), "y": np.eye(3)[across].tolist(), "z": [0, 0, 1]}
+    unit = {"x": [1, 0, 0], "y": [0, 1, 0], "z": [0, 0, 1]}
     places = [(0, 0, "z"), (0, b, "z"), (L, b / 2, "z"), (0, 0, "y"), (L, 0, "y"), (0, b / 2, "x")]
-    held = [{"point": at(x, y), "direction": unit[way], "part": "strip", "radius": 0} for x, y, way in places]
+    held = [{"point": [x, y, 0], "direction": unit[way], "part": "strip", "radius": 0} for x, y, way in places]
     locators = [{"name": f"L{i}", **one} for i, one in enumerate(held)]
     if hung:
         locators += [{"name": f"H{i}", "stage": "measure", **one} for i, one in enumerate(held)]
@@ -66,8 +58,8 @@ def strip(folder, deviations, hung=False):
             "stages": [{"kind": "locate"}, {"kind": "measure"}],
             "deviations": deviations,
             "measurements": [
-                {"name": "sag", "point": at(L / 2, b / 2), "direction": unit["z"], **read},
-                {"name": "length", "point": at(L, b / 2), "direction": unit["x"], **read},
+                {"name": "sag", "point": [L / 2, b / 2, 0], "direction": unit["z"], **read},
+                {"name": "length", "point": [L, b / 2, 0], "direction": unit["x"], **read},
             ],
             "report": {"laws": ["frictionless"]},
         },

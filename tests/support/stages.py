@@ -1,0 +1,16 @@
+"""Models whose stages are followed otherwise."""
+
+from dataclasses import replace
+
+
+def with_stages(model, stages):
+    """The model of the same scene with other stages."""
+    return replace(model, scene=model.scene.model_copy(update={"stages": stages}))
+
+
+def on_the_way(model, way):
+    """The model with every stage followed as named, or in so many increments a step."""
+    keys = {"path": way} if isinstance(way, str) else {"path": "increments", "increments": way}
+    moves = ("clamp", "weld", "release")
+    stages = [stage.model_copy(update=keys) if stage.kind in moves else stage for stage in model.scene.stages]
+    return with_stages(model, stages)
