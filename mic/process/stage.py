@@ -274,23 +274,20 @@ class PreparedStage:
             ends[eliminated.step] = state
         if not self.resolves:
             return state, None
-        loose = {sample: message for sample, message in self._loose_parts(state).items() if not state.failed[sample]}
+        last = next(each for each in reversed(self.steps) if self.solves_contact(each))
+        bound, loose = self._bound(last, state.force), dict[int, str]()
+        contacts = classify(state.force, bound)
+        if self.plan.kind != "locate" and last.rest.soft.any():
+            held_back = self.stop_forces(last.step, state)
+            loose = last.rest.loose(last.response, state.force, contacts, bound, held_back)
+        loose = {sample: message for sample, message in loose.items() if not state.failed[sample]}
         state.failed[list(loose)] = True
         pushed = [self._pushed(limit, ends[self.plan.steps[i]], drive) for i, limit in self.plan.checked_limits]
-        resolution = self._resolution(start, state, solutions, drive, pushed)
+        resolution = self._resolution(start, state, solutions, drive, contacts, pushed)
         resolution.converged[list(loose)] = False
         for sample, message in loose.items():
             resolution.status[sample] = message
         return replace(state, path_error=resolution.trace.error), resolution
-
-    def _loose_parts(self, state: ProcessState) -> dict[int, str]:
-        """Samples in which a part lies loose at the stage's end, with the message for each."""
-        last = next(each for each in reversed(self.steps) if self.solves_contact(each))
-        if self.plan.kind == "locate" or not last.rest.soft.any():
-            return {}
-        stop_forces = self.stop_forces(last.step, state)
-        bound = self._bound(last, state.force)
-        return last.rest.loose(last.response, state.force, classify(state.force, bound), bound, stop_forces)
 
     def _bound(self, eliminated: EliminatedStep, force: np.ndarray) -> np.ndarray:
         """(n, m) largest tangential forces under the contact forces (n, m, d)."""
@@ -501,18 +498,16 @@ class PreparedStage:
             anchor[sample] += G[:, 1:] @ moved
         return place, anchor
 
-    def _resolution(self, start, end, solutions, drive, pushed) -> Resolution:
+    def _resolution(self, start, end, solutions, drive, contacts, pushed) -> Resolution:
         whole, n = PathSolution.join(solutions), len(end.force)
         displacement = whole.displacement.reshape(end.force.shape).copy()
         displacement[:, :, 1:] = (end.left - start.left)[:, :, 1:]
-        resolving = next(each for each in reversed(self.steps) if self.solves_contact(each))
-        bound = self._bound(resolving, end.force)
         unseen, at = self._unseen(end, drive)
         return Resolution(
             stage=self.plan.name,
             force=end.force.copy(),
             displacement=displacement,
-            state=classify(end.force, bound),
+            state=contacts,
             # Sticking contacts inherit the error of the paths before; sliding ones lose it.
             trace=replace(whole.trace, error=start.path_error + whole.trace.error),
             **{name: getattr(whole, name) for name in ("residual", "converged", "iterations", "status", "rung")},
