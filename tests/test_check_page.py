@@ -1,6 +1,7 @@
 """The page of a check: one file, all that the scene places on the parts, gaps as a map, warnings beside it."""
 
 import re
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +19,7 @@ def elsewhere(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
 
 
-def checked(tmp_path, cache, *edits, page=None):
+def checked(tmp_path, cache, *edits, page=None, strict=False, error=None):
     """The page of a check of the lap joint, edited, on coarse meshes and with few pairs; what it draws; the output."""
     text = (LAP / "scene.toml").read_text().replace("friction = 0.27", "friction = 0.27\npairs = 6")
     for old, new in (('size = "medium"', 'size = "coarse"'), *edits):
@@ -27,11 +28,12 @@ def checked(tmp_path, cache, *edits, page=None):
     folder = tmp_path / "scene"
     folder.mkdir(parents=True)
     (folder / "scene.toml").write_text(text)
-    (folder / "geometry.py").write_text((LAP / "geometry.py").read_text())
-    arguments = ["check", str(folder)] + (["--page", str(page)] if page else [])
+    shutil.copy(LAP / "geometry.py", folder)
+    arguments = ["check", str(folder), *(["--page", str(page)] if page else []), *(["--strict"] if strict else [])]
     done = CliRunner().invoke(app, arguments, env={"MIC_CACHE": str(cache), "COLUMNS": "200"})
     page = page or tmp_path / "results" / "lap-joint" / "check.html"
     html = page.read_text() if page.is_file() else ""
+    assert (error is None and done.exit_code == 0) or error in str(done.exception)
     data = re.search(r'<script type="text/plain" id="viewer-data">(.*?)</script>', html, re.S)
     return html, unpacked(data.group(1)) if data else None, done.output
 
@@ -55,27 +57,25 @@ def test_all_that_the_scene_places_is_drawn_with_its_name(tmp_path, cache):
 
 
 @pytest.mark.slow
-def test_gaps_are_a_map_in_mm_and_overlap_lies_below_zero(tmp_path, cache):
-    """Sheets of 0.8 and 1.1 mm whose mid-surfaces are 1 mm apart: 0.05 mm of gap."""
-    _, data, _ = checked(tmp_path, cache, ("thickness = 1\nyoung = 210000", "thickness = 0.9\nyoung = 210000"))
+@pytest.mark.parametrize(
+    "thickness, gap, words, low, scale",
+    [(0.9, 0.1, "gap 0.1 mm", 0.0, "viridis"), (1.2, -0.2, "overlap 0.2 mm", -0.2, "RdBu_r")],
+)
+def test_gaps_are_a_map_in_mm_and_overlap_lies_below_zero(thickness, gap, words, low, scale, tmp_path, cache):
+    """Both sheets have this thickness, and their mid-surfaces are 1 mm apart."""
+    _, data, _ = checked(tmp_path, cache, ("thickness = 1\nyoung", f"thickness = {thickness}\nyoung"))
     (group,) = [group for group in data["points"] if "values" in group]
-    assert group["values"] == pytest.approx(np.full(6, 0.1)) and group["first"]
-    assert data["map"] == {"scale": "viridis", "low": 0.0, "high": pytest.approx(0.1), "title": "gap (mm)"}
-
-
-@pytest.mark.slow
-def test_overlaps_and_gaps_have_different_signs(tmp_path, cache):
-    _, data, _ = checked(tmp_path, cache, ("thickness = 1\nyoung = 210000", "thickness = 1.2\nyoung = 210000"))
-    (group,) = [group for group in data["points"] if "values" in group]
-    assert group["values"] == pytest.approx(np.full(6, -0.2)) and "overlap 0.2 mm" in group["labels"][0]
-    assert data["map"]["low"] == pytest.approx(-0.2) and data["map"]["scale"] == "RdBu_r"
+    assert group["values"] == pytest.approx(np.full(6, gap)) and group["first"] and words in group["labels"][0]
+    assert data["map"]["low"] == pytest.approx(low) and data["map"]["high"] == pytest.approx(abs(gap))
+    assert data["map"]["scale"] == scale and data["map"]["title"].startswith("gap (mm)")
 
 
 @pytest.mark.slow
 def test_warnings_stand_beside_the_view_and_are_numbered_in_it(tmp_path, cache):
     edits = (("force = 60", "force = 60000"), ("young = 210000", "young = 210"))
-    html, data, _ = checked(tmp_path, cache, *edits, page=tmp_path / "here.html")
-    assert "The scene is valid, 4 warnings." in html
+    html, data, output = checked(tmp_path, cache, *edits, page=tmp_path / "here.html")
+    assert "The scene is valid, 4 warnings." in html and output.rstrip().endswith("The scene is valid, 4 warnings.")
+    assert "warning: part lower: young = 210 MPa" in output
     items = re.findall(r"<li>([^:<]*): (?:young|force)", html)
     assert items == ["part lower", "part upper", "clamp C1-upper", "clamp C1-lower"]
     (group,) = [group for group in data["points"] if group["name"] == "warnings"]
@@ -84,9 +84,10 @@ def test_warnings_stand_beside_the_view_and_are_numbered_in_it(tmp_path, cache):
 
 
 def test_a_scene_that_is_not_valid_is_drawn_as_far_as_it_can_be(tmp_path, cache):
-    html, data, output = checked(tmp_path, cache, ("point = [88, 6, 0.5]", "point = [88, 60, 0.5]"))
+    moved = ("point = [88, 6, 0.5]", "point = [88, 60, 0.5]")
+    html, data, output = checked(tmp_path, cache, moved, error="welds[0].point (W1)")
     assert "Not valid: 1 error, 0 warnings." in html and "welds[0].point (W1)" in html
-    assert "its nearest point is [88, 25, 0]" in html
+    assert "the nearest point on it is (88, 25, 0)" in html
     assert len(data["parts"]) == 2 and not [group for group in data["points"] if "values" in group]
     assert "page: results/lap-joint/check.html" in output
 
@@ -122,12 +123,27 @@ def test_fixtures_are_drawn_unless_their_mesh_is_missing(tmp_path, cache):
     _, data, output = checked(tmp_path / "a", cache, edit, there, page=tmp_path / "a.html")
     assert [part["name"] for part in data["parts"]] == ["lower", "upper", "pad", "block"]
     assert "touches lower at (60, 12.5, -0.5), facing along (0, 0, 1)" in output
-    html, data, _ = checked(tmp_path / "b", cache, edit, page=tmp_path / "b.html")
+    html, data, _ = checked(tmp_path / "b", cache, edit, page=tmp_path / "b.html", error="there is no file")
     assert [part["name"] for part in data["parts"]] == ["lower", "upper"] and "there is no file" in html
 
 
+@pytest.mark.slow
+def test_a_strict_check_ends_in_its_warnings(tmp_path, cache):
+    young = ("thickness = 1\nyoung = 210000", "thickness = 1\nyoung = 210")
+    *_, output = checked(tmp_path, cache, young, strict=True, error="part lower: young = 210 MPa; usual is ")
+    assert "The scene is valid" not in output
+
+
+def test_a_check_that_ends_in_an_error_prints_warnings_first(tmp_path, cache):
+    """It may be why: a sheet of 40 mm reaches through its neighbour."""
+    thick = ("thickness = 1\n", "thickness = 40\n")
+    *_, output = checked(tmp_path, cache, thick, error=" coincide (")
+    assert "warning: part lower: thickness = 40 mm; usual is 0.3 to 6 mm" in output
+
+
 def test_a_page_without_any_part_has_a_message(tmp_path, cache):
-    html, data, _ = checked(tmp_path, cache, ('geometry = "geometry.py"', 'geometry = "none.py"'))
+    nowhere = ('geometry = "geometry.py"', 'geometry = "none.py"')
+    html, data, _ = checked(tmp_path, cache, nowhere, error="there is no file")
     assert data is None and "No part could be read" in " ".join(html.split()) and html.count("there is no file") == 2
 
 

@@ -9,12 +9,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from types import SimpleNamespace
 from typing import TYPE_CHECKING
 
 from mic.errors import SceneError
 from mic.geometry.load import LoadedPart, load_part
-from mic.plausibility.rules import FILE, MESHES, PARTS, Rule, SceneWarning
+from mic.plausibility.rules import FILE, MESHES, PARTS, SceneWarning, apply_rules
 from mic.system.disk_cache import ABSENT, Cache
 from mic.system.files import Format
 from mic.system.memoise import memoise
@@ -23,18 +22,7 @@ if TYPE_CHECKING:
     from mic.model.assembly import Assembly
     from mic.scene import Scene
 
-__all__ = [
-    "FILE",
-    "MESHES",
-    "PARTS",
-    "Rule",
-    "SceneWarning",
-    "find_warnings",
-    "find_warnings_unplaced",
-    "loadable_parts",
-    "raise_warnings",
-    "validity",
-]
+__all__ = ["SceneWarning", "find_warnings", "find_warnings_unplaced", "loadable_parts", "raise_warnings", "validity"]
 
 CACHED_WARNINGS = Format("set of warnings", 1, ABSENT)
 MAX_CACHED = 64
@@ -53,27 +41,14 @@ def find_warnings(
     cache : Path, optional
         Folder in which the warnings of an assembly are cached.
     """
-    if cache is None or assembly is None:
-        return _find_warnings(scene, assembly)
-    disk_cache, scene_text = Cache(cache, "warnings", CACHED_WARNINGS, MAX_CACHED), assembly.scene.model_dump_json()
-    return memoise(
-        disk_cache, [assembly.identity, scene_text], {}, (SceneWarning,), lambda: _find_warnings(scene, assembly)
-    )[0]
-
-
-def _find_warnings(scene: Scene, assembly: Assembly | None) -> tuple[SceneWarning, ...]:
-    found = [warning for rule in FILE for warning in rule.warnings(scene if assembly is None else assembly.scene)]
-    if assembly is not None:
-        # The surfaces as drawn, not as they are meshed for the solution.
-        found += _part_warnings((part, assembly.surfaces[part.name]) for part in assembly.parts)
-        found += [warning for rule in MESHES for warning in rule.warnings(assembly)]
-    return tuple(found)
-
-
-def _part_warnings(sheets) -> list[SceneWarning]:
-    """The warnings of parts, given with their surfaces."""
-    parts = [SimpleNamespace(name=part.name, thickness=part.thickness, surface=surface) for part, surface in sheets]
-    return [warning for rule in PARTS for warning in rule.warnings(parts)]
+    if cache is not None and assembly is not None:
+        disk_cache, key = Cache(cache, "warnings", CACHED_WARNINGS, MAX_CACHED), assembly.scene.model_dump_json()
+        find = lambda: find_warnings(scene, assembly)
+        return memoise(disk_cache, [assembly.identity, key], {}, (SceneWarning,), find)[0]
+    if assembly is None:
+        return tuple(apply_rules(FILE, scene))
+    sheets = [(part, assembly.surfaces[part.name]) for part in assembly.parts]  # as drawn, not as meshed to be solved
+    return (*apply_rules(FILE, assembly.scene), *apply_rules(PARTS, sheets), *apply_rules(MESHES, assembly))
 
 
 def find_warnings_unplaced(scene: Scene, parts: Sequence[LoadedPart]) -> tuple[SceneWarning, ...]:
@@ -85,7 +60,7 @@ def find_warnings_unplaced(scene: Scene, parts: Sequence[LoadedPart]) -> tuple[S
     parts : sequence of LoadedPart
         Those of its parts that could be loaded, see :func:`loadable_parts`.
     """
-    return find_warnings(scene) + tuple(_part_warnings((loaded.part, loaded.surface) for loaded in parts))
+    return (*find_warnings(scene), *apply_rules(PARTS, [(loaded.part, loaded.surface) for loaded in parts]))
 
 
 def loadable_parts(scene: Scene, cache: Path) -> list[LoadedPart]:

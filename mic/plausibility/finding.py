@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-__all__ = ["Finding", "Point", "label"]
+__all__ = ["Finding", "Point", "about", "label"]
 
 Point = tuple[float, float, float]
 Finding = tuple[str, str, Point | None]  #: the item, what is unusual about it, and its location, mm
@@ -13,3 +13,9 @@ Finding = tuple[str, str, Point | None]  #: the item, what is unusual about it, 
 def label(table: str, item: Any) -> str:
     """An item of a scene's table, such as ``clamp C1``."""
     return f"{table.removesuffix('s')} {item.name}"
+
+
+def about(table: str, item: Any, text: str) -> Finding:
+    """A finding about an item, at its point if it has one; a measurement's first point."""
+    places = getattr(item, "places", None)
+    return label(table, item), text, places[0][1] if places else getattr(item, "point", None)

@@ -15,8 +15,9 @@ from scipy.spatial import cKDTree
 
 from mic.geometry.surface import Surface
 from mic.model.overlap import mean_gaps
-from mic.plausibility.finding import Finding, Point, label
-from mic.scene.stages import moves_assembly, placing_stages
+from mic.plausibility.finding import Finding, Point, about, label
+from mic.plausibility.scene_file import held_at, held_by_stage
+from mic.scene.stages import placing_stages
 
 EXTENT = (25.0, 5000.0)  # mm, diagonal of a part
 SLENDER = 20.0  # extents of a part in thicknesses, at least
@@ -41,10 +42,6 @@ CHORD = 0.1  # mm between a facet and the curved sheet
 PADS = ("locators", "clamps", "welds", "deviations", "measurements")
 
 
-def _surfaces(assembly) -> dict[str, Surface]:
-    return {part.name: part.surface for part in assembly.parts}
-
-
 def _on_parts(assembly) -> Iterator[tuple[str, Any, Any]]:
     """Table, item and part for every item at a point of a part, without those in holes."""
     parts = {part.name: part for part in assembly.parts}
@@ -52,31 +49,37 @@ def _on_parts(assembly) -> Iterator[tuple[str, Any, Any]]:
         for item in getattr(assembly.scene, table):
             if getattr(item, "hole", None) is not None or getattr(item, "point", None) is None:
                 continue
-            names = item.parts if table == "welds" else [item.part] if hasattr(item, "part") else []
-            for name in names:
+            for name in item.parts if table == "welds" else [item.part]:
                 yield table, item, parts[name]
 
 
-def extent(parts) -> Iterator[Finding]:
+def _zones(assembly) -> Iterator[tuple[Any, np.ndarray]]:
+    """Each zone that has contact pairs, with their numbers."""
+    for i, zone in enumerate(assembly.scene.zones):
+        own = np.flatnonzero(assembly.contacts.zone == i)
+        if len(own):
+            yield zone, own
+
+
+def extent(sheets) -> Iterator[Finding]:
     """Parts that are very small or very large."""
-    for part in parts:
-        size = part.surface.diameter
-        if not EXTENT[0] <= size <= EXTENT[1]:
-            yield label("parts", part), f"measures {size:.3g} mm across", None
+    for part, surface in sheets:
+        if not EXTENT[0] <= surface.diameter <= EXTENT[1]:
+            yield label("parts", part), f"measures {surface.diameter:.3g} mm across", None
 
 
-def no_sheet(parts) -> Iterator[Finding]:
+def no_sheet(sheets) -> Iterator[Finding]:
     """Parts that are too thick for their size."""
-    for part in parts:
-        size = part.surface.diameter / part.thickness
+    for part, surface in sheets:
+        size = surface.diameter / part.thickness
         if size < SLENDER:
             yield label("parts", part), f"measures {size:.3g} thicknesses across", None
 
 
-def coarse(parts) -> Iterator[Finding]:
+def coarse(sheets) -> Iterator[Finding]:
     """Parts of few elements."""
-    for part in parts:
-        count = part.surface.diameter / float(np.median(part.surface.edge_lengths))
+    for part, surface in sheets:
+        count = surface.diameter / float(np.median(surface.edge_lengths))
         if count < COARSE:
             yield label("parts", part), f"has {count:.2g} elements along its diagonal", None
 
@@ -88,10 +91,9 @@ def off_the_sheet(assembly) -> Iterator[Finding]:
         foot = part.surface.project(item.point)
         within = sum(thickness[name] for name in item.parts) if table == "welds" else part.thickness / 2
         gap = float(foot.distance[0]) - within
-        at = tuple(float(x) for x in foot.point[0])
         if gap > OFF:
-            near = ", ".join(f"{x:.4g}" for x in at)
-            yield label(table, item), f"is {gap:.2g} mm away from part {part.name}, nearest point [{near}]", item.point
+            near = ", ".join(f"{x:.4g}" for x in foot.point[0])
+            yield about(table, item, f"is {gap:.2g} mm away from part {part.name}, nearest point [{near}]")
 
 
 def pad_large(assembly) -> Iterator[Finding]:
@@ -99,8 +101,8 @@ def pad_large(assembly) -> Iterator[Finding]:
     for table, item, part in _on_parts(assembly):
         share = np.pi * item.radius**2 / part.surface.areas.sum()
         if share > PAD:
-            finding = f"radius = {item.radius:g} mm covers {100 * min(share, 9.99):.0f} % of part {part.name}"
-            yield label(table, item), finding, item.point
+            covered = 100 * min(share, 9.99)
+            yield about(table, item, f"radius = {item.radius:g} mm covers {covered:.0f} % of part {part.name}")
 
 
 def nugget_over_edge(assembly) -> Iterator[Finding]:
@@ -109,8 +111,8 @@ def nugget_over_edge(assembly) -> Iterator[Finding]:
         if table == "welds" and item.radius > 0:
             apart = _to_border(part.surface, part.surface.project(item.point).point[0])
             if apart < item.radius:
-                finding = f"has radius {item.radius:g} mm and is {apart:.2g} mm from the edge of part {part.name}"
-                yield label(table, item), finding, item.point
+                text = f"has radius {item.radius:g} mm and is {apart:.2g} mm from the edge of part {part.name}"
+                yield about(table, item, text)
 
 
 def clamp_inclined(assembly) -> Iterator[Finding]:
@@ -121,21 +123,18 @@ def clamp_inclined(assembly) -> Iterator[Finding]:
             cosine = abs(float(part.surface.normals[foot.triangle[0]] @ item.direction))
             if cosine < INCLINED:
                 angle = np.degrees(np.arccos(min(1.0, cosine)))
-                yield label(table, item), f"pushes at {angle:.0f}° to the normal of part {part.name}", item.point
+                yield about(table, item, f"pushes at {angle:.0f}° to the normal of part {part.name}")
 
 
-def _pressed(assembly, clamp) -> tuple[str, np.ndarray] | None:
-    """The body opposite a clamp's part at the clamp, and the direction to it; None if there is none."""
-    contacts, scene = assembly.contacts, assembly.scene
-    own = [i for i, zone in enumerate(scene.zones) if clamp.part in zone.parts]
-    pairs = np.flatnonzero(np.isin(contacts.zone, own))
-    if not len(pairs):
-        return None
-    distance = np.linalg.norm(contacts.point[pairs] - clamp.point, axis=1)
-    near = pairs[np.argmin(distance)]
-    if distance.min() > clamp.radius + np.sqrt(contacts.area[near]):
-        return None
-    first, second = scene.zones[contacts.zone[near]].parts
+def _pressed(assembly, clamp) -> tuple[str, np.ndarray]:
+    """The body opposite a clamp's part at the clamp, and the direction to it; ``""`` and zeros if there is none."""
+    contacts, zones = assembly.contacts, assembly.scene.zones
+    touches = np.isin(contacts.zone, [i for i, zone in enumerate(zones) if clamp.part in zone.parts])
+    distance = np.where(touches, np.linalg.norm(contacts.point - clamp.point, axis=1), np.inf)
+    near = np.argmin(distance) if len(distance) else 0
+    if not touches.any() or distance[near] > clamp.radius + np.sqrt(contacts.area[near]):
+        return "", np.zeros(3)
+    first, second = zones[contacts.zone[near]].parts
     sign, other = (1.0, second) if first == clamp.part else (-1.0, first)
     return other, sign * contacts.frame[near, :, 0]
 
@@ -143,16 +142,10 @@ def _pressed(assembly, clamp) -> tuple[str, np.ndarray] | None:
 def clamp_pulls(assembly) -> Iterator[Finding]:
     """Clamps that pull their part away from the body opposite."""
     for clamp in assembly.scene.clamps:
-        pressed = _pressed(assembly, clamp)
-        if pressed is not None:
-            other, towards = pressed
-            along = float(np.dot(clamp.direction, towards))
-            if along * np.sign(1.0 if clamp.force is None else clamp.force) < -0.5:
-                yield (
-                    label("clamps", clamp),
-                    f"pulls part {clamp.part} away from {other}, which is on its other side",
-                    clamp.point,
-                )
+        other, towards = _pressed(assembly, clamp)
+        along = float(np.dot(clamp.direction, towards))
+        if along * np.sign(1.0 if clamp.force is None else clamp.force) < -0.5:
+            yield about("clamps", clamp, f"pulls part {clamp.part} away from {other}, which is on its other side")
 
 
 def presses_one_side(assembly) -> Iterator[Finding]:
@@ -160,27 +153,22 @@ def presses_one_side(assembly) -> Iterator[Finding]:
     scene = assembly.scene
     fixtures = {fixture.name for fixture in scene.fixtures}
     for clamp in scene.clamps:
-        pressed = _pressed(assembly, clamp) if clamp.force else None
-        if pressed is None or pressed[0] in fixtures:
+        pressed, _ = _pressed(assembly, clamp)
+        if not clamp.force or not pressed or pressed in fixtures:
             continue
-        direction = np.array(clamp.direction)
-        against = [
-            item.point
-            for item in scene.locators
-            if item.part == pressed[0] and abs(item.direction @ direction) > INCLINED
-        ]
-        for item in scene.clamps:
-            along = float(np.dot(item.direction, direction))
-            if item.part == pressed[0] and (along < -INCLINED or (item.force is None and abs(along) > INCLINED)):
+        direction, against = np.array(clamp.direction), []
+        for item in (*scene.locators, *scene.clamps):
+            along, rigid = float(item.direction @ direction), getattr(item, "force", None) is None
+            if item.part == pressed and (along < -INCLINED or (rigid and along > INCLINED)):
                 against.append(item.point)
-        for zone in scene.zones:
-            if pressed[0] in zone.parts and fixtures & set(zone.parts):
-                against += assembly.contacts.point[assembly.contacts.zone == scene.zones.index(zone)].tolist()
+        for zone, own in _zones(assembly):
+            if pressed in zone.parts and fixtures & set(zone.parts):
+                against += assembly.contacts.point[own].tolist()
         beside = _beside(np.array(against).reshape(-1, 3), np.array(clamp.point), direction)
         if beside > clamp.radius + BESIDE:
             where = f"{beside:.0f} mm from" if np.isfinite(beside) else "without"
-            finding = f"presses on part {pressed[0]} {where} any support of that part: it presses one side only"
-            yield label("clamps", clamp), finding, clamp.point
+            text = f"presses on part {pressed} {where} any support of that part: it presses one side only"
+            yield about("clamps", clamp, text)
 
 
 def unbacked(assembly) -> Iterator[Finding]:
@@ -191,17 +179,16 @@ def unbacked(assembly) -> Iterator[Finding]:
     """
     sheet, fixtures = {part.name: part for part in assembly.parts}, {item.name for item in assembly.scene.fixtures}
     for clamp in assembly.scene.clamps:
-        stack = _stack(assembly, clamp) if clamp.force else []
+        _, stack = _pressed_through(assembly, clamp)
         away = _support(assembly.scene, clamp, stack)
-        if len(stack) < 2 or fixtures & set(stack) or not np.isfinite(away):
+        if not clamp.force or len(stack) < 2 or fixtures & set(stack) or not np.isfinite(away):
             continue  # presses nothing, or over a pad, or without any support (presses-one-side warns of it)
         stiffness = sum(sheet[n].young * sheet[n].thickness ** 3 / 12 / (1 - sheet[n].poisson ** 2) for n in stack)
         ν = float(np.mean([sheet[name].poisson for name in stack]))
         sunk = abs(clamp.force) * away**2 * (3 + ν) / (16 * np.pi * stiffness * (1 + ν))
         if sunk > SUNK:
-            finding = f"presses with {abs(clamp.force):.3g} N on part {stack[-1]} {away:.0f} mm from the next support"
-            finding += f": the sheets deflect by about {sunk:.2g} mm"
-            yield label("clamps", clamp), finding, clamp.point
+            text = f"presses with {abs(clamp.force):.3g} N on part {stack[-1]} {away:.0f} mm from the next support"
+            yield about("clamps", clamp, f"{text}: the sheets deflect by about {sunk:.2g} mm")
 
 
 def squeezed(assembly) -> Iterator[Finding]:
@@ -211,16 +198,17 @@ def squeezed(assembly) -> Iterator[Finding]:
     for clamp in scene.clamps:
         if clamp.stroke is None or clamp.limit is not None:
             continue
-        clearance = -_held_at(scene, "clamps", clamp)
-        for gap, body in zip(*_pressed_through(assembly, clamp)):
+        clearance = -held_at(scene, "clamps", clamp)
+        gaps, stack = _pressed_through(assembly, clamp)
+        for gap, body in zip(gaps, stack[1:]):
             clearance += gap
             stops = [("fixtures", fixtures[body], 0.0)] if body in fixtures else _stops(scene, clamp, body)
             for table, stop, moved in stops:
                 remaining = clearance + moved
                 if remaining < ROOM and frozenset({clamp.name, stop.name}) not in reported:
                     reported.add(frozenset({clamp.name, stop.name}))
-                    finding = f"holds its position over {label(table, stop)} with {remaining + 0.0:.2g} mm of clearance"
-                    yield label("clamps", clamp), finding, clamp.point
+                    text = f"holds its position over {label(table, stop)} with {remaining + 0.0:.2g} mm of clearance"
+                    yield about("clamps", clamp, text)
 
 
 def _stops(scene, clamp, body) -> list[tuple[str, Any, float]]:
@@ -235,39 +223,13 @@ def _stops(scene, clamp, body) -> list[tuple[str, Any, float]]:
         along, step = float(item.direction @ push), np.subtract(item.point, clamp.point)
         beside = np.linalg.norm(step - (step @ push) * push)
         if item.part == body and abs(along) > INCLINED and beside <= clamp.radius + item.radius:
-            if _hold_together(scene, clamp, item):
-                found.append((table, item, _held_at(scene, table, item) * along))
+            if any({clamp.name, item.name} <= held for _, held in held_by_stage(scene)):
+                found.append((table, item, held_at(scene, table, item) * along))
     return found
 
 
-def _held_at(scene, table, item) -> float:
-    """Mean position along its direction that a locator or clamp prescribes, mm from nominal."""
-    moving = [row for row in scene.deviations if row.moves == table and item.name in np.atleast_1d(row.target)]
-    return (item.stroke if table == "clamps" else 0.0) + sum(row.mean for row in moving)
-
-
-def _hold_together(scene, a, b) -> bool:
-    """Whether both are closed in some stage."""
-    held: set[str] = set()
-    for stage in scene.stages:
-        if stage.kind == "release":
-            held &= {item.name for item in scene.locators} if stage.keep is None else set(stage.keep)
-        else:
-            if moves_assembly(scene, stage):
-                held = set()
-            held |= {item.name for item in (*scene.locators, *scene.clamps) if item.stage == stage.name}
-        if {a.name, b.name} <= held:
-            return True
-    return False
-
-
-def _stack(assembly, clamp) -> list[str]:
-    """The bodies that a clamp presses together, in the order in which its force passes through them."""
-    return [clamp.part, *_pressed_through(assembly, clamp)[1]]
-
-
 def _pressed_through(assembly, clamp) -> tuple[list[float], list[str]]:
-    """The gaps, mm, and the bodies below them, in the order in which a clamp's force passes through them."""
+    """The bodies that a clamp presses together, in the order of its force, and the gaps between them, mm."""
     contacts, zones = assembly.contacts, assembly.scene.zones
     push = np.sign(clamp.force or 1.0) * np.array(clamp.direction)
     distance = np.linalg.norm(contacts.point - clamp.point, axis=1)
@@ -280,7 +242,7 @@ def _pressed_through(assembly, clamp) -> tuple[list[float], list[str]]:
         if abs(along) > INCLINED and upper == stack[-1] and lower not in stack:
             stack.append(lower)
             gaps.append(float(contacts.gap[pair]))
-    return gaps, stack[1:]
+    return gaps, stack
 
 
 def _support(scene, clamp, stack) -> float:
@@ -331,35 +293,32 @@ def locators_in_line(assembly) -> Iterator[Finding]:
         vertex, worst = np.unravel_index(int(np.argmax(far)), far.shape)
         if far[vertex, worst] > AMPLIFIED:
             names, moved_by = ", ".join(item.name for item in own), far[vertex, worst]
-            finding = f"is placed on locators {names}; 1 mm at {own[worst].name} moves it by {moved_by:.3g} mm"
-            yield label("parts", part), finding, own[worst].point
+            text = f"is placed on locators {names}; 1 mm at {own[worst].name} moves it by {moved_by:.3g} mm"
+            yield label("parts", part), text, own[worst].point
 
 
 def weld_over_gap(assembly) -> Iterator[Finding]:
     """Welds over wide gaps."""
     for weld, gap in zip(assembly.scene.welds, mean_gaps(assembly)):
         if abs(gap) > GAP:
-            yield label("welds", weld), f"is over a gap of {gap:.2g} mm", weld.point
+            yield about("welds", weld, f"is over a gap of {gap:.2g} mm")
 
 
 def weld_off_zone(assembly) -> Iterator[Finding]:
     """Welds far from every contact pair of the parts that they join."""
-    scene, contacts = assembly.scene, assembly.contacts
-    for weld in scene.welds:
-        joining = [i for i, zone in enumerate(scene.zones) if set(zone.parts) == set(weld.parts)]
-        own = contacts.point[np.isin(contacts.zone, joining)]
-        if len(own):
-            apart = float(np.linalg.norm(own - weld.point, axis=1).min())
-            if apart > FAR:
-                yield label("welds", weld), f"is {apart:.0f} mm from the nearest contact pair", weld.point
+    for weld in assembly.scene.welds:
+        joining = [own for zone, own in _zones(assembly) if set(zone.parts) == set(weld.parts)]
+        points = assembly.contacts.point[np.concatenate(joining)] if joining else [weld.point]
+        apart = float(np.linalg.norm(np.subtract(points, weld.point), axis=1).min())
+        if apart > FAR:
+            yield about("welds", weld, f"is {apart:.0f} mm from the nearest contact pair")
 
 
 def zones_alike(assembly) -> Iterator[Finding]:
     """Zones that count the same contact twice."""
-    scene, contacts = assembly.scene, assembly.contacts
-    for i, j in itertools.combinations(range(len(scene.zones)), 2):
-        a, b = np.flatnonzero(contacts.zone == i), np.flatnonzero(contacts.zone == j)
-        if set(scene.zones[i].parts) != set(scene.zones[j].parts) or not len(a) or not len(b):
+    contacts = assembly.contacts
+    for (first, a), (second, b) in itertools.combinations(_zones(assembly), 2):
+        if set(first.parts) != set(second.parts):
             continue
         if contacts.area[a].sum() < contacts.area[b].sum():
             a, b = b, a
@@ -367,29 +326,25 @@ def zones_alike(assembly) -> Iterator[Finding]:
         inside = distance < 0.75 * np.sqrt(contacts.area[a[near]])
         share = float(contacts.area[b[inside]].sum() / contacts.area[b].sum())
         if share > SHARED:
-            reversed_ = ", in the opposite direction," if scene.zones[i].parts != scene.zones[j].parts else ""
-            finding = f"covers{reversed_} {100 * share:.0f} % of the same area as zone {scene.zones[i].name}"
-            yield label("zones", scene.zones[j]), finding, tuple(contacts.point[b[0]].tolist())
+            reversed_ = ", in the opposite direction," if first.parts != second.parts else ""
+            text = f"covers{reversed_} {100 * share:.0f} % of the same area as zone {first.name}"
+            yield label("zones", second), text, tuple(contacts.point[b[0]].tolist())
 
 
 def zone_small(assembly) -> Iterator[Finding]:
     """Zones of very small area."""
-    for i, zone in enumerate(assembly.scene.zones):
-        own = assembly.contacts.zone == i
+    for zone, own in _zones(assembly):
         area = float(assembly.contacts.area[own].sum())
-        if own.any() and area < SMALL:
-            yield label("zones", zone), f"touches over {area:.2g} mm²", tuple(assembly.contacts.point[own][0].tolist())
+        if area < SMALL:
+            yield label("zones", zone), f"touches over {area:.2g} mm²", tuple(assembly.contacts.point[own[0]].tolist())
 
 
 def bend_coarse(assembly) -> Iterator[Finding]:
     """Zones on bends of few facets: a chord of length ℓ over a turn of θ is ℓ θ / 8 off the curved sheet."""
-    scene, contacts = assembly.scene, assembly.contacts
-    for i, zone in enumerate(scene.zones):
-        own = contacts.point[contacts.zone == i]
-        for part in assembly.parts if len(own) else ():
-            if part.name not in zone.parts:
-                continue
-            triangle = part.surface.project(own).triangle
+    for zone, own in _zones(assembly):
+        points = assembly.contacts.point[own]
+        for part in (part for part in assembly.parts if part.name in zone.parts):
+            triangle = part.surface.project(points).triangle
             chord, turn = (
                 np.roll(corners[triangle], -1, axis=1) - corners[triangle]
                 for corners in (part.surface.corners, part.surface.corner_normals)
@@ -398,11 +353,9 @@ def bend_coarse(assembly) -> Iterator[Finding]:
             worst, edge = np.unravel_index(int(np.argmax(off)), off.shape)
             if off[worst, edge] > CHORD:
                 length, share = np.linalg.norm(chord[worst, edge]), float((off.max(axis=1) > CHORD).mean())
-                finding = (
-                    f"has {100 * share:.0f} % of its pairs on bends of part {part.name} with facets "
-                    f"{length:.2g} mm long, up to {off[worst, edge]:.2g} mm off the curved sheet"
-                )
-                yield label("zones", zone), finding, tuple(own[worst].tolist())
+                text = f"has {100 * share:.0f} % of its pairs on bends of part {part.name} with facets "
+                text += f"{length:.2g} mm long, up to {off[worst, edge]:.2g} mm off the curved sheet"
+                yield label("zones", zone), text, tuple(points[worst].tolist())
 
 
 def samples_twice(assembly) -> Iterator[Finding]:
@@ -423,8 +376,8 @@ def samples_narrow(assembly) -> Iterator[Finding]:
     for item, column in zip(assembly.scene.deviations, values.T):
         spread = float(column.std())
         if 0.0 < spread < NARROW * item.sigma:
-            finding = f"has a standard deviation of {spread:.3g} in the samples, and sigma = {item.sigma:g}"
-            yield label("deviations", item), finding, None
+            text = f"has a standard deviation of {spread:.3g} in the samples, and sigma = {item.sigma:g}"
+            yield label("deviations", item), text, None
 
 
 def overlap_closed(assembly) -> Iterator[Finding]:
@@ -439,56 +392,49 @@ def overlap_kept(assembly) -> Iterator[Finding]:
 
 def _overlaps(assembly, rule, share, does) -> Iterator[Finding]:
     """Zones with this `nominal_overlap` whose overlap exceeds this share of the thinner sheet."""
-    scene, contacts = assembly.scene, assembly.contacts
-    thickness = {part.name: part.thickness for part in assembly.parts}
-    for i, zone in enumerate(scene.zones):
-        own = np.flatnonzero(contacts.zone == i)
-        if zone.nominal_overlap == rule and len(own):
-            thinner = min(thickness[name] for name in zone.parts if name in thickness)
-            worst = own[np.argmax(contacts.overlap[own])]
-            if contacts.overlap[worst] > share * thinner:
-                finding = f"{does} an overlap of {contacts.overlap[worst]:.2g} mm"
-                yield label("zones", zone), finding, tuple(contacts.point[worst].tolist())
+    contacts = assembly.contacts
+    for zone, own in _zones(assembly):
+        thinner = min(part.thickness for part in assembly.parts if part.name in zone.parts)
+        worst = own[np.argmax(contacts.overlap[own])]
+        if zone.nominal_overlap == rule and contacts.overlap[worst] > share * thinner:
+            text = f"{does} an overlap of {contacts.overlap[worst]:.2g} mm"
+            yield label("zones", zone), text, tuple(contacts.point[worst].tolist())
 
 
 def fixture_turned(assembly) -> Iterator[Finding]:
     """Pads whose normal points away from the part in their zone."""
-    scene, surfaces = assembly.scene, _surfaces(assembly)
-    for fixture in scene.fixtures:
-        if fixture.point is None:
-            continue
-        for zone in scene.zones:
-            for name in set(zone.parts) & set(surfaces) if fixture.name in zone.parts else ():
-                foot = surfaces[name].project(fixture.point)
-                height = float((foot.point[0] - fixture.point) @ fixture.normal)
-                if height < 0:
-                    finding = f"faces away from part {name}, whose mid-surface is {-height:.2g} mm behind it"
-                    yield label("fixtures", fixture), finding, fixture.point
+    for fixture, part, touches in _pads(assembly):
+        height = float((part.surface.project(fixture.point).point[0] - fixture.point) @ fixture.normal)
+        if touches and height < 0:
+            text = f"faces away from part {part.name}, whose mid-surface is {-height:.2g} mm behind it"
+            yield about("fixtures", fixture, text)
 
 
 def fixture_inside(assembly) -> Iterator[Finding]:
     """Pads that contain another part behind their faces."""
-    scene = assembly.scene
-    for fixture in scene.fixtures:
-        touched = {name for zone in scene.zones if fixture.name in zone.parts for name in zone.parts}
-        for part in assembly.parts if fixture.point is not None else ():
-            if part.name in touched:
-                continue
-            foot = part.surface.project(fixture.point)
-            step = foot.point[0] - fixture.point
-            behind = -float(step @ fixture.normal)
-            aside = float(np.linalg.norm(step + behind * np.array(fixture.normal)))
-            if 0 < behind < BODY and aside < fixture.radius:
-                finding = f"contains part {part.name}, whose mid-surface is {behind:.2g} mm behind its face"
-                yield label("fixtures", fixture), finding, fixture.point
+    for fixture, part, touches in _pads(assembly):
+        step = part.surface.project(fixture.point).point[0] - fixture.point
+        behind = -float(step @ fixture.normal)
+        aside = float(np.linalg.norm(step + behind * np.array(fixture.normal)))
+        if not touches and 0 < behind < BODY and aside < fixture.radius:
+            text = f"contains part {part.name}, whose mid-surface is {behind:.2g} mm behind its face"
+            yield about("fixtures", fixture, text)
 
 
-def parts_cross(parts) -> Iterator[Finding]:
+def _pads(assembly) -> Iterator[tuple[Any, Any, bool]]:
+    """Each pair of a pad and a part, and whether a zone joins them."""
+    joined = [set(zone.parts) for zone in assembly.scene.zones]
+    for fixture, part in itertools.product(assembly.scene.fixtures, assembly.parts):
+        if fixture.point is not None:
+            yield fixture, part, {fixture.name, part.name} in joined
+
+
+def parts_cross(sheets) -> Iterator[Finding]:
     """Parts whose mid-surfaces pass through each other."""
-    for a, b in itertools.permutations(parts, 2):
-        at = _crossing(a.surface, b.surface)
+    for (part, surface), (other, other_surface) in itertools.permutations(sheets, 2):
+        at = _crossing(surface, other_surface)
         if at is not None:
-            yield label("parts", a), f"passes through part {b.name}", at
+            yield label("parts", part), f"passes through part {other.name}", at
 
 
 def _crossing(surface: Surface, other: Surface) -> Point | None:

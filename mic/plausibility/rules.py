@@ -11,7 +11,7 @@ from typing import Any
 from mic.plausibility import meshes, scene_file
 from mic.plausibility.finding import Finding, Point, label
 
-__all__ = ["FILE", "MESHES", "PARTS", "Rule", "SceneWarning"]
+__all__ = ["FILE", "MESHES", "PARTS", "Rule", "SceneWarning", "apply_rules"]
 
 
 @dataclass(frozen=True)
@@ -62,12 +62,6 @@ class Rule:
     remedy: str
     find: Callable[[Any], Iterable[Finding]]
 
-    def warnings(self, subject: Any) -> Iterator[SceneWarning]:
-        """The warnings of this rule for a scene, for parts or for an assembly."""
-        for item, finding, point in self.find(subject):
-            text = f"{finding}; usual is {self.usual} ({self.reason}): {self.remedy}"
-            yield SceneWarning(self.name, item, text, point)
-
 
 def _number_rule(
     key: str, low: float, high: float, reason: str, remedy: str, unit: str = "", also: Iterable[float] = ()
@@ -92,25 +86,28 @@ def _number_rule(
     return Rule(key, usual, reason, remedy, find)
 
 
-def _rules(rows: Iterable[dict[str, str]], module: Any) -> tuple[Rule, ...]:
-    """Rules whose findings come from the functions of a module with the rules' names."""
-    return tuple(
-        Rule(
-            row["name"],
-            row["usual"].format_map(vars(module)),
-            row["reason"],
-            row["remedy"],
-            getattr(module, row["name"].replace("-", "_")),
-        )
-        for row in rows
-    )
+def _rule(module: Any, name: str, usual: str, reason: str, remedy: str) -> Rule:
+    """A rule whose findings come from the function of a module with the rule's name."""
+    return Rule(name, usual.format_map(vars(module)), reason, remedy, getattr(module, name.replace("-", "_")))
 
 
 _TABLES = tomllib.loads(Path(__file__).with_name("rules.toml").read_text(encoding="utf-8"))
 
 #: Rules that need the scene file alone.
-FILE = tuple(_number_rule(**row) for row in _TABLES["number"]) + _rules(_TABLES["scene"], scene_file)
-#: Rules that need parts with name, thickness and surface.
-PARTS = _rules(_TABLES["parts"], meshes)
+FILE = (
+    *(_number_rule(**row) for row in _TABLES["number"]),
+    *(_rule(scene_file, **row) for row in _TABLES["scene"]),
+)
+#: Rules that need pairs of a part, with name and thickness, and its surface.
+PARTS = tuple(_rule(meshes, **row) for row in _TABLES["parts"])
 #: Rules that need the assembly with its contact pairs.
-MESHES = _rules(_TABLES["assembly"], meshes)
+MESHES = tuple(_rule(meshes, **row) for row in _TABLES["assembly"])
+
+
+def apply_rules(rules: Iterable[Rule], subject: Any) -> list[SceneWarning]:
+    """The warnings of rules for a scene, for parts or for an assembly."""
+    return [
+        SceneWarning(rule.name, item, f"{text}; usual is {rule.usual} ({rule.reason}): {rule.remedy}", point)
+        for rule in rules
+        for item, text, point in rule.find(subject)
+    ]

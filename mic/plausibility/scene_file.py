@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from mic.contact.laws import LAWS
-from mic.plausibility.finding import Finding, label
+from mic.plausibility.finding import Finding, about, label
 from mic.scene.stages import moves_assembly, placing_stages
 
 PARALLEL = 0.99  # cosine of the angle between two directions that count as equal
@@ -22,38 +22,43 @@ MOVED = 3.0  # mm
 SHAPED = 1000.0  # N
 TOLERANCE = (0.02, 30.0)  # mm
 
-_Held = tuple[str, Any, float]  # table and item that prescribe a position, and this position along its direction
+
+def held_by_stage(scene) -> Iterator[tuple[Any, set[str]]]:
+    """Each stage with the names of the locators and clamps that are closed at its end."""
+    held: set[str] = set()
+    for stage in scene.stages:
+        if stage.kind == "release":
+            held = held & ({item.name for item in scene.locators} if stage.keep is None else set(stage.keep))
+        else:
+            closing = {item.name for item in (*scene.locators, *scene.clamps) if item.stage == stage.name}
+            held = closing if moves_assembly(scene, stage) else held | closing
+        yield stage, held
+
+
+def held_at(scene, table: str, item: Any) -> float:
+    """Mean position along its direction that a locator or clamp prescribes, mm from nominal."""
+    moving = [row.mean for row in scene.deviations if row.moves == table and item.name in _targets(row)]
+    return (item.stroke if table == "clamps" else 0.0) + sum(moving)
 
 
 def held_twice(scene) -> Iterator[Finding]:
     """Two locators, or clamps with a stroke, of one part, point and direction."""
-    rows: list[_Held] = [("locators", item, 0.0) for item in scene.locators]
-    rows += [("clamps", item, item.stroke) for item in scene.clamps if item.stroke is not None]
-    moved = {(item.moves, name): item.mean for item in scene.deviations if item.moves for name in _targets(item)}
-    for (one, a, at), (other, b, to) in itertools.combinations(rows, 2):
-        cosine = _cosine(a, b)
-        if a.part == b.part and abs(cosine) > PARALLEL and _apart(a, b) < PINNED and _together(scene, a, b):
-            at_a, at_b = at + moved.get((one, a.name), 0.0), to + moved.get((other, b.name), 0.0)
-            off = abs(at_a - np.sign(cosine) * at_b)
+    rows = [("locators", item) for item in scene.locators]
+    rows += [("clamps", item) for item in scene.clamps if item.stroke is not None]
+    for (one, a), (other, b) in itertools.combinations(rows, 2):
+        if a.part == b.part and _alike(a, b) and _together(scene, a, b):
+            off = abs(held_at(scene, one, a) - np.sign(_cosine(a, b)) * held_at(scene, other, b))
             conflict = f"and prescribes a position {off:.3g} mm away from it" if off > 1e-6 else "a second time"
-            yield (
-                label(one, a),
-                f"holds the same point of part {a.part} as {label(other, b)}, in the same direction, {conflict}",
-                a.point,
-            )
+            text = f"holds the same point of part {a.part} as {label(other, b)}, in the same direction, {conflict}"
+            yield about(one, a, text)
 
 
 def clamped_twice(scene) -> Iterator[Finding]:
     """Two clamps with forces at one point of one part in one direction."""
     pushing = [clamp for clamp in scene.clamps if clamp.force is not None]
     for a, b in itertools.combinations(pushing, 2):
-        if a.part == b.part and _cosine(a, b) > PARALLEL and _apart(a, b) < PINNED:
-            if a.stage == b.stage:
-                yield (
-                    label("clamps", a),
-                    f"has the same point and direction as clamp {b.name}",
-                    a.point,
-                )
+        if a.part == b.part and a.stage == b.stage and _alike(a, b) and _cosine(a, b) > 0:
+            yield about("clamps", a, f"has the same point and direction as clamp {b.name}")
 
 
 def tongs_askew(scene) -> Iterator[Finding]:
@@ -64,18 +69,14 @@ def tongs_askew(scene) -> Iterator[Finding]:
     for a, b in itertools.combinations(scene.clamps, 2):
         if a.part == b.part or not _jaws(a, b):
             continue
-        cosine, step = _cosine(a, b), np.subtract(b.point, a.point)
-        item, other = label("clamps", a), f"clamp {b.name} of part {b.part} opposite"
+        cosine, step, other = _cosine(a, b), np.subtract(b.point, a.point), f"clamp {b.name} of part {b.part} opposite"
         if cosine > 0.5 and not _balanced([clamp for clamp in scene.clamps if clamp is a or _jaws(a, clamp)]):
-            yield item, f"pushes in the same direction as {other}: they press one side only", a.point
+            yield about("clamps", a, f"pushes in the same direction as {other}: they press one side only")
         elif cosine < -0.5 and np.linalg.norm(step) > 0.1 and np.dot(step, a.direction) < -0.5 * np.linalg.norm(step):
-            yield item, f"and {other} pull the parts apart", a.point
+            yield about("clamps", a, f"and {other} pull the parts apart")
         elif cosine < -0.5 and None not in (a.force, b.force) and abs(a.force - b.force) > 0.2 * max(a.force, b.force):
-            yield (
-                item,
-                f"pushes with {a.force:g} N, {other} with {b.force:g} N: both parts are pushed",
-                a.point,
-            )
+            text = f"pushes with {a.force:g} N, {other} with {b.force:g} N: both parts are pushed"
+            yield about("clamps", a, text)
 
 
 def _jaws(a: Any, b: Any) -> bool:
@@ -94,11 +95,11 @@ def _balanced(clamps: list[Any]) -> bool:
 
 def clamp_may_pull(scene) -> Iterator[Finding]:
     """Clamps whose force changes sign within three standard deviations."""
-    forces = {clamp.name: clamp.force for clamp in scene.clamps if clamp.force is not None}
+    forces = {clamp.name: clamp.force or 0.0 for clamp in scene.clamps}
     for item in scene.deviations:
         for name in _targets(item) if item.kind == "clamp" else ():
-            least = forces.get(name, 0.0) + item.mean - 3 * item.sigma
-            if forces.get(name, 0.0) > 0 > least:
+            least = forces[name] + item.mean - 3 * item.sigma
+            if forces[name] > 0 > least:
                 yield label("deviations", item), f"gives clamp {name} a force of {least:.3g} N at three sigma", None
 
 
@@ -113,7 +114,7 @@ def moves_much(scene) -> Iterator[Finding]:
         for key in ("mean", "sigma"):
             value = getattr(item, key) * (np.abs(item.known).max() if item.kind == "shape" else 1.0)
             if abs(value) > high:
-                yield label("deviations", item), f"{key} = {value:g} {unit}", getattr(item, "point", None)
+                yield about("deviations", item, f"{key} = {value:g} {unit}")
 
 
 def nothing_varies(scene) -> Iterator[Finding]:
@@ -127,28 +128,25 @@ def deviates_by_nothing(scene) -> Iterator[Finding]:
     """Deviations without mean and sigma."""
     for item in scene.deviations:
         if item.mean == item.sigma == 0:
-            yield label("deviations", item), "has mean 0 and sigma 0: it has no effect", getattr(item, "point", None)
+            yield about("deviations", item, "has mean 0 and sigma 0: it has no effect")
 
 
 def force_on_a_locator(scene) -> Iterator[Finding]:
     """Corrective forces that act on a locator."""
     for item in scene.deviations:
         for locator in scene.locators if item.kind == "force" else ():
-            along = abs(_cosine(item, locator)) > PARALLEL
-            if along and item.part == locator.part and _apart(item, locator) < PINNED:
-                if locator.stage == placing_stages(scene).get(item.part):
-                    yield label("deviations", item), f"pushes onto locator {locator.name}", item.point
+            placing = locator.stage == placing_stages(scene).get(item.part)
+            if placing and item.part == locator.part and _alike(item, locator):
+                yield about("deviations", item, f"pushes onto locator {locator.name}")
 
 
 def deviates_twice(scene) -> Iterator[Finding]:
     """Two deviations of one target, or two forces at one point."""
     for a, b in itertools.combinations(scene.deviations, 2):
-        if a.kind != b.kind or (a.moves is None and a.kind != "force"):
-            continue
-        if a.kind == "force":
-            same = a.part == b.part and _apart(a, b) < PINNED and abs(_cosine(a, b)) > PARALLEL
+        if a.kind == b.kind == "force":
+            same = a.part == b.part and _alike(a, b)
         else:
-            same = bool({*_targets(a)} & {*_targets(b)})
+            same = a.kind == b.kind and a.moves is not None and not {*_targets(a)}.isdisjoint(_targets(b))
         if same:
             yield label("deviations", b), f"has the same effect as deviation {a.name}: their variances add up", None
 
@@ -157,8 +155,7 @@ def limits_aside(scene) -> Iterator[Finding]:
     """Tolerances that exclude the nominal part."""
     for item in scene.measurements:
         if not item.lower <= 0 <= item.upper:
-            finding = f"limits {item.lower:g} to {item.upper:g} mm exclude the nominal 0"
-            yield label("measurements", item), finding, _first_point(item)
+            yield about("measurements", item, f"limits {item.lower:g} to {item.upper:g} mm exclude the nominal 0")
 
 
 def tolerance_odd(scene) -> Iterator[Finding]:
@@ -166,23 +163,16 @@ def tolerance_odd(scene) -> Iterator[Finding]:
     for item in scene.measurements:
         width = item.upper - item.lower
         if not TOLERANCE[0] <= width <= TOLERANCE[1]:
-            yield label("measurements", item), f"the tolerance is {width:g} mm wide", _first_point(item)
+            yield about("measurements", item, f"the tolerance is {width:g} mm wide")
 
 
 def measured_at_a_locator(scene) -> Iterator[Finding]:
     """Measurements of what a closed locator prescribes."""
-    closed: set[str] = set()
-    for stage in scene.stages:
-        if moves_assembly(scene, stage):
-            closed = set()
-        if stage.kind == "release" and stage.keep is not None:
-            closed &= set(stage.keep)
-        closed |= {locator.name for locator in scene.locators if locator.stage == stage.name}
+    *_, (_, closed) = held_by_stage(scene)
     for item in scene.measurements:
         for locator in scene.locators if item.kind == "point" and item.best_fit is None else ():
-            along = abs(_cosine(item, locator)) > PARALLEL
-            if along and locator.name in closed and item.part == locator.part and _apart(item, locator) < PINNED:
-                yield label("measurements", item), f"reads where locator {locator.name} holds the part", item.point
+            if locator.name in closed and item.part == locator.part and _alike(item, locator):
+                yield about("measurements", item, f"reads where locator {locator.name} holds the part")
 
 
 def measured_twice(scene) -> Iterator[Finding]:
@@ -193,7 +183,7 @@ def measured_twice(scene) -> Iterator[Finding]:
         along = a.kind == "profile" or abs(_cosine(a, b)) > 1 - 1e-6
         apart = _apart(a, b) if a.kind == "point" else 0.0 if a.places == b.places else np.inf
         if along and apart < 1e-6:
-            yield label("measurements", b), f"reads the same as measurement {a.name}", _first_point(b)
+            yield about("measurements", b, f"reads the same as measurement {a.name}")
 
 
 def nothing_read(scene) -> Iterator[Finding]:
@@ -209,20 +199,16 @@ def welds_upon_each_other(scene) -> Iterator[Finding]:
         if set(a.parts) & set(b.parts) and apart < max(PINNED, a.radius + b.radius):
             # A stack of three sheets is welded at one point, pair by pair.
             if set(a.parts) == set(b.parts) or apart > PINNED:
-                yield label("welds", b), f"is {apart:.3g} mm from weld {a.name}: the nuggets overlap", b.point
+                yield about("welds", b, f"is {apart:.3g} mm from weld {a.name}: the nuggets overlap")
 
 
 def welded_without_zone(scene) -> Iterator[Finding]:
     """Welds between parts without a contact zone."""
     joined = {frozenset(zone.parts) for zone in scene.zones}
-    for parts in dict.fromkeys(frozenset(weld.parts) for weld in scene.welds):
-        if parts not in joined:
-            own = next(weld for weld in scene.welds if set(weld.parts) == parts)
-            yield (
-                label("welds", own),
-                f"joins parts {' and '.join(own.parts)} without a zone",
-                own.point,
-            )
+    for weld in scene.welds:
+        if frozenset(weld.parts) not in joined:
+            joined.add(frozenset(weld.parts))  # one warning for two parts
+            yield about("welds", weld, f"joins parts {' and '.join(weld.parts)} without a zone")
 
 
 def path_doubles_back(scene) -> Iterator[Finding]:
@@ -262,8 +248,8 @@ def overlap_let_through(scene) -> Iterator[Finding]:
     for zone in scene.zones:
         thinner = min(thickness[name] for name in zone.parts if name in thickness)
         if isinstance(zone.nominal_overlap, float) and zone.nominal_overlap > thinner:
-            finding = f"nominal_overlap = {zone.nominal_overlap:g} mm exceeds the {thinner:g} mm of the thinner sheet"
-            yield label("zones", zone), finding, None
+            text = f"nominal_overlap = {zone.nominal_overlap:g} mm exceeds the {thinner:g} mm of the thinner sheet"
+            yield label("zones", zone), text, None
 
 
 def stands_alone(scene) -> Iterator[Finding]:
@@ -281,15 +267,12 @@ def welded_open(scene) -> Iterator[Finding]:
     """Welds made after every clamp has opened, or, without a gun, before any clamp of the station has closed."""
     closed: set[str] = set()
     opened = False
-    for number, stage in enumerate(scene.stages):
+    for number, (stage, held) in enumerate(held_by_stage(scene)):
         if moves_assembly(scene, stage):
-            closed, opened = set(), False  # in a later station the welds of the first hold the sheets together
-        if stage.kind == "clamp":
-            closed |= {item.name for item in scene.clamps if item.stage == stage.name}
-        elif stage.kind == "release":
-            opened |= bool(closed)
-            closed &= set(stage.keep or ())
-        elif stage.kind == "weld" and not closed:
+            opened = False  # in a later station the welds of the first hold the sheets together
+        opened |= stage.kind == "release" and bool(closed)
+        closed = held & {clamp.name for clamp in scene.clamps}
+        if stage.kind == "weld" and not closed:
             later = itertools.takewhile(lambda one: not moves_assembly(scene, one), scene.stages[number:])
             waiting = {one.name for one in later} & {clamp.stage for clamp in scene.clamps}
             pressed = all(weld.gun or weld.close for weld in scene.welds if weld.stage == stage.name)
@@ -313,9 +296,9 @@ def _together(scene, a, b) -> bool:
     return of_stage[a.stage] == of_stage[b.stage]
 
 
-def _first_point(item):
-    """The first point of a measurement; None while it is not placed."""
-    return item.places[0][1] if item.places else None
+def _alike(a, b) -> bool:
+    """Whether two items have one point, and one direction or opposite ones."""
+    return _apart(a, b) < PINNED and abs(_cosine(a, b)) > PARALLEL
 
 
 def _apart(a, b) -> float:
