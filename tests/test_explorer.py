@@ -18,9 +18,11 @@ from typer.testing import CliRunner
 
 import mic
 from mic.commands.predict import read_parts
+from mic.compliance import provider
 from mic.errors import FormatError
 from mic.explorer.positions import AssemblyPositions
 from mic.explorer.shapes import PartShape, Shapes, shapes_path
+from mic.model.assembly import assemble
 from mic.options import app
 
 CHROMIUM = ("chromium", "chromedriver")
@@ -95,19 +97,16 @@ def test_cached_shapes_belong_to_one_model(exploration, tmp_path):
         Shapes.load(path, exploration.scene_model)
 
 
+@pytest.mark.slow
 @pytest.mark.fem
 def test_a_shape_is_the_field_of_the_finite_elements(lap_model, lap_scene, cache):
-    from mic.compliance import provider
-    from mic.model.assembly import assemble
-
     parts = assemble(lap_scene, cache).parts
     shapes = Shapes.of(lap_model, parts, cache)
     again = Shapes.of(lap_model, parts, cache, lambda line: pytest.fail("it was kept"))
     found = lap_model.evaluate({})
     reads_only = set(lap_model.rows["measurement"].indices) - set(lap_model.rows["contact"].indices)
-    acting = np.concatenate(
-        [rows.start + one.acting for rows, one in zip(lap_model.compliance.functionals, again.parts)]
-    )
+    starts = [rows.start for rows in lap_model.compliance.functionals]
+    acting = np.concatenate([start + one.acting for start, one in zip(starts, again.parts)])
     assert not reads_only & set(acting.tolist()) and len(acting) < lap_model.compliance.size
     assert not np.delete(found.functional_force[0], acting).any()
     moved = again.displaced(lap_model, found.functional_force[0], found.motion[0])
@@ -179,7 +178,7 @@ def test_the_page_is_served_to_nobody_else(served):
     assert "HttpOnly" in cookie and "SameSite=Strict" in cookie and token in cookie
     assert status(served, "/vue.global.js", Cookie=cookie.partition(";")[0])[0] == 200
     upgrade = {"Upgrade": "websocket", "Connection": "Upgrade", "Sec-WebSocket-Version": "13"}
-    upgrade["Sec-WebSocket-Key"] = "dGhlIHNhbXBsZSBub25jZQ=="
+    upgrade |= {"Sec-WebSocket-Key": "dGhlIHNhbXBsZSBub25jZQ=="}
     port = served.host.partition(":")[2]
     refused = [
         status(served, "/index.html"),
@@ -196,16 +195,10 @@ def test_the_page_is_served_to_nobody_else(served):
 
 
 @pytest.mark.slow
-def test_cached_shapes_are_read_again(served, lap_model):
+def test_cached_shapes_are_read_again_and_a_port_in_use_is_refused(served, lap_model):
     kept = mic.ReducedModel.load(served.folder / "kept.npz")
-    assert (
-        Shapes.load(shapes_path(served.folder / "kept.npz"), kept).parts == ()
-        and kept.parameters == lap_model.parameters
-    )
-
-
-@pytest.mark.slow
-def test_a_port_in_use_is_refused_first(served):
+    assert kept.parameters == lap_model.parameters
+    assert Shapes.load(shapes_path(served.folder / "kept.npz"), kept).parts == ()
     port = served.host.partition(":")[2]
     done = CliRunner().invoke(app, ["explore", str(served.folder / "model.npz"), "--port", port])
     assert done.exit_code != 0

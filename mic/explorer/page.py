@@ -1,5 +1,6 @@
 """The page: controls, 3D view of the assembly, key characteristics with tolerances, certificate, histogram of samples.
 
+``page.html`` is its Vue template; its variables are the state that this module sets, its triggers methods of `Page`.
 Each change is evaluated at once. If an evaluation takes longer than :data:`SLOW`, a preliminary result is shown first
 and marked as such; the final one follows unless another change came meanwhile. Evaluations run in threads, so that the
 server stays responsive.
@@ -17,10 +18,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from matplotlib.colors import to_rgb
 from trame.app import get_server
 from trame.ui.vuetify3 import VAppLayout
 from trame.widgets import client, html
-from trame.widgets import vuetify3 as v3
 from trame_vtk.widgets import vtk
 
 from mic.contact.states import ContactState
@@ -99,9 +100,9 @@ class Page:
         self._samples = samples or Samples(np.zeros(0, int), np.zeros((0, count)), np.zeros((0, len(items))))
         self._preliminary_pool, self._final_pool = ThreadPoolExecutor(1), ThreadPoolExecutor(1)
         self._changed = asyncio.Event()
+        exploration.answer()  # makes one-time preparations, which do not count
         self._answer = exploration.answer()
-        self._seconds = exploration.answer().seconds  # of the second evaluation, after one-time preparations
-        if self._seconds > SLOW:
+        if self._answer.seconds > SLOW:
             exploration.answer(coarse=True)
         self._bins: list[np.ndarray] = []
         self._clicks, self._picked = 0, self._answer.values
@@ -113,45 +114,55 @@ class Page:
     # ---------------------------------------------------------------------------------------------- state of the page
 
     def _initialise_state(self) -> None:
-        state, exploration = self._state, self.exploration
-        for i, control in enumerate(exploration.controls):
-            state[f"v_{i}"], state[f"low_{i}"], state[f"high_{i}"] = control.now, control.low, control.high
+        state, scene, controls = self._state, self.exploration.scene_model.scene, self.exploration.controls
+        self.set({})
         # Names from a scene file are untrusted: they are sent as text, not as part of the template.
-        state.title = exploration.scene_model.scene.name
-        state.labels = [
+        state.title, state.law, state.trame__title = scene.name, self.exploration.law, f"{scene.name} – mic explore"
+        groups = {group: [one for one in controls if one.group == group] for group in GROUPS}
+        state.controls = [
             {
+                "group": one.group,
                 "name": one.name if one.group == "sources" else one.name.partition(".")[2],
                 "stated": f"{one.name}, value of the scene: {number(one.now, 6)} {one.unit}",
+                "unit": one.unit,
+                "step": (one.high - one.low) / SLIDER_STEPS or 1.0,
+                "hidden": one in groups[one.group][VISIBLE_CONTROLS:],
             }
-            for one in exploration.controls
+            for one in controls
         ]
-        state.stage, state.stages = self._answer.stage, exploration.stages
+        state.groups = [
+            {"name": group, "title": TITLES[group], "more": max(0, len(own) - VISIBLE_CONTROLS)}
+            for group, own in groups.items()
+            if own
+        ]
+        state.stage, state.stages = self._answer.stage, self.exploration.stages
         state.magnification = self.positions.default_magnification(self._answer)
-        varies = any(one.kind == "thickness" for one in exploration.scene_model.scene.deviations)
+        varies = any(one.kind == "thickness" for one in scene.deviations)
         state.note, state.saved, state.picked = self.positions.shapes.note or THICKNESS_NOTE * varies, "", ""
-        state.characteristic = next(iter(one.name for one in exploration.scene_model.scene.measurements), "")
-        state.characteristics = [one.name for one in exploration.scene_model.scene.measurements]
-        state.all = {group: False for group in GROUPS}
-        state.answered = 0
+        state.characteristics = [one.name for one in scene.measurements]
+        state.characteristic = next(iter(state.characteristics), "")
+        state.all, state.answered, state.ends, state.counted = {group: False for group in GROUPS}, 0, [], ""
         self._show(self._answer)
         self._update_histogram()
-        self._state.change(*(f"v_{i}" for i in range(len(exploration.controls))), "stage")(self._on_change)
-        self._state.change("magnification")(self._on_magnification)
-        self._state.change("characteristic")(lambda **_: self._update_histogram())
+        state.change("entries", "stage")(self._on_change)
+        state.change("magnification")(lambda **_: self._send_positions())
+        state.change("characteristic")(lambda **_: self._update_histogram())
 
     def _show(self, answer: ExploredAssembly) -> None:
         """Show the numbers and positions of an evaluated assembly."""
-        state = self._state
-        self._answer = answer
-        state.rows = [_row(one) for one in answer.table.to_dict("records")]
-        state.certificate, state.failed, state.preliminary = answer.said, answer.failed, answer.preliminary
-        shares = answer.shares
-        state.contacts = [
-            {"word": STATE_WORDS[label], "count": shares[label], "colour": STATE_DOTS[label]} for label in STATE_DOTS
-        ]
-        state.contact_stage = answer.contact_stage
-        state.answered += 1
-        self._send_positions()
+        self._answer, shares = answer, answer.shares
+        if not answer.preliminary:
+            self._seconds = answer.seconds
+        with self._state as state:
+            state.rows = [_row(one) for one in answer.table.to_dict("records")]
+            state.certificate, state.failed, state.preliminary = answer.said, answer.failed, answer.preliminary
+            state.contacts = [
+                {"word": STATE_WORDS[label], "count": shares[label], "colour": colour}
+                for label, colour in STATE_DOTS.items()
+            ]
+            state.contact_stage = answer.contact_stage
+            state.answered += 1
+            self._send_positions()
 
     def _send_positions(self) -> None:
         state, answer = self._state, self._answer
@@ -198,17 +209,13 @@ class Page:
             self._state.picked = ""
         self._changed.set()
 
-    def _on_magnification(self, **_) -> None:
-        self._send_positions()
-
     def values(self) -> dict[str, float]:
         """Values of the controls on the page; an invalid entry counts as its last valid value."""
-        found = {}
-        for i, one in enumerate(self.exploration.controls):
-            value = self._state[f"v_{i}"]
-            known = isinstance(value, int | float) and np.isfinite(value)
-            found[one.name] = float(value) if known else self._answer.values[one.name]
-        return found
+        valid = lambda value: isinstance(value, int | float) and np.isfinite(value)
+        return {
+            one.name: float(value) if valid(value) else self._answer.values[one.name]
+            for one, value in zip(self.exploration.controls, self._state.entries)
+        }
 
     async def answer_changes(self) -> None:
         """Evaluate the latest change, again and again, and draw samples in between; runs until cancelled."""
@@ -232,13 +239,13 @@ class Page:
                 evaluate = partial(self.exploration.answer, self.values(), self._state.stage)
                 final = None
                 if self._seconds > SLOW:  # in parallel, the preliminary one would take a fifth longer
-                    self._show_result(await self._submit(self._preliminary_pool, partial(evaluate, coarse=True)))
+                    self._show(await self._submit(self._preliminary_pool, partial(evaluate, coarse=True)))
                     if not self._changed.is_set():
                         final = self._submit(self._final_pool, evaluate)
                 else:
-                    self._show_result(await self._submit(self._final_pool, evaluate))
+                    self._show(await self._submit(self._final_pool, evaluate))
             elif final is not None and final.done():
-                self._show_result(final.result())
+                self._show(final.result())
                 final = None
 
     def _submit(self, pool: ThreadPoolExecutor, task: Callable[[], Any]) -> asyncio.Future:
@@ -256,12 +263,6 @@ class Page:
         with self._state:
             self._update_histogram()
 
-    def _show_result(self, answer: ExploredAssembly) -> None:
-        if not answer.preliminary:
-            self._seconds = answer.seconds
-        with self._state:
-            self._show(answer)
-
     def close(self) -> None:
         """Stop all computations."""
         for pool in (self._preliminary_pool, self._final_pool):
@@ -271,10 +272,11 @@ class Page:
 
     def set(self, values: Mapping[str, float]) -> None:
         """Set controls, and all others to the values of the scene; widen a slider for a value beyond its range."""
-        for i, one in enumerate(self.exploration.controls):
-            value = values.get(one.name, one.now)
-            self._state[f"low_{i}"], self._state[f"high_{i}"] = min(one.low, value), max(one.high, value)
-            self._state[f"v_{i}"] = value
+        controls = self.exploration.controls
+        entries = [values.get(one.name, one.now) for one in controls]
+        self._state.lows = [min(one.low, value) for one, value in zip(controls, entries)]
+        self._state.highs = [max(one.high, value) for one, value in zip(controls, entries)]
+        self._state.entries = entries
 
     def pick(self, bar: int) -> None:
         """Show the next sample of a bar of the histogram."""
@@ -319,81 +321,19 @@ class Page:
     # -------------------------------------------------------------------------------------------------------- layout
 
     def _build(self, shapes: Shapes) -> None:
-        scene = self.exploration.scene_model.scene
-        self._state.trame__title = f"{scene.name} – mic explore"
-        with VAppLayout(self.server) as layout:
-            client.Style((Path(__file__).with_name("page.css")).read_text(encoding="utf-8"))
-            with html.Div(classes="page"):
-                with html.Div(classes="side"):
-                    html.H1("{{ title }}")
-                    html.P(self.exploration.law, classes="dim")
-                    self._build_controls()
-                with html.Div(classes="space"):
-                    self._build_toolbar()
-                    self._build_view(shapes)
-                    html.P("{{ note }}", v_show="note", classes="note", id="note")
-                with html.Div(classes="side"):
-                    self._build_characteristics()
-                    self._build_samples()
-                    self._build_save_buttons()
-        self.layout = layout
+        for action in (self.pick, self.reset, self.save_scene, self.save_sample, self.reset_view):
+            self.server.controller.trigger(action.__name__)(action)
+        template, style = (
+            Path(__file__).with_name(f"page.{end}").read_text(encoding="utf-8") for end in ("html", "css")
+        )
+        with VAppLayout(self.server) as self.layout:
+            client.Style(style)
+            client.ClientTriggers(mounted=self.reset_view)
+            html.Div(template.replace("<!-- view -->", self._build_view(shapes)), classes="page")
 
-    def _build_controls(self) -> None:
-        for group in GROUPS:
-            own = [(i, one) for i, one in enumerate(self.exploration.controls) if one.group == group]
-            if not own:
-                continue
-            html.H2(TITLES[group])
-            for place, (i, one) in enumerate(own):
-                hidden = {"v_show": f"all.{group}"} if place >= VISIBLE_CONTROLS else {}
-                with html.Div(classes="control", id=f"control-{i}", title=(f"labels[{i}].stated",), **hidden):
-                    html.Label(f"{{{{ labels[{i}].name }}}}")
-                    html.Input(
-                        type="number",
-                        step="any",
-                        value=(f"v_{i}",),
-                        change=f"v_{i} = Number($event.target.value)",
-                        id=f"value-{i}",
-                    )
-                    html.Span(one.unit, classes="unit")
-                    v3.VSlider(
-                        v_model=(f"v_{i}",),
-                        min=(f"low_{i}",),
-                        max=(f"high_{i}",),
-                        step=(one.high - one.low) / SLIDER_STEPS or 1.0,
-                        hide_details=True,
-                        density="compact",
-                        thumb_size=12,
-                        track_size=3,
-                        color="#3b5b7d",
-                    )
-            if len(own) > VISIBLE_CONTROLS:
-                toggle = f"all = {{ ...all, {group}: !all.{group} }}"
-                html.Button(f"{{{{ all.{group} ? 'fewer' : '{len(own) - VISIBLE_CONTROLS} more' }}}}", click=toggle)
-
-    def _build_toolbar(self) -> None:
-        with html.Div(classes="bar"):
-            html.Span("after stage")
-            with html.Select(v_model=("stage",), id="stage"):
-                html.Option("{{ one }}", v_for="one in stages", key="one", value=("one",))
-            html.Span("displacements ×")
-            change = "magnification = Number($event.target.value)"
-            html.Input(type="number", min=0, value=("magnification",), change=change, id="magnification")
-            html.Span(
-                "● {{ one.word }} {{ one.count }}",
-                v_for="one in contacts",
-                key="one.word",
-                style=("{ color: one.colour }",),
-                classes="state",
-            )
-            html.Span("({{ contact_stage }})", v_show="contact_stage && contact_stage != stage", classes="dim")
-            html.Button("reset view", click=self._reset_view)
-            html.Button("reset all values", click=self.reset, id="reset")
-
-    def _reset_view(self) -> None:
+    def reset_view(self) -> None:
         """Show the whole assembly from its default viewpoint."""
-        positions = self.positions.of(self._answer, 0.0)
-        every = np.concatenate([*positions.parts, positions.contacts, positions.measured])
+        every = self.positions.of(self._answer, 0.0).all
         if not len(every):
             return
         middle, size = 0.5 * (every.max(axis=0) + every.min(axis=0)), float(np.ptp(every, axis=0).max())
@@ -402,82 +342,30 @@ class Page:
         self._view.set_camera(place)
         self._view.reset_camera()
 
-    def _build_view(self, shapes: Shapes) -> None:
-        with (
-            html.Div(classes="view"),
-            vtk.VtkView(background=("[1, 1, 1]",), interactor_settings=("interactor",)) as view,
-        ):
+    def _build_view(self, shapes: Shapes) -> str:
+        """HTML of the 3D view."""
+        buttons = [(1, "Rotate", {}), (2, "Pan", {}), (3, "Zoom", {"scrollEnabled": True})]
+        buttons += [(1, "Pan", {"shift": True}), (1, "Zoom", {"alt": True})]
+        self._state.interactor = [{"button": i, "action": action} | keys for i, action, keys in buttons]
+        settings = {"background": ("[1, 1, 1]",), "interactor_settings": ("interactor",)}
+        with vtk.VtkView(**settings, connect_parent=False) as self._view:
             for p, part in enumerate(shapes.parts):
                 faces = np.column_stack([np.full(len(part.triangles), 3), part.triangles])
                 self._state[f"polys_{p}"] = _packed(faces, "uint32")
-                bare = part.basis is None
-                drawn = {"color": _rgb(part_colour(p)), "opacity": 0.3 if bare else 0.6, "interpolation": 0}
-                with vtk.VtkGeometryRepresentation(property=(str(drawn),)):
+                opacity = 0.6 if len(part.acting) else 0.3
+                drawn = f"{{color: {list(to_rgb(part_colour(p)))}, opacity: {opacity}, interpolation: 0}}"
+                with vtk.VtkGeometryRepresentation(property=(drawn,)):
                     vtk.VtkPolyData(f"part_{p}", points=(f"points_{p}",), polys=(f"polys_{p}",))
             for label, colour in STATE_DOTS.items():
                 self._add_points("contact_points", f"contacts_{label}", colour, 9 if label != "open" else 5)
             self._add_points("measured_points", "measured_in", INSIDE, 13)
             self._add_points("measured_points", "measured_out", OUTSIDE, 13)
-        self._view = view
-        client.ClientTriggers(mounted=self._reset_view)
-        self._state.interactor = [
-            {"button": 1, "action": "Rotate"},
-            {"button": 2, "action": "Pan"},
-            {"button": 3, "action": "Zoom", "scrollEnabled": True},
-            {"button": 1, "action": "Pan", "shift": True},
-            {"button": 1, "action": "Zoom", "alt": True},
-        ]
+        return self._view.html
 
     def _add_points(self, points: str, cells: str, colour: str, size: int) -> None:
-        drawn = {"color": _rgb(colour), "pointSize": size, "lighting": False, "representation": 0}
-        with vtk.VtkGeometryRepresentation(property=(str(drawn).replace("False", "false"),)):
+        drawn = f"{{color: {list(to_rgb(colour))}, pointSize: {size}, lighting: false, representation: 0}}"
+        with vtk.VtkGeometryRepresentation(property=(drawn,)):
             vtk.VtkPolyData(cells, points=(points,), verts=(cells,))
-
-    def _build_characteristics(self) -> None:
-        html.H2("Key characteristics")
-        with html.Div(v_for="row in rows", key="row.name", classes="row"):
-            html.Span("{{ row.name }}", classes="name")
-            html.Span(
-                "{{ row.value }} mm {{ row.word }}",
-                classes=("row.within ? 'in' : 'out'",),
-                id=("'value-of-' + row.name",),
-                title=("row.exact",),
-            )
-            with html.Div(classes="scale", title=("row.limits",)):
-                html.Div(classes="tick", style=("{ left: row.share + '%', background: row.colour }",))
-        html.P("The scene has no key characteristics.", v_show="!rows.length", classes="dim")
-        with html.Div(classes=("['certificate', failed ? 'out' : preliminary ? 'early' : 'in']",), id="certificate"):
-            html.Span("Preliminary result with coarse load paths; the final one follows. ", v_show="preliminary")
-            html.Span("{{ certificate }}")
-        html.Span("{{ answered }}", id="answered", style="display: none")
-
-    def _build_samples(self) -> None:
-        with html.Div(v_show="characteristics.length"):
-            html.H2("Samples")
-            with html.Select(v_model=("characteristic",), id="characteristic"):
-                html.Option("{{ one }}", v_for="one in characteristics", key="one", value=("one",))
-            html.Span(" {{ counted }}", classes="dim", id="counted")
-            with html.Div(classes="bars"):
-                html.Div(
-                    v_for="(one, j) in bars",
-                    key="j",
-                    classes="column",
-                    title=("one.tooltip",),
-                    id=("'bar-' + j",),
-                    click=(self.pick, "[j]"),
-                    style=("{ '--height': one.height + '%', '--colour': one.colour }",),
-                )
-            with html.Div(classes="ends"):
-                html.Span("{{ one }}", v_for="one in ends", key="one")
-            html.P("{{ picked || 'Click a bar to show one of its samples.' }}", id="picked", classes="dim")
-        self._state.setdefault("ends", [])
-        self._state.setdefault("counted", "")
-
-    def _build_save_buttons(self) -> None:
-        html.H2("Save")
-        html.Button("fixture and friction as a scene", click=self.save_scene, id="save-scene")
-        html.Button("assembly as a sample", click=self.save_sample, id="save-sample")
-        html.P("{{ saved }}", id="saved", classes="dim")
 
 
 def _row(one: Mapping[Any, Any]) -> dict[str, Any]:
@@ -488,11 +376,9 @@ def _row(one: Mapping[Any, Any]) -> dict[str, Any]:
         "value": number(one["value"], 4),
         "exact": f"{float(one['value'])!r} mm",
         "within": bool(one["within"]),
-        "word": "in" if one["within"] else "out",
         "limits": f"{number(one['lower'])} … {number(one['upper'])} mm",
         # The scale reaches a quarter of the tolerance beyond each limit.
         "share": float(np.clip((np.nan_to_num(share, nan=50.0) + 25) / 1.5, 0, 100)),
-        "colour": INSIDE if one["within"] else OUTSIDE,
     }
 
 
@@ -511,7 +397,3 @@ def _vertices(own: np.ndarray) -> dict[str, Any]:
     if not len(own):
         return _packed(np.zeros(1), "uint32")
     return _packed(np.column_stack([np.ones(len(own)), own]), "uint32")
-
-
-def _rgb(colour: str) -> list[float]:
-    return [round(int(colour[i : i + 2], 16) / 255, 4) for i in (1, 3, 5)]

@@ -35,6 +35,11 @@ class Positions:
     contacts: np.ndarray
     measured: np.ndarray
 
+    @property
+    def all(self) -> np.ndarray:
+        """(n, 3) all of them."""
+        return np.concatenate([*self.parts, self.contacts, self.measured])
+
 
 class AssemblyPositions:
     """Computes the positions for evaluated assemblies.
@@ -59,6 +64,7 @@ class AssemblyPositions:
             if item.kind == "point" and item.point is not None and not isinstance(item.direction, str)
         ]
         self._items = [items[k] for k in self.measured]
+        self._points = np.array([item.point for item in self._items], dtype=float).reshape(-1, 3)
 
     def of(self, assembly: ExploredAssembly, magnification: float) -> Positions:
         """Positions with magnified displacements; those of a failed assembly are nominal."""
@@ -74,19 +80,9 @@ class AssemblyPositions:
 
     def default_magnification(self, assembly: ExploredAssembly) -> float:
         """Magnification that makes the displacements visible: 1, 2 or 5 times a power of ten."""
-        displaced, nominal = self.of(assembly, 1.0), self.of(assembly, 0.0)
-        groups = [
-            (a, b)
-            for a, b in zip(
-                [*displaced.parts, displaced.contacts, displaced.measured],
-                [*nominal.parts, nominal.contacts, nominal.measured],
-            )
-            if len(a)
-        ]
-        if not groups:
-            return 1.0
-        largest = max(float(np.linalg.norm(a - b, axis=1).max()) for a, b in groups)
-        size = float(np.ptp(np.concatenate([b for _, b in groups]), axis=0).max())
+        displaced, nominal = self.of(assembly, 1.0).all, self.of(assembly, 0.0).all
+        largest = float(np.linalg.norm(displaced - nominal, axis=1).max(initial=0.0))
+        size = float(np.ptp(nominal, axis=0).max()) if len(nominal) else 0.0
         if largest < 1e-9 or size == 0:
             return 1.0
         wanted = math.log10(VISIBLE * size / largest)
@@ -100,10 +96,6 @@ class AssemblyPositions:
         return viewpoint(surfaces) if surfaces else np.array([0.5, -0.7, 0.51])
 
     @cached_property
-    def _points(self) -> np.ndarray:
-        return np.array([item.point for item in self._items], dtype=float).reshape(-1, 3)
-
-    @cached_property
     def _nearest(self) -> list[tuple[int, int]]:
         """For each measured point, its part and the nearest vertex of the displayed surface."""
         names = [part.name for part in self.shapes.parts]
@@ -112,7 +104,7 @@ class AssemblyPositions:
 
     def _at_points(self, assembly: ExploredAssembly, displacements: list[np.ndarray]) -> np.ndarray:
         """(k, 3) displacements of the measured points; only along the measured direction if shapes are missing."""
-        if displacements and all(part.basis is not None for part in self.shapes.parts):
+        if displacements and all(len(part.acting) for part in self.shapes.parts):
             return np.array([displacements[p][v] for p, v in self._nearest]).reshape(-1, 3)
         y = np.nan_to_num(assembly.table["value"].to_numpy()[self.measured])
         along = np.array([item.direction for item in self._items], dtype=float).reshape(-1, 3)

@@ -46,9 +46,8 @@ def check_port(port: int) -> int:
         try:
             test.bind((HOST, port))
         except PermissionError:
-            raise RunError(
-                f"--port {port}: this port needs administrator rights; use one above 1023, or omit --port"
-            ) from None
+            reason = "needs administrator rights; use one above 1023, or omit --port"
+            raise RunError(f"--port {port}: this port {reason}") from None
         except OSError:
             raise RunError(f"--port {port}: this port is in use; use another, or omit --port for a free one") from None
         return int(test.getsockname()[1])

@@ -24,7 +24,7 @@ from mic.system.files import Format, fingerprint, load_arrays, save_arrays
 
 __all__ = ["PartShape", "Shapes", "shapes_path"]
 
-FORMAT = Format("set of drawn shapes", 2, "write it again with `mic explore SCENE --keep`")
+FORMAT = Format("set of drawn shapes", 3, "write it again with `mic explore SCENE --keep`")
 ACTING = ("locator", "clamp", "weld", "contact")  # kinds of rows with forces
 MEMORY = 250_000_000  # bytes of the solutions that are computed together
 
@@ -45,28 +45,25 @@ class PartShape:
     points : (v, 3) array
         Nominal, mm.
     triangles : (t, 3) int array
-    basis : (a, v, 3) float32 array or None
-        Φ of the functionals `acting`, mm/N and mm/(N mm); None if unknown.
+    basis : (a, v, 3) float32 array
+        Φ of the functionals `acting`, mm/N and mm/(N mm).
     rigid : (v, 3, 6) array
         R.
     acting : (a,) int array
-        Functionals of the part that forces can act on.
+        Functionals of the part that forces can act on; none if Φ and R are unknown.
     """
 
     name: str
     points: np.ndarray
     triangles: np.ndarray
-    basis: np.ndarray | None
+    basis: np.ndarray
     rigid: np.ndarray
     acting: np.ndarray
 
     def displaced(self, force: np.ndarray, motion: np.ndarray) -> np.ndarray:
         """(v, 3) displacements under forces (F,) on its functionals and a rigid motion (6,), mm."""
-        if self.basis is None:
-            return np.zeros_like(self.points)
         loaded = np.flatnonzero(force[self.acting])  # most contacts are open
-        flat = force[self.acting[loaded]].astype(np.float32) @ self.basis.reshape(len(self.basis), -1)[loaded]
-        return flat.reshape(-1, 3) + self.rigid @ motion
+        return np.tensordot(force[self.acting[loaded]].astype(np.float32), self.basis[loaded], 1) + self.rigid @ motion
 
 
 @dataclass(frozen=True)
@@ -108,12 +105,7 @@ class Shapes:
             acting = [np.flatnonzero(loadable[own]) for own in rows]
             shapes = cls(tuple(map(_shape, parts, acting)), "")
         except MissingProvider:
-            no_functional, surfaces = np.zeros(0, dtype=int), [thinned(part.surface) for part in parts]
-            undeformed = tuple(
-                PartShape(part.name, part.surface.points[v], triangles, None, np.zeros((len(v), 3, 6)), no_functional)
-                for part, (v, triangles) in zip(parts, surfaces)
-            )
-            return cls(undeformed, _NO_SHAPES)
+            return cls(tuple(map(_undeformed, parts)), _NO_SHAPES)
         stored.store(key, *shapes._contents())
         return shapes
 
@@ -138,19 +130,12 @@ class Shapes:
         return cls._from(header, arrays)
 
     def _contents(self) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
-        arrays = {
-            f"{i}_{name}": getattr(part, name)
-            for i, part in enumerate(self.parts)
-            for name in _ARRAYS
-            if getattr(part, name) is not None
-        }
+        arrays = {f"{i}_{name}": getattr(part, name) for i, part in enumerate(self.parts) for name in _ARRAYS}
         return {"parts": [part.name for part in self.parts], "said": self.note}, arrays
 
     @classmethod
     def _from(cls, header, arrays) -> Shapes:
-        parts = (
-            PartShape(name, *(arrays.get(f"{i}_{key}") for key in _ARRAYS)) for i, name in enumerate(header["parts"])
-        )
+        parts = [PartShape(name, *(arrays[f"{i}_{key}"] for key in _ARRAYS)) for i, name in enumerate(header["parts"])]
         return cls(tuple(parts), header["said"])
 
     def displaced(self, model, force: np.ndarray, motion: np.ndarray) -> list[np.ndarray]:
@@ -178,6 +163,12 @@ def _loadable(model) -> np.ndarray:
     for kind in ACTING:
         loadable[model.rows[kind].indices] = True
     return np.asarray(loadable)
+
+
+def _undeformed(part: Part) -> PartShape:
+    vertices, triangles = thinned(part.surface)
+    basis, rigid = np.zeros((0, len(vertices), 3), dtype=np.float32), np.zeros((len(vertices), 3, 6))
+    return PartShape(part.name, part.surface.points[vertices], triangles, basis, rigid, np.zeros(0, dtype=int))
 
 
 def _shape(part: Part, acting: np.ndarray) -> PartShape:
