@@ -13,6 +13,7 @@ from typer.testing import CliRunner
 import mic
 from mic import examples
 from mic.errors import RunError, SceneError
+from mic.model.assembly import assemble
 from mic.options import app
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -33,18 +34,11 @@ def test_every_example_is_recorded_listed_and_shown_in_the_gallery():
 
 
 def test_a_copy_holds_all_files_and_gives_the_same_meshes(tmp_path, cache):
-    from mic.model.assembly import assemble
-
     out = examples.copy("lap_joint", tmp_path / "deep" / "mine")
     assert {path.name for path in out.iterdir()} == {"scene.toml", "geometry.py"}
     wheelhouse = examples.copy("wheelhouse", tmp_path / "wheelhouse")
-    assert {path.name for path in wheelhouse.iterdir()} == {
-        "scene.toml",
-        "watched.toml",
-        "geometry.py",
-        "README.md",
-        "paper.toml",
-    }
+    more = {"watched.toml", "README.md", "paper.toml"}
+    assert {path.name for path in wheelhouse.iterdir()} == {"scene.toml", "geometry.py"} | more
     copied, shipped = (assemble(mic.load_scene(path), cache) for path in (out, examples.folder("lap_joint")))
     for one, other in zip(copied.parts, shipped.parts):
         assert (one.surface.points == other.surface.points).all()
@@ -89,28 +83,15 @@ def test_the_wheel_carries_the_examples_and_no_generic_name(tmp_path):
     for path in ROOT.glob("*"):
         if path.is_file():
             shutil.copy(path, source)
-    command = [
-        sys.executable,
-        "-m",
-        "pip",
-        "wheel",
-        ".",
-        "--no-deps",
-        "--no-build-isolation",
-        "-q",
-        "-w",
-        str(tmp_path),
-    ]
+    command = f"{sys.executable} -m pip wheel . --no-deps --no-build-isolation -q -w {tmp_path}".split()
     subprocess.run(command, cwd=source, check=True, timeout=300)
     (wheel,) = tmp_path.glob("*.whl")
     files = zipfile.ZipFile(wheel).namelist()
-    assert {name.split("/")[0].split("-")[0] for name in files} == {
-        "mic",
-        "fem_reference",
-        "verification",
-        "mic_contact",
-    }
+    top = {name.split("/")[0].split("-")[0] for name in files}
+    assert top == {"mic", "fem_reference", "verification", "mic_contact"}
     for example in examples.names():
         for path in examples.folder(example).glob("*.*"):
             assert f"mic/example_scenes/{example}/{path.name}" in files
+    data = [path for end in ("css", "html", "toml") for path in (ROOT / "mic").glob(f"*/*.{end}")]
+    assert len(data) > 10 and {str(path.relative_to(ROOT)) for path in data} <= set(files)
     assert not any("__pycache__" in name for name in files)

@@ -52,16 +52,15 @@ def upright(ax, colour):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("stay", [True, False])
-def test_labels_that_are_measured_once_have_the_room_that_a_layout_gives_them(stay, monkeypatch):
+def test_labels_that_are_measured_once_have_the_room_that_a_layout_gives_them(monkeypatch):
     """To less than the 3 points that a layout leaves free beside labels, so that none is cut; where ticks stay
-    and where they change with the size of the axes."""
+    (in the first row) and where they change with the size of the axes."""
 
     def places():
         fig, axes = panels(6, 3, (3.0, 2.0))
         for k, ax in enumerate(axes):
             ax.plot([0, 10.0**k], [0, 1e5 * 10.0**k])
-            if stay:
+            if k < 3:
                 ax.set_xticks([0, 10.0**k])
                 ax.set_yticks([0, 1e5 * 10.0**k])
             ax.set_ylabel("what it shows" * (k % 2))

@@ -10,12 +10,11 @@ from support.runs import fail
 from typer.testing import CliRunner
 
 from mic.options import app
-from mic.report.picture_registry import draw
 from mic.report.style import change
 from mic.report.verdict import verdict
 from mic.results.error_sources import error_budget
 from mic.results.outcome import read_outcome
-from mic.results.schema import ACCURACY, CONTRIBUTORS, DENSITY, FRICTION_EFFECTS, LINEARITY, ORDERS, RARE, REMEDIES
+from mic.results.schema import ACCURACY, CONTRIBUTORS, DENSITY, LINEARITY, ORDERS, RARE, REMEDIES
 from mic.results.statistic_tables import whole_yield
 from mic.runs import run
 
@@ -25,19 +24,14 @@ SAMPLES = 30
 @pytest.fixture(scope="module")
 def folder(lap_scene, cache, tmp_path_factory):
     """M1 and M2 have limits that each some samples miss, not all of them the same."""
-    limits = {"M1": (-1.5, -0.2), "M2": (-0.75, 0.0)}
-    items = [
-        item.model_copy(update=dict(zip(("lower", "upper"), limits[item.name]))) for item in lap_scene.measurements
-    ]
-    scene = lap_scene.model_copy(
-        update={
-            "measurements": items,
-            "monte_carlo": lap_scene.monte_carlo.model_copy(update={"samples": SAMPLES, "seed": 2}),
-            "report": lap_scene.report.model_copy(update={"laws": ["coulomb"], "fields": False}),
-        }
-    )
+    limits = {"M1": {"lower": -1.5, "upper": -0.2}, "M2": {"lower": -0.75, "upper": 0.0}}
+    changes = {
+        "measurements": [item.model_copy(update=limits[item.name]) for item in lap_scene.measurements],
+        "monte_carlo": lap_scene.monte_carlo.model_copy(update={"samples": SAMPLES, "seed": 2}),
+        "report": lap_scene.report.model_copy(update={"laws": ["coulomb"], "fields": False}),
+    }
     folder = tmp_path_factory.mktemp("answer") / "run"
-    run(scene, folder, cache)
+    run(lap_scene.model_copy(update=changes), folder, cache)
     return folder
 
 
@@ -98,11 +92,12 @@ def test_each_source_of_error_shows_its_estimate(copied):
     assert budget["samples"].six_sigma == pytest.approx(half) and half > 0.1
     assert budget["path"].six_sigma == pytest.approx(table["six_sigma_path"].abs().max())
     assert 0 < budget["contact residuals"].six_sigma < 1e-8
-    for name, command in (
-        ("meshes", "accuracy = true"),
-        ("contact pairs", "mic check --converge"),
-        ("order of the process", "mic order"),
-    ):
+    commands = {
+        "meshes": "accuracy = true",
+        "contact pairs": "mic check --converge",
+        "order of the process": "mic order",
+    }
+    for name, command in commands.items():
         assert not budget[name].measured and command in budget[name].how
     orders = {"order": ["as stated", "reverse"], "quantity": "M1", "tolerance": 1.0, "samples": 9, "law": "coulomb"}
     orders |= {name: 0.0 for name in ORDERS.names if name not in orders} | {"six_sigma_change": [0.0, -0.017]}
@@ -147,24 +142,6 @@ def test_the_verdict_shows_only_a_remedy_that_suffices(copied):
     assert "Remedy: locators.A1 −0.12 mm brings all characteristics within limits." in said
     REMEDIES.write(copied, pd.DataFrame([row | {"reached": False, "rounds": 3}]))
     assert not any("brings" in each for each in verdict(read_outcome(copied)).sentences)
-
-
-@pytest.mark.slow
-def test_studies_of_a_results_folder_are_stored_in_it_and_shown_in_its_report(copied, monkeypatch):
-    one_picture = lambda outcome, context, *_: {"contributors": draw("contributors", outcome, context)}
-    monkeypatch.setattr("mic.report.page.draw_all", one_picture)
-    for command, table in (("contributors", CONTRIBUTORS), ("friction", FRICTION_EFFECTS), ("order", ORDERS)):
-        done = CliRunner().invoke(app, [command, str(copied), "--samples", "8"], env={"COLUMNS": "160"})
-        assert done.exit_code == 0, done.output
-        frame = table.read(copied, "")
-        assert len(frame) and (frame["law"] == "coulomb").all() and table.place in done.output.replace("\n", "")
-    again = CliRunner().invoke(app, ["report", str(copied)])
-    assert again.exit_code == 0 and "main contributors: " in again.output and CONTRIBUTORS.read(copied, "") is not None
-    page = (copied / "report.html").read_text()
-    for anchor in ("verdict-table", "budget-table", "contributors-table", "friction-table", "contributors"):
-        assert f'id="{anchor}"' in page
-    assert "Friction has little effect" in page and "nearly linear" in page
-    assert page.index('id="verdict"') < page.index('id="validity"')
 
 
 def test_a_folder_with_the_model_of_another_run_is_refused(copied, hat_model):

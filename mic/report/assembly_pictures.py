@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pandas as pd
-from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from mic.report.picture import MOST_PANELS, Picture, draw_limits, named_panels, svg
+from mic.report.picture import MOST_PANELS, Picture, draw_limits, named_panels, svg, wide
 from mic.report.style import INSIDE, LIMIT_COLOUR, OUTSIDE, STATE_DOTS, STATE_WORDS, VERDICT_COLOURS, number
 from mic.scene import Scene
 from mic.statistics.estimates import LEVEL
@@ -58,8 +57,7 @@ def predicted(table: pd.DataFrame, scene: Scene | None = None) -> Picture | None
 def explored(answer: ExploredAssembly) -> Picture:
     """One assembly: contact pairs by state, and key characteristics against their limits."""
     table, points, states = answer.table.head(MOST_PANELS), answer.points, answer.states
-    fig = Figure(figsize=(10.5, max(3.2, 1.0 + 0.3 * len(table))), layout="constrained")
-    space, scale = fig.subplots(1, 2)
+    fig, (space, scale) = wide(max(3.2, 1.0 + 0.3 * len(table)), 1, 2)
     if len(states):
         flat = _flat(points)
         for number_, label in enumerate(STATE_DOTS):
@@ -79,11 +77,9 @@ def explored(answer: ExploredAssembly) -> Picture:
         if np.isfinite(x):
             scale.annotate(f"{number(value)} mm", (x, y), xytext=(0, 6), textcoords="offset points", ha="center")
     scale.set_yticks(place, table["measurement"])
-    scale.set_ylim(len(table) - 0.5, -0.7)
     most = max(HALF, 1.15 * float(np.nanmax(np.abs(share), initial=0.0)))
-    scale.set_xlim(-most, most)
+    scale.set(xlim=(-most, most), ylim=(len(table) - 0.5, -0.7), title="key characteristics")
     scale.set_xlabel("distance from the middle of the limits, in half tolerances")
-    scale.set_title("key characteristics")
     text = f"{answer.said} " + ("Preliminary, with a coarse path. " if answer.preliminary else "")
     text += f"{int(table['within'].sum())} of {len(table)} key characteristics within their limits."
     return svg(fig, "One assembly", text)

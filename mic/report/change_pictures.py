@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pandas as pd
-from matplotlib.figure import Figure
 from scipy.special import ndtri
 
-from mic.report.picture import MOST_PANELS, Picture, draw_intervals, draw_limits, named_panels, svg
+from mic.report.picture import MOST_PANELS, Picture, draw_intervals, draw_limits, named_panels, svg, wide
 from mic.report.style import number, percent
 from mic.scene import Scene
 from mic.statistics.estimates import LEVEL
@@ -15,9 +14,10 @@ from mic.statistics.estimates import LEVEL
 __all__ = ["AFTER", "BEFORE", "change_picture", "order_picture", "remedy_picture", "search_trail"]
 
 BEFORE, AFTER = "#58626e", "#0b5cad"
+FIGURES = (("mean", "mean"), ("six_sigma", "6σ"))
 
 
-def change_picture(scene: Scene | None, table: pd.DataFrame) -> Picture | None:
+def change_picture(table: pd.DataFrame) -> Picture | None:
     """Changes of mean and 6σ of each key characteristic with their intervals, in per cent of the tolerance."""
     own = table[table["tolerance"].notna()]
     if not len(own):
@@ -25,8 +25,8 @@ def change_picture(scene: Scene | None, table: pd.DataFrame) -> Picture | None:
     size = own[["mean_change", "six_sigma_change"]].abs().max(axis=1) / own["tolerance"]
     own = own.loc[size.sort_values(ascending=False, kind="stable").index[:MOST_PANELS]]
     place = np.arange(len(own))
-    fig = Figure(figsize=(10.5, 1.1 + 0.26 * len(own)), layout="constrained")
-    for ax, (figure, word) in zip(fig.subplots(1, 2, sharey=True), (("mean", "mean"), ("six_sigma", "6σ"))):
+    fig, axes = wide(1.1 + 0.26 * len(own), 1, 2, sharey=True)
+    for ax, (figure, word) in zip(axes, FIGURES):
         value, low, high = (100 * own[f"{figure}_change{end}"] / own["tolerance"] for end in ("", "_low", "_high"))
         ax.axvline(0, color="#58626e", lw=0.8)
         draw_intervals(ax, place, value, low, high, color=AFTER)
@@ -39,7 +39,7 @@ def change_picture(scene: Scene | None, table: pd.DataFrame) -> Picture | None:
     return svg(fig, "Changes", text)
 
 
-def remedy_picture(scene: Scene | None, effects: pd.DataFrame) -> Picture | None:
+def remedy_picture(effects: pd.DataFrame, scene: Scene | None) -> Picture | None:
     """Mean ± 3σ of each key characteristic without and with each remedy, against its limits."""
     if not len(effects):
         return None
@@ -68,23 +68,20 @@ def remedy_picture(scene: Scene | None, effects: pd.DataFrame) -> Picture | None
     return svg(fig, "Effect of the remedies", text)
 
 
-def order_picture(scene: Scene | None, table: pd.DataFrame) -> Picture | None:
+def order_picture(table: pd.DataFrame) -> Picture | None:
     """Largest change of mean and 6σ of any key characteristic in each process order."""
     own = table[(table["tolerance"] > 0) & (table["order"] != table["order"].iloc[0])] if len(table) else table
     if not len(own):
         return None
     orders = list(own["order"].unique())[:MOST_PANELS]
-    fig = Figure(figsize=(10.5, 1.1 + 0.26 * len(orders)), layout="constrained")
-    axes = fig.subplots(1, 2, sharey=True)
-    wide = float(ndtri(0.5 + LEVEL / 2))
-    for ax, (figure, word) in zip(axes, (("mean", "mean"), ("six_sigma", "6σ"))):
+    fig, axes = wide(1.1 + 0.26 * len(orders), 1, 2, sharey=True)
+    for ax, (figure, word) in zip(axes, FIGURES):
         share = 100 * own[f"{figure}_change"] / own["tolerance"]
         rows = own.loc[share.abs().groupby(own["order"], sort=False).idxmax()].set_index("order").loc[orders]
         value, error = (100 * rows[f"{figure}_{what}"] / rows["tolerance"] for what in ("change", "error"))
+        half = float(ndtri(0.5 + LEVEL / 2)) * error
         ax.axvline(0, color="#58626e", lw=0.8)
-        ax.errorbar(
-            value, np.arange(len(rows)), xerr=wide * np.nan_to_num(error), fmt="o", ms=4, color=AFTER, elinewidth=1.4
-        )
+        draw_intervals(ax, np.arange(len(rows)), value, value - half, value + half, color=AFTER)
         for place, (x, name) in enumerate(zip(value, rows["quantity"])):
             ax.annotate(name, (x, place), xytext=(0, 4), textcoords="offset points", ha="center", fontsize=7)
         ax.margins(x=0.12)
@@ -102,8 +99,7 @@ def search_trail(trail: pd.DataFrame, objective: str) -> Picture | None:
     """The objective of the best design against the number of evaluations."""
     if not len(trail):
         return None
-    fig = Figure(figsize=(10.5, 2.6), layout="constrained")
-    ax = fig.subplots()
+    fig, ax = wide(2.6)
     ax.step(trail["evaluations"], trail["objective"], where="post", color=AFTER, lw=1.6, marker="o", ms=3)
     ax.set(xlabel="evaluations of an assembly", ylabel=objective)
     first, last = trail["objective"].iloc[0], trail["objective"].iloc[-1]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from os import PathLike
 from pathlib import Path
 from typing import Any
@@ -12,7 +12,7 @@ import numpy as np
 from plotly.offline import get_plotlyjs
 
 from mic.errors import Problems
-from mic.geometry.load import fixture_surface
+from mic.geometry.load import load_fixture
 from mic.geometry.surface import Surface
 from mic.model.assembly import Contacts
 from mic.model.one_sigma import SourceShape
@@ -22,7 +22,7 @@ from mic.process.plan import StagePlan
 from mic.report.source_pictures import draw_shapes
 from mic.report.style import MARK_COLOURS, number
 from mic.report.template import render
-from mic.report.viewer_data import drawable, packed, view
+from mic.report.viewer_data import arrow_group, packed, point_group, view
 from mic.scene import Scene
 from mic.scene.deviation import ClampDeviation, LocatorDeviation
 from mic.system.files import write_text
@@ -71,23 +71,23 @@ def write_check(
     for fixture in scene.fixtures:
         with Problems():  # an unreadable one has been reported
             if fixture.part is None:  # placed by its part's mesh otherwise
-                bodies[fixture.name] = fixture_surface(fixture, scene.folder)
+                bodies[fixture.name] = load_fixture(fixture, scene.folder)[0]
     path = Path(path)
+    touching = contacts is not None and len(contacts) > 0
     page = render(
         "check.html",
         scene=scene,
         errors=errors,
         warnings=warnings,
-        zones=_zones(scene, contacts) if contacts is not None else [],
-        plans=[
-            (plan, opening(plan, contacts is not None and len(contacts) > 0), sentences(scene, plan)) for plan in plans
-        ],
+        contacts=contacts,
+        plans=[(plan, opening(plan, touching), sentences(scene, plan)) for plan in plans],
         verdict=validity(warnings, errors),
         shapes=draw_shapes(surfaces, shapes) if shapes else None,
         largest={shape.name: f"{number(shape.largest[2])} mm" for shape in shapes},
-        viewer=packed(json.dumps(_view(bodies, scene, warnings, contacts))) if bodies else None,
+        viewer=packed(json.dumps(_view(bodies, scene, warnings, contacts if touching else None))) if bodies else None,
         plotly=packed(get_plotlyjs()) if bodies else None,
     )
+    path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
     write_text(path, page)
     return path
@@ -95,37 +95,14 @@ def write_check(
 
 def _view(bodies, scene: Scene, warnings, contacts: Contacts | None) -> dict[str, Any]:
     """The view of the assembly with labelled items, gap map and numbered warnings."""
-    data = view(bodies, scene)
     varied = _varied(scene)
-    labels = {
-        item.name: f"{kind} {item.name}{words}{varied.get((kind, item.name), '')}"
-        for kind, items in (("locator", scene.locators), ("clamp", scene.clamps))
-        for item in items
-        for words in [_acts(item)]
-    }
-    for group in data["arrows"]:
-        for arrow in group["items"]:
-            arrow["label"] = labels[arrow["name"]]
-    forces = [item for item in scene.deviations if item.kind == "force" and drawable(item)]
-    if forces:
-        data["arrows"].append(
-            {
-                "name": "corrective forces",
-                "colour": MARK_COLOURS["force"],
-                "items": [
-                    {
-                        "name": item.name,
-                        "head": item.point,
-                        "direction": item.direction,
-                        "label": f"force {item.name} on {item.part}: {item.mean:g} ± {item.sigma:g} N",
-                    }
-                    for item in forces
-                ],
-            }
-        )
+    data = view(bodies, scene, lambda kind, item: f"{kind} {item.name}{_acts(item)}{varied.get((kind, item.name), '')}")
+    forces = [item for item in scene.deviations if item.kind == "force"]
+    force = lambda kind, item: f"force {item.name} on {item.part}: {item.mean:g} ± {item.sigma:g} N"
+    data["arrows"] += arrow_group("corrective force", MARK_COLOURS["force"], forces, force)
     for group in data["points"]:
         group["labels"] = [f"{group['name'].removesuffix('s')} {label}" for label in group["labels"]]
-    if contacts is not None and len(contacts):
+    if contacts is not None:
         value = np.where(contacts.overlap > DRAWN, -contacts.overlap, contacts.gap)
         low, high = float(min(value.min(), 0.0)), float(max(value.max(), LEAST))
         data["map"] = {
@@ -134,54 +111,44 @@ def _view(bodies, scene: Scene, warnings, contacts: Contacts | None) -> dict[str
             "high": max(-low, high),
             "title": "gap (mm)" + ", overlap below 0" * (low < 0),
         }
-        own = {zone.name: np.flatnonzero(contacts.zone == i) for i, zone in enumerate(scene.zones)}
-        maps = [_map(name, pairs, contacts, value) for name, pairs in own.items() if len(pairs)]
+        maps = _maps(scene, contacts, value)
         maps[0]["first"] = True
         data["points"] = maps + data["points"]
-    if any(warned.point is not None for warned in warnings):
-        data["points"].append(_numbered(warnings, ALIKE * float(np.linalg.norm(np.ptp(data["range"], axis=1)))))
+    data["points"] += _numbered(warnings, ALIKE * float(np.linalg.norm(np.ptp(data["range"], axis=1))))
     return data
 
 
-def _numbered(warnings: Sequence[SceneWarning], near: float) -> dict[str, Any]:
+def _numbered(warnings: Sequence[SceneWarning], near: float) -> list[dict[str, Any]]:
     """Rings with the numbers of warnings that have a place; close ones share a ring."""
     rings: list[tuple[Any, list[int]]] = []
     for i, warned in enumerate(warnings, 1):
         if warned.point is not None:
-            at = next((own for point, own in rings if np.linalg.norm(np.subtract(point, warned.point)) <= near), None)
-            if at is None:
-                rings.append((warned.point, [i]))
+            at = [own for point, own in rings if np.linalg.norm(np.subtract(point, warned.point)) <= near]
+            if at:
+                at[0].append(i)
             else:
-                at.append(i)
-    return {
-        "name": "warnings",
-        "colour": RED,
-        "symbol": "circle-open",
-        "size": 14,
-        "points": [point for point, _ in rings],
-        "numbers": [f"<b>{', '.join(map(str, own))}</b>" for _, own in rings],
-        "labels": ["<br>".join(f"{i}. {warnings[i - 1].item}" for i in own) for _, own in rings],
-    }
+                rings.append((warned.point, [i]))
+    numbers = [f"<b>{', '.join(map(str, own))}</b>" for _, own in rings]
+    labels = ["<br>".join(f"{i}. {warnings[i - 1].item}" for i in own) for _, own in rings]
+    points = [point for point, _ in rings]
+    return point_group("warnings", RED, 14, points, labels, symbol="circle-open", numbers=numbers)
 
 
-def _map(zone: str, own, contacts: Contacts, value) -> dict[str, Any]:
-    """A zone's pairs, coloured by their gap."""
-    return {
-        "name": f"{zone}: gap",
-        "colour": "#808080",
-        "size": 3.5,
-        "first": False,
-        "points": contacts.point[own].round(3).tolist(),
-        "values": value[own].round(4).tolist(),
-        "labels": [
-            f"{zone}, pair {k}: " + (f"gap {value[k]:.3g} mm" if value[k] >= 0 else f"overlap {-value[k]:.3g} mm")
-            for k in own
-        ],
-    }
+def _maps(scene: Scene, contacts: Contacts, value: np.ndarray) -> list[dict[str, Any]]:
+    """The pairs of each zone, coloured by their gap."""
+    groups: list[dict[str, Any]] = []
+    for i, zone in enumerate(scene.zones):
+        own = np.flatnonzero(contacts.zone == i)
+        words = [f"gap {value[k]:.3g} mm" if value[k] >= 0 else f"overlap {-value[k]:.3g} mm" for k in own]
+        labels = [f"{zone.name}, pair {k}: {text}" for k, text in zip(own, words)]
+        shades = {"values": value[own].round(4).tolist(), "first": False}
+        points = contacts.point[own].round(3).tolist()
+        groups += point_group(f"{zone.name}: gap", "#808080", 3.5, points, labels, **shades)
+    return groups
 
 
 def _acts(item) -> str:
-    """Part, amount and stage of an item."""
+    """Part, amount and stage of a locator or clamp."""
     force, stroke = getattr(item, "force", None), getattr(item, "stroke", None)
     amount = f", {force:g} N" if force is not None else f", to {stroke:g} mm" if stroke is not None else ""
     return f" on {item.part}{amount}, stage {item.stage}"
@@ -195,18 +162,3 @@ def _varied(scene: Scene) -> dict[tuple[str, str], str]:
         if isinstance(item, LocatorDeviation | ClampDeviation)
         for name in ([item.target] if isinstance(item.target, str) else item.target)
     }
-
-
-def _zones(scene: Scene, contacts: Contacts) -> Iterator[dict[str, Any]]:
-    """Number, area, gap and overlap of the pairs of each zone."""
-    for i, zone in enumerate(scene.zones):
-        own = contacts.zone == i
-        if own.any():
-            yield {
-                "name": zone.name,
-                "parts": " – ".join(zone.parts),
-                "pairs": int(own.sum()),
-                "area": number(float(contacts.area[own].sum())),
-                "gap": f"{contacts.gap[own].min():.3f} … {contacts.gap[own].max():.3f}",
-                "overlap": number(float(contacts.overlap[own].max())),
-            }

@@ -9,19 +9,15 @@ from typing import Any
 
 import matplotlib.style
 import numpy as np
-from matplotlib import colormaps
-from matplotlib.cm import ScalarMappable
-from matplotlib.colors import Normalize
-from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from mic.report.change_pictures import AFTER, BEFORE, change_picture
 from mic.report.picture import MOST_PANELS, Picture, draw_limits, named_panels, png, svg
-from mic.report.space_pictures import draw_surfaces
+from mic.report.space_pictures import draw_fields
 from mic.report.style import LIMIT_COLOUR, RC, number, percent
 from mic.report.template import render
 from mic.results.field_changes import FieldChange
-from mic.statistics.estimates import LEVEL, density
+from mic.statistics.estimates import density
 from mic.studies.comparison import Comparison
 from mic.system.files import write_text
 
@@ -45,59 +41,49 @@ def write_comparison(path: str | PathLike[str], found: Comparison, fields: Seque
         "comparison.html",
         found=found,
         sentences=sentences(found),
-        rows=[row for row in _records(found) if row["quantity"]],
+        rows=[row for row in found.table.to_dict("records") if row["quantity"]],
         pictures=comparison_pictures(found, fields),
         samples=int(found.table["samples"].iloc[0]),
-        level=f"{100 * LEVEL:.0f} %",
         significant=_significant,
         text=_text,
     )
-    path = Path(path)
-    write_text(path, page)
-    return path
+    write_text(Path(path), page)
+    return Path(path)
 
 
 def comparison_pictures(found: Comparison, fields: Sequence[FieldChange] = ()) -> list[Picture]:
     """The pictures of a comparison: changes with their intervals, distributions before and after, and maps."""
     with matplotlib.style.context(["default", RC]):
-        drawn = [change_picture(None, found.table), _densities(found), _maps(fields) if fields else None]
+        drawn = [change_picture(found.table), _densities(found), _maps(fields) if fields else None]
     return [picture for picture in drawn if picture is not None]
 
 
 def sentences(found: Comparison) -> list[str]:
     """The comparison in sentences, the main result first."""
-    rows = _records(found)
+    rows = found.table.to_dict("records")
     whole, own = rows[0], [row for row in rows if row["tolerance"] == row["tolerance"]]
     good = [1 - whole[f"outside_{side}"] for side in "ab"]
     gain, low, high = (-100 * whole[f"outside_change{end}"] for end in ("", "_high", "_low"))
-    first = (
-        f"{percent(good[1], 1)} of the assemblies are within all limits after the change, {percent(good[0], 1)} before"
-    )
+    after, before = percent(good[1], 1), percent(good[0], 1)
+    first = f"{after} of the assemblies are within all limits after the change, {before} before"
     if gain or low > 0 or high < 0:
         first += f" (change {number(gain, 2)} percentage points; {number(low, 2)} to {number(high, 2)})"
     text = [first + "."]
     for figure, word in (("six_sigma", "6σ"), ("mean", "mean")):
         significant = [row for row in own if _significant(row, figure)]
         significant.sort(key=lambda row: -abs(row[f"{figure}_change"]) / row["tolerance"])
-        if not significant:
-            text.append(f"No {word} of a key characteristic changes significantly.")
-            continue
-        each = ", ".join(
-            f"{row['quantity']} by {_micrometres(row[f'{figure}_change'])} "
-            f"({_micrometres(row[f'{figure}_change_low'])} to {_micrometres(row[f'{figure}_change_high'])})"
-            for row in significant[:NAMED]
-        )
+        each = []
+        for row in significant[:NAMED]:
+            change, low, high = (_micrometres(row[f"{figure}_change{end}"]) for end in ("", "_low", "_high"))
+            each.append(f"{row['quantity']} by {change} ({low} to {high})")
         rest = f", and {len(significant) - NAMED} more" if len(significant) > NAMED else ""
-        text.append(f"Significant changes of {word}: {each}{rest}.")
+        changes = f"Significant changes of {word}: {', '.join(each)}{rest}."
+        text.append(changes if each else f"No {word} of a key characteristic changes significantly.")
     if found.left_out:
         text.append(f"{found.left_out} samples failed on one of the two sides and are excluded.")
     if found.alone:
         text.append(f"Not compared, since only one side has them: {', '.join(found.alone)}.")
     return text
-
-
-def _records(found: Comparison) -> list[dict[Any, Any]]:
-    return found.table.to_dict("records")
 
 
 def _significant(row: dict[Any, Any], figure: str) -> bool:
@@ -133,39 +119,23 @@ def _densities(found: Comparison) -> Picture:
             ax.fill_between(x, y, color=colour, alpha=0.14, lw=0)
             ax.plot(x, y, color=colour, lw=1.3)
         draw_limits(ax, items[name].bounds)
-        ax.set_yticks([])
-        ax.set_ylim(0)
+        ax.set(yticks=[], ylim=(0, None))
     lines = ((BEFORE, f"before: {found.a.name}"), (AFTER, f"after: {found.b.name}"), (LIMIT_COLOUR, "limits, after"))
     handles = [Line2D([], [], color=colour, lw=2, label=label) for colour, label in lines]
     fig.legend(handles=handles, loc="outside upper left", ncols=3)
-    text = (
-        "" if len(names) == len(own) else f"Shown are the {len(names)} least capable of {len(own)} after the change. "
-    )
-    return svg(fig, "Key characteristics, before and after", text + "Densities of the common samples.")
+    least = f"Shown are the {len(names)} least capable of {len(own)} after the change. " * (len(names) < len(own))
+    return svg(fig, "Key characteristics, before and after", f"{least}Densities of the common samples.")
 
 
 def _maps(fields: Sequence[FieldChange]) -> Picture:
     """Change of the mean displacement along the normals, and of 6σ, of every part."""
-    fig = Figure(figsize=(10.5, 7.2), layout="constrained")
-    axes = fig.subplots(2, len(fields), squeeze=False)
-    texts = []
-    for row, values, label in (
-        (axes[0], [change.mean_normal for change in fields], "mean along the normals"),
-        (axes[1], [change.six_sigma for change in fields], "6σ"),
-    ):
-        most = max(float(np.nanmax(np.abs(value), initial=0.0)) for value in values)
-        scale = Normalize(-(most or 1.0), most or 1.0)
-        for ax, change, value in zip(row, fields, values):
-            draw_surfaces(ax, [change.surface], [colormaps["RdBu_r"](scale(np.nan_to_num(value)))[:, :3]])
-            ax.set_title(change.part)
-        fig.colorbar(ScalarMappable(scale, "RdBu_r"), ax=list(row), label=f"change of {label} (mm)", shrink=0.8)
-        i = int(np.argmax([np.nanmax(np.abs(value), initial=0.0) for value in values]))
-        at = int(np.nanargmax(np.abs(values[i]))) if np.isfinite(values[i]).any() else 0
-        x, y, z = fields[i].surface.points[at]
-        texts.append(
-            f"largest change of the {label}: {number(values[i][at])} mm on {fields[i].part} at "
-            f"({x:.0f}, {y:.0f}, {z:.0f})"
-        )
+    rows = {
+        "mean along the normals": {change.part: change.mean_normal for change in fields},
+        "6σ": {change.part: change.six_sigma for change in fields},
+    }
+    shown = [(f"change of {word}", "RdBu_r", values) for word, values in rows.items()]
+    fig, largest = draw_fields({change.part: change.surface for change in fields}, shown, signed=True)
+    texts = [f"largest change of the {word}: {number(value)} mm on {at}" for word, (value, at) in zip(rows, largest)]
     text = "; ".join(texts) + "."
     other = [change.part for change in fields if not change.same_mesh]
     if other:

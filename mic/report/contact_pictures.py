@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import reduce
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -35,25 +35,21 @@ def tangential_density_picture(outcome: Outcome, context: Context) -> Picture | 
         grid = np.linspace(everything.min() - margin, everything.max() + margin, 300)
         for law, x in moved.items():
             colour, curve = LAWS[law].colour, density(x, grid)
-            drawn = bool(np.isfinite(curve).all())
-            if drawn:
+            if np.isfinite(curve).all():
                 ax.fill_between(grid, curve, color=colour, alpha=0.18, lw=0)
                 ax.plot(grid, curve, color=colour, lw=1.6)
             ax.axvline(x.mean(), color=colour, lw=1, ls="--")
-        ax.set_xlim(max(0.0, grid[0]), grid[-1])
-        ax.set_ylim(0)
+        ax.set(xlim=(max(0.0, grid[0]), grid[-1]), ylim=(0, None), xlabel="RMS tangential displacement (mm)")
         ax.set_title(zone, color=zone_colour(i))
-        ax.set_xlabel("RMS tangential displacement (mm)")
         if i % columns == 0:
             ax.set_ylabel("density (1/mm)")
     law_legend(fig, outcome.laws)
     count = outcome.record["samples"]
-    return svg(
-        fig,
-        f"Probability density of the zones' RMS tangential displacement, stage {stage}",
+    text = (
         f"Kernel densities over {'the first ' * (count > SHOWN)}{min(count, SHOWN)} samples, including open contacts "
-        "as in the paper; dashed: means. " + _motion_sentence(outcome, context),
     )
+    text += "as in the paper; dashed: means. " + _motion_sentence(outcome, context)
+    return svg(fig, f"Probability density of the zones' RMS tangential displacement, stage {stage}", text)
 
 
 def slip_force_picture(outcome: Outcome, context: Context) -> Picture | None:
@@ -74,27 +70,20 @@ def slip_force_picture(outcome: Outcome, context: Context) -> Picture | None:
         rows, look = table[table["law"] == law], LAWS[law]
         for ax, name in zip(axes, ("mean_slip_force", "six_sigma_slip_force")):
             ax.plot(rows["contact"], rows[name], look.mark, ms=3.6, mew=0, color=look.colour, alpha=0.85, label=law)
-    axes[0].set_ylabel(r"mean $\Vert f_t\Vert$ (N)")
-    axes[1].set_ylabel(r"6σ of $\Vert f_t\Vert$ (N)")
-    axes[1].set_xlabel("contact")
-    axes[0].set_ylim(0)
-    axes[1].set_ylim(0)
+    axes[0].set(ylabel=r"mean $\Vert f_t\Vert$ (N)", ylim=(0, None))
+    axes[1].set(ylabel=r"6σ of $\Vert f_t\Vert$ (N)", ylim=(0, None), xlabel="contact")
     _zone_strips(outcome, axes)
     axes[0].legend(ncols=4, loc="lower left", bbox_to_anchor=(0, 1.16), borderaxespad=0)
     force = table[table["law"] == laws[0]]["mean_slip_force"].to_numpy()
     active = force[force >= ACTIVE]
-    text = (
-        f"Under {laws[0]}, {len(active)} of {len(force)} contacts carry a mean friction force of "
-        f"{number(ACTIVE)} N or more"
-    )
+    text = f"Under {laws[0]}, {len(active)} of {len(force)} contacts carry a mean friction force of {number(ACTIVE)} N "
+    text += "or more"
     if len(active):
         text += f" ({number(active.min())} to {number(active.max())} N, mean {number(active.mean())} N)"
     if measured:
         inside = (active >= low) & (active <= high)
-        text += (
-            f"; {inside.sum()} of them lie within the range that the paper measured on another geometry, "
-            "which compares orders of magnitude only"
-        )
+        text += f"; {inside.sum()} of them lie within the range that the paper measured on another geometry, "
+        text += "which compares orders of magnitude only"
     return svg(fig, f"Friction force at each contact, stage {context.stage}", text + ".")
 
 
@@ -117,13 +106,11 @@ def sample_picture(outcome: Outcome, context: Context, quantity: Literal["f", "u
     title, unit = {"f": ("Forces", "N"), "u": ("Displacements", "mm")}[quantity]
     fig, axes = panels(len(axes_names), 1, (10.5, 1.75), sharex=True)
     values = {}
-    for law in laws:
-        look = LAWS[law]
-        for ax, axis in zip(axes, axes_names):
-            values[law, axis] = outcome.contact(law, stage, f"{quantity}_{axis}", common[:1])[0]
-            line = _by_zone(outcome, values[law, axis])
-            ax.plot(*line, look.mark + "-", ms=3.4, mew=0, lw=0.6, color=look.colour, alpha=0.85)
     for ax, axis in zip(axes, axes_names):
+        for law in laws:
+            values[law, axis] = outcome.contact(law, stage, f"{quantity}_{axis}", common[:1])[0]
+            line, look = _by_zone(outcome, values[law, axis]), LAWS[law]
+            ax.plot(*line, look.mark + "-", ms=3.4, mew=0, lw=0.6, color=look.colour, alpha=0.85)
         ax.set_ylabel(f"${quantity}_{{{axis}}}$ ({unit})")
     axes[-1].set_xlabel("contact")
     _zone_strips(outcome, axes)
@@ -139,9 +126,8 @@ def sample_picture(outcome: Outcome, context: Context, quantity: Literal["f", "u
                 farthest = np.hypot(values[law, "t1"], values[law, "t2"]).max()
                 text += f", largest tangential displacement {number(farthest)} mm"
         sentences.append(f"{law}: {text}")
-    return svg(
-        fig, f"{title} of one sample at each contact", f"Sample {common[0]}, stage {stage}. {'; '.join(sentences)}."
-    )
+    text = f"Sample {common[0]}, stage {stage}. {'; '.join(sentences)}."
+    return svg(fig, f"{title} of one sample at each contact", text)
 
 
 def state_picture(outcome: Outcome, context: Context) -> Picture | None:
@@ -171,16 +157,12 @@ def state_picture(outcome: Outcome, context: Context) -> Picture | None:
             shares = (f"{percent(rows[state].mean())} {word}" for state, word in STATE_WORDS.items())
             sentences.append(f"{law}: {', '.join(shares)}")
     _zone_strips(outcome, axes, names=False)
-    handles = [
-        Line2D([], [], marker="s", ls="", ms=8, color=colour, label=state) for state, colour in STATE_COLOURS.items()
-    ]
+    square: dict[str, Any] = {"marker": "s", "ls": "", "ms": 8}
+    handles = [Line2D([], [], color=colour, label=state, **square) for state, colour in STATE_COLOURS.items()]
     fig.legend(handles=handles, loc="outside upper left", ncols=3)
-    return svg(
-        fig,
-        "Open, sticking, slipping at the end of a stage",
-        f"Averaged over contacts and samples after stage {outcome.stages[0]}: "
-        f"{'; '.join(sentences)}. Without friction every closed contact slips.",
-    )
+    text = f"Averaged over contacts and samples after stage {outcome.stages[0]}: {'; '.join(sentences)}. "
+    text += "Without friction every closed contact slips."
+    return svg(fig, "Open, sticking, slipping at the end of a stage", text)
 
 
 def _motion_sentence(outcome, context):
@@ -213,16 +195,8 @@ def _zone_strips(outcome: Outcome, axes: Sequence[Axes], names: bool = True) -> 
             colour = zone_colour(i)
             ax.axvspan(members[0] - 0.5, members[-1] + 0.5, 1.0, 1.035, color=colour, lw=0, clip_on=False)
             if j == 0 and names:
-                ax.text(
-                    float(members.mean()),
-                    1.05,
-                    name,
-                    transform=ax.get_xaxis_transform(),
-                    ha="center",
-                    va="bottom",
-                    color=colour,
-                    fontweight="bold",
-                )
+                style: dict[str, Any] = {"ha": "center", "va": "bottom", "color": colour, "fontweight": "bold"}
+                ax.text(float(members.mean()), 1.05, name, transform=ax.get_xaxis_transform(), **style)
 
 
 def _by_zone(outcome, values):

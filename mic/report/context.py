@@ -7,13 +7,16 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
+import pandas as pd
+
 from mic.geometry.surface import Surface
 from mic.report.style import LAWS
 from mic.results.fields import PartField, read_fields
 from mic.results.outcome import Outcome
 from mic.results.run_folder import PUBLISHED
+from mic.results.schema import Table
 
-__all__ = ["SHOWN", "Context", "read_context"]
+__all__ = ["SHOWN", "Context", "read_context", "study_tables"]
 
 SHOWN = 10_000  # samples of the distributions, the first ones; more do not change a picture
 
@@ -51,6 +54,12 @@ class Context:
     def fields_of(self, law: str) -> dict[str, PartField]:
         """The fields under one law, by part."""
         return {field.part: field for field in self.fields if field.law == law}
+
+
+def study_tables(outcome: Outcome, *tables: Table) -> list[pd.DataFrame] | None:
+    """Tables of a study; None unless all are in the folder."""
+    found = [outcome.study(table) for table in tables]
+    return None if any(table is None for table in found) else found  # type: ignore[return-value]
 
 
 def read_context(outcome: Outcome) -> Context:

@@ -4,11 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pandas as pd
-from matplotlib.figure import Figure
 
-from mic.report.picture import MOST_PANELS, Picture, draw_intervals, named_panels, svg
+from mic.report.picture import MOST_PANELS, Picture, draw_intervals, named_panels, svg, wide
 from mic.report.style import number, percent
-from mic.scene import Scene
 from mic.studies.friction import HOLDS
 
 __all__ = ["contributor_picture", "friction_effect_picture", "sensitivity_picture"]
@@ -18,13 +16,12 @@ BARS = 6  # contributors or inputs in a panel, the largest ones
 FACTORS = ("#c8553d", "#8a94a0", "#0b5cad", "#2a9d8f", "#b26a00")  # by factor of friction
 
 
-def contributor_picture(scene: Scene | None, table: pd.DataFrame, linearity: pd.DataFrame) -> Picture | None:
+def contributor_picture(table: pd.DataFrame, linearity: pd.DataFrame) -> Picture | None:
     """First and total indices of the largest contributors of each key characteristic, with their linear shares."""
     least_linear = linearity[linearity["interaction"].notna()].sort_values("r_squared", kind="stable")
-    rows_shown = least_linear.head(MOST_PANELS).sort_index()
-    if not len(rows_shown):
+    if not len(least_linear):
         return None
-    rows = rows_shown.to_dict("records")
+    rows = least_linear.head(MOST_PANELS).sort_index().to_dict("records")
     titles = [row["measurement"] + ("" if row["linear"] else ": not linear") for row in rows]
     fig, axes = named_panels(titles, 4, 1.9, "share of the variance")
     for ax, row in zip(axes, rows):
@@ -40,19 +37,16 @@ def contributor_picture(scene: Scene | None, table: pd.DataFrame, linearity: pd.
         ax.set_yticks(place, own["contributor"])
         ax.invert_yaxis()
         ax.set_xlim(0, 1.05)
-    handles, labels = axes[0].get_legend_handles_labels()
-    fig.legend(handles, labels, loc="outside upper left", ncols=4)
+    fig.legend(*axes[0].get_legend_handles_labels(), loc="outside upper left", ncols=4)
     least = least_linear.iloc[0]
-    caption = (
-        f"First index (dark) and total index (light, with its interval) of at most {BARS} contributors; red: linear "
-        "analyses."
-    )
+    caption = f"First index (dark) and total index (light, with its interval) of at most {BARS} contributors; "
+    caption += "red: linear analyses."
     if least["r_squared"] == least["r_squared"]:
         caption += f" {least['measurement']} is the least linear, R² {percent(least['r_squared'], 1)}."
     return svg(fig, "Contributors to the key characteristics", caption)
 
 
-def sensitivity_picture(scene: Scene | None, table: pd.DataFrame) -> Picture | None:
+def sensitivity_picture(table: pd.DataFrame) -> Picture | None:
     """Effect of a step of the most influential inputs on each key characteristic."""
     size = table.assign(size=table["effect"].abs())
     shown = list(size.groupby("measurement", sort=False)["size"].max().nlargest(MOST_PANELS).index)
@@ -85,7 +79,7 @@ def sensitivity_picture(scene: Scene | None, table: pd.DataFrame) -> Picture | N
     return svg(fig, "Sensitivity to each input", caption)
 
 
-def friction_effect_picture(scene: Scene | None, effects: pd.DataFrame) -> Picture | None:
+def friction_effect_picture(effects: pd.DataFrame) -> Picture | None:
     """Changes of mean and 6σ of each key characteristic with scaled friction, relative to its 6σ."""
     whole = effects[(effects["zone"] == "") & (effects["six_sigma"] > 0)]
     if not len(whole):
@@ -94,8 +88,7 @@ def friction_effect_picture(scene: Scene | None, effects: pd.DataFrame) -> Pictu
     size = (whole[[*figures]].abs().max(axis=1) / whole["six_sigma"]).groupby(whole["measurement"], sort=False).max()
     names = list(size.nlargest(MOST_PANELS).index)
     factors = sorted(whole["factor"].unique())
-    fig = Figure(figsize=(10.5, 1.4 + 0.4 * len(names)), layout="constrained")
-    axes = fig.subplots(1, 2, sharey=True)
+    fig, axes = wide(1.4 + 0.4 * len(names), 1, 2, sharey=True)
     for ax, (figure, word) in zip(axes, zip(figures, ("mean", "6σ"))):
         ax.axvspan(-100 * HOLDS, 100 * HOLDS, color="#e8edf2", label="insignificant")
         ax.axvline(0, color="#58626e", lw=0.8)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import pandas as pd
@@ -11,7 +12,7 @@ from mic.studies.contributors import INTERACTION, R_SQUARED, SIGMA, SMALLEST
 from mic.studies.friction import HOLDS
 from mic.studies.optimisation.description import OBJECTIVES
 
-__all__ = ["design_words", "friction_words", "linear_words", "named", "optimum_words", "remedy_words"]
+__all__ = ["adjusted", "design_words", "friction_words", "linear_words", "named", "optimum_words", "remedy_words"]
 
 NAMED = 3  # contributors that a sentence names
 FAR = 6.0  # standard deviations: more distant misses are not mentioned
@@ -33,16 +34,13 @@ def linear_words(table: pd.DataFrame, linearity: pd.DataFrame) -> list[str]:
             sentences.append(f"{name} hardly varies (σ = {number(1e3 * row['sigma'], 2)} µm): it has no contributors.")
         elif not row["linear"]:
             own = table[(table["law"] == row["law"]) & (table["measurement"] == name)].to_dict("records")
-            reasons = _reasons(row, own)
-            sentences.append(
-                f"Warning: {name}: a linear analysis misleads: {'; '.join(reasons)}."
-                if reasons
-                else f"{name}: validity of a linear analysis not decided; take more samples."
-            )
+            reasons = "; ".join(_reasons(row, own))
+            undecided = f"{name}: validity of a linear analysis not decided; take more samples."
+            sentences.append(f"Warning: {name}: a linear analysis misleads: {reasons}." if reasons else undecided)
     if linearity["linear"].all() and linearity["r_squared"].notna().any():
-        least = number(linearity["r_squared"].min())
+        bound = f"R² ≥ {number(linearity['r_squared'].min())}"
         sentences.append(
-            f"All key characteristics are nearly linear (R² ≥ {least}): a linear analysis gives the same ranking."
+            f"All key characteristics are nearly linear ({bound}): a linear analysis gives the same ranking."
         )
     return sentences + _combined(table)
 
@@ -54,11 +52,9 @@ def _combined(table: pd.DataFrame) -> list[str]:
         return []
     together = rest.groupby(["law", "measurement"])["bound"].sum().max()
     most = rest.sort_values("bound").iloc[-1]
-    return [
-        f"{rest['contributor'].nunique()} contributors are combined into one: by their derivatives they contribute "
-        f"at most {percent(together, 1)} of any variance together, {most['contributor']} at most "
-        f"{percent(most['bound'], 1)}."
-    ]
+    text = f"{rest['contributor'].nunique()} contributors are combined into one: by their derivatives they contribute "
+    text += f"at most {percent(together, 1)} of any variance together, "
+    return [f"{text}{most['contributor']} at most {percent(most['bound'], 1)}."]
 
 
 def _reasons(row: dict[Any, Any], own: list[dict[Any, Any]]) -> list[str]:
@@ -67,15 +63,11 @@ def _reasons(row: dict[Any, Any], own: list[dict[Any, Any]]) -> list[str]:
         found.append(f"R² is {number(row['r_squared'], 2)}")
     if row["interaction"] > INTERACTION and not row["interaction_low"] <= 0:
         most = max(own, key=lambda each: each["total"] - each["first"])
-        found.append(
-            f"{most['contributor']} contributes {percent(max(most['first'], 0.0))} of the variance alone and "
-            f"{percent(most['total'])} with interactions"
-        )
+        alone, total = percent(max(most["first"], 0.0)), percent(most["total"])
+        found.append(f"{most['contributor']} contributes {alone} of the variance alone and {total} with interactions")
     if abs(row["tangent_sigma"] - row["sigma"]) > SIGMA * row["sigma"]:
-        found.append(
-            f"derivatives at the mean give σ = {number(1e3 * row['tangent_sigma'])} µm instead of "
-            f"{number(1e3 * row['sigma'])} µm"
-        )
+        tangent, sigma = number(1e3 * row["tangent_sigma"]), number(1e3 * row["sigma"])
+        found.append(f"derivatives at the mean give σ = {tangent} µm instead of {sigma} µm")
     drives = max(own, key=lambda each: each["total"])["contributor"]
     for key, word in (("regression", "a regression"), ("tangent", "derivatives at the mean")):
         known = [each for each in own if each[key] == each[key]]
@@ -92,10 +84,9 @@ def friction_words(effects: pd.DataFrame, needed: pd.DataFrame) -> list[str]:
         for figure, word in (("mean_change", "mean"), ("six_sigma_change", "6σ")):
             change, low, high = (row[f"{figure}{end}"] for end in ("", "_low", "_high"))
             if abs(change) > HOLDS * row["six_sigma"] and low * high > 0:
-                sentences.append(
-                    f"{row['measurement']}: without friction the {word} would be {number(abs(1e3 * change), 2)} µm "
-                    f"{'larger' if change > 0 else 'smaller'}, {percent(abs(change) / row['six_sigma'])} of 6σ."
-                )
+                size = f"{number(abs(1e3 * change), 2)} µm {'larger' if change > 0 else 'smaller'}"
+                share = percent(abs(change) / row["six_sigma"])
+                sentences.append(f"{row['measurement']}: without friction the {word} would be {size}, {share} of 6σ.")
     if not none:
         sentences.append("Without friction this assembly is not held.")
     elif not sentences:
@@ -106,10 +97,8 @@ def friction_words(effects: pd.DataFrame, needed: pd.DataFrame) -> list[str]:
         if row["change"] > HOLDS:
             own = zones[zones["measurement"] == row["measurement"]].to_dict("records")
             decides = f"; zone {max(own, key=lambda each: each['change'])['zone']} decides" if own else ""
-            sentences.append(
-                f"{row['measurement']} changes by less than a tenth of 6σ for {number(row['low'], 2)} to "
-                f"{number(row['high'], 2)} times the friction of the scene{decides}."
-            )
+            times = f"{number(row['low'], 2)} to {number(row['high'], 2)} times the friction of the scene{decides}"
+            sentences.append(f"{row['measurement']} changes by less than a tenth of 6σ for {times}.")
     if not any(row["change"] > HOLDS for row in held):
         sentences.append("Results change by less than a tenth of 6σ for half to twice the friction of the scene.")
     return sentences
@@ -122,7 +111,7 @@ def remedy_words(table: pd.DataFrame, effects: pd.DataFrame, scene) -> list[str]
     sentences, width = [], {item.name: item.upper - item.lower for item in scene.measurements}
     for remedy, rows in effects.groupby("remedy", sort=False):
         moves = table[table["remedy"] == remedy].to_dict("records")
-        what = ", ".join(f"{one['adjustment']} {signed(one['change'])} {unit_of(one['adjustment'])}" for one in moves)
+        what = ", ".join(map(adjusted, moves))
         own = rows[rows["fresh"] == rows["fresh"].max()].to_dict("records")
         lacks = "margin" if remedy == "together" else "margin_before"  # a single adjustment is for the worst
         worst = min(own, key=lambda each: each[lacks] / width[each["measurement"]])
@@ -134,18 +123,15 @@ def remedy_words(table: pd.DataFrame, effects: pd.DataFrame, scene) -> list[str]
             which = "all characteristics" if remedy == "together" else "the worst characteristic"
             sentences.append(f"{what} brings {which} within limits{beyond}.")
         else:
-            sentences.append(
-                f"{what} is not enough: {worst['measurement']} falls short by {number(-1e3 * worst['margin'], 2)} µm "
-                f"(Cpk {number(worst['cpk'], 2)}){beyond}."
-            )
+            short = f"{number(-1e3 * worst['margin'], 2)} µm (Cpk {number(worst['cpk'], 2)})"
+            sentences.append(f"{what} is not enough: {worst['measurement']} falls short by {short}{beyond}.")
     first = effects[effects["remedy"] == effects["remedy"].iloc[0]]
     for row in first[first["fresh"] == first["fresh"].max()].to_dict("records"):
         if row["six_sigma_before"] > width[row["measurement"]]:
-            sentences.append(
-                f"{row['measurement']} has 6σ = {number(1e3 * row['six_sigma_before'])} µm, more than its tolerance of "
-                f"{number(1e3 * width[row['measurement']])} µm: no shift of the mean suffices; its contributors must "
-                "vary less (`mic contributors`)."
-            )
+            spread, room = number(1e3 * row["six_sigma_before"]), number(1e3 * width[row["measurement"]])
+            text = f"{row['measurement']} has 6σ = {spread} µm, more than its tolerance of {room} µm: "
+            text += "no shift of the mean suffices; its contributors must vary less (`mic contributors`)."
+            sentences.append(text)
     return sentences
 
 
@@ -156,25 +142,21 @@ def design_words(table: pd.DataFrame, points: pd.DataFrame) -> list[str]:
     near = sorted((own for _, own in limits if own["beta"].iloc[0] < FAR), key=lambda own: own["beta"].iloc[0])
     for own in near[:NAMED]:
         one = own.iloc[0]
+        limit = f"{one['measurement']}, {one['limit']} limit"
         if not one["found"]:
-            sentences.append(
-                f"{one['measurement']}, {one['limit']} limit: no design point found; contact changes the limit."
-            )
+            sentences.append(f"{limit}: no design point found; contact changes the limit.")
             continue
         most = own.sort_values("share", ascending=False, kind="stable").head(NAMED).to_dict("records")
         where = ", ".join(f"{row['deviation']} {signed(row['sigmas'])} σ" for row in most if row["share"] > LITTLE)
-        sentences.append(
-            f"Most likely miss of {one['measurement']}, {one['limit']} limit, at {number(one['beta'])} standard "
-            f"deviations: {where}."
-        )
+        sentences.append(f"Most likely miss of {limit}, at {number(one['beta'])} standard deviations: {where}.")
     for row in table.to_dict("records"):
         if not row["agrees"] and row["first_order"] == row["first_order"]:
-            what = row["measurement"] or "the assembly"
-            sentences.append(
-                f"Warning: {what}: the first-order estimate, {probability(row['first_order'])}, lies outside "
-                "the interval: the limit is curved, changes with contact, or has several likely misses. Use the value "
-                "of the simulation."
+            what, first = row["measurement"] or "the assembly", probability(row["first_order"])
+            text = (
+                f"Warning: {what}: the first-order estimate, {first}, lies outside the interval: the limit is curved, "
             )
+            text += "changes with contact, or has several likely misses. Use the value of the simulation."
+            sentences.append(text)
     return sentences
 
 
@@ -198,6 +180,7 @@ def signed(value: float) -> str:
     return f"{value:+.4g}".replace("-", "−")
 
 
-def unit_of(adjustment: str) -> str:
-    """``N`` of a force, else ``mm``."""
-    return "N" if adjustment.endswith(".force") else "mm"
+def adjusted(row: Mapping[Any, Any]) -> str:
+    """An adjustment of a remedy: ``locators.A +0.1 mm``, ``clamps.C1.force −40 N``."""
+    unit = "N" if row["adjustment"].endswith(".force") else "mm"
+    return f"{row['adjustment']} {signed(row['change'])} {unit}"

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from os import PathLike
 from pathlib import Path
 
 import matplotlib.style
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from mic.report.picture import MOST_PANELS, Picture, svg
+from mic.report.picture import MOST_PANELS, Picture, svg, wide
 from mic.report.style import RC, number, percent
 from mic.report.template import render
 from mic.statistics.estimates import LEVEL
@@ -38,9 +40,8 @@ def write_explanation(path: str | PathLike[str], found: Explanation) -> Path:
         further=found.further.to_dict("records"),
         pictures=explanation_pictures(found),
     )
-    path = Path(path)
-    write_text(path, page)
-    return path
+    write_text(Path(path), page)
+    return Path(path)
 
 
 def explanation_pictures(found: Explanation) -> list[Picture]:
@@ -70,19 +71,19 @@ def sentences(found: Explanation) -> list[str]:
         text.append(f"Hardly determined by the measurement: {', '.join(found.untold)}.")
     if len(found.further):
         best = found.further.iloc[0]
-        text.append(
-            f"The most useful further measurement is {best['measurement']} ({number(best['bits'], 2)} bits): it would "
-            f"remove {percent(best['told'])} of the remaining variance of {best['source']}."
-        )
+        gain = f"remove {percent(best['told'])} of the remaining variance of {best['source']}"
+        useful = f"{best['measurement']} ({number(best['bits'], 2)} bits)"
+        text.append(f"The most useful further measurement is {useful}: it would {gain}.")
     measured = found.reached["measured"].notna().to_numpy()
-    error, gauge = found.posterior.error[measured], found.reached["gauge"].to_numpy()[measured]
+    own, error = found.reached[measured], found.posterior.error[measured]
+    gauge = own["gauge"].to_numpy()
     worst = int((error / gauge).argmax())
     if error[worst] > ROUGH * gauge[worst]:
+        size, exact = f"{number(1e3 * error[worst], 2)} µm", f"{number(1e3 * gauge[worst], 2)} µm"
         text.append(
-            f"The interpolation between {found.posterior.evaluations} evaluated assemblies has an error of "
-            f"{number(1e3 * error[worst], 2)} µm for {_measured(found, worst)}, with a gauge of "
-            f"{number(1e3 * gauge[worst], 2)} µm, which widens the intervals: contacts change state here, or the gauge "
-            "is much finer than the sources."
+            f"The interpolation between {found.posterior.evaluations} evaluated assemblies has an error of {size} for "
+            f"{own['measurement'].iloc[worst]}, with a gauge of {exact}, which widens the intervals: contacts change "
+            "state here, or the gauge is much finer than the sources."
         )
     if found.posterior.count < FEW:
         text.append(
@@ -92,23 +93,13 @@ def sentences(found: Explanation) -> list[str]:
     return text
 
 
-def _measured(found: Explanation, i: int) -> str:
-    """Name of the i-th measured characteristic."""
-    return str(found.reached["measurement"][found.reached["measured"].notna()].iloc[i])
-
-
 def _sources(found: Explanation) -> Picture:
     """Each source before and after the measurement, in standard deviations of the scene."""
     own = found.table.head(MOST_PANELS)
-    place = np.arange(len(own))
+    fig, ax, place = _named_rows(own["source"], "deviation from its mean (standard deviations of the scene)")
     mean, low, high = ((own[name] - own["prior_mean"]) / own["prior_sigma"] for name in ("mean", "low", "high"))
-    fig = Figure(figsize=(10.5, 1.2 + 0.28 * len(own)), layout="constrained")
-    ax = fig.subplots()
     ax.hlines(place, -1.96, 1.96, color=BEFORE, lw=7, alpha=0.5, label="before")
     ax.errorbar(mean, place, xerr=[mean - low, high - mean], fmt="o", ms=5, color=AFTER, elinewidth=2, label="after")
-    ax.set_yticks(place, own["source"])
-    ax.invert_yaxis()
-    ax.set_xlabel("deviation from its mean (standard deviations of the scene)")
     fig.legend(loc="outside upper left", ncols=2)
     return svg(fig, "Sources", f"Lines: {100 * LEVEL:.0f} % intervals.")
 
@@ -116,22 +107,19 @@ def _sources(found: Explanation) -> Picture:
 def _reached(found: Explanation) -> Picture:
     """Measured characteristics, and the prediction from the inferred sources."""
     own = found.reached.head(MOST_PANELS)
-    place = np.arange(len(own))
-    fig = Figure(figsize=(10.5, 1.2 + 0.28 * len(own)), layout="constrained")
-    ax = fig.subplots()
-    ax.errorbar(
-        own["mean"], place, xerr=1.96 * own["sigma"], fmt="s", ms=5, color=AFTER, elinewidth=2, label="inferred"
-    )
-    ax.errorbar(
-        own["measured"], place + 0.2, xerr=1.96 * own["gauge"], fmt="o", ms=4, color="#c8553d", label="measured"
-    )
-    ax.set_yticks(place, own["measurement"])
-    ax.invert_yaxis()
-    ax.set_xlabel("deviation (mm)")
+    fig, ax, place = _named_rows(own["measurement"], "deviation (mm)")
+    inferred, measured = 1.96 * own["sigma"], 1.96 * own["gauge"]
+    ax.errorbar(own["mean"], place, xerr=inferred, fmt="s", ms=5, color=AFTER, elinewidth=2, label="inferred")
+    ax.errorbar(own["measured"], place + 0.2, xerr=measured, fmt="o", ms=4, color="#c8553d", label="measured")
     fig.legend(loc="outside upper left", ncols=2)
-    return svg(
-        fig,
-        "Key characteristics",
-        "Measurements with the gauge's interval, and values from the inferred sources, which are predictions where "
-        "nothing was measured.",
-    )
+    text = "Measurements with the gauge's interval, and values from the inferred sources, which are predictions where "
+    return svg(fig, "Key characteristics", text + "nothing was measured.")
+
+
+def _named_rows(names: Collection[str], xlabel: str) -> tuple[Figure, Axes, np.ndarray]:
+    """A figure with a row for each name, its axes, and the ordinates of the rows."""
+    fig, ax = wide(1.2 + 0.28 * len(names))
+    ax.set_yticks(range(len(names)), names)
+    ax.invert_yaxis()
+    ax.set_xlabel(xlabel)
+    return fig, ax, np.arange(len(names))

@@ -5,15 +5,22 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from matplotlib.figure import Figure
 
 from mic.contact.law_comparison import summarise
 from mic.report.context import SHOWN, Context
-from mic.report.picture import Picture, law_legend, panels, svg
+from mic.report.picture import Picture, law_legend, panels, svg, wide
 from mic.report.style import LAWS, STATE_COLOURS, number, percent
 from mic.results.outcome import Outcome
 
 __all__ = ["LawCost", "friction_picture", "law_cost", "law_cost_picture"]
+
+
+#: Column, label and factor of what a friction study shows.
+STUDIED = (
+    ("slip", "RMS slip, all contacts (mm)", 1),
+    ("normal_force", "total normal force (N)", 1),
+    ("gap_at_load", "largest gap under load (µm)", 1e3),
+)
 
 
 @dataclass(frozen=True)
@@ -28,23 +35,18 @@ class LawCost:
         Normal forces, N.
     states : (3, 3) array
         Share of contacts and samples by state under Coulomb's law (row) and under the associated one (column).
-    force_error : (n,) array
-        ``Σ|f_n - f_n,coulomb| / Σ f_n,coulomb`` of each sample, NaN without load.
-    total_error : (n,) array
-        ``(Σ f_n - Σ f_n,coulomb) / Σ f_n,coulomb`` of each sample, NaN without load.
     """
 
     gaps: np.ndarray
     coulomb: np.ndarray
     associated: np.ndarray
     states: np.ndarray
-    force_error: np.ndarray
-    total_error: np.ndarray
 
     @property
     def sentence(self) -> str:
-        """The cost in words."""
-        n = len(self.coulomb)
+        """The cost in words; errors of forces are relative to their sum under Coulomb's law in the same sample."""
+        n, total = len(self.coulomb), self.coulomb.sum(axis=1)
+        loaded, error = total > 0, self.associated - self.coulomb
         text = f"Over the {'first ' * (n == SHOWN)}{n} samples valid under both laws: "
         if len(self.gaps):
             text += (
@@ -52,12 +54,11 @@ class LawCost:
                 f"gaps above 1 µm (all loaded contacts: median {number(np.median(self.gaps) * 1e3)} µm, "
                 f"largest {number(self.gaps.max() * 1e3)} µm), which Coulomb's law keeps closed; "
             )
-        if np.isfinite(self.force_error).any():
-            text += (
-                f"normal forces are wrong by {percent(np.nanmean(self.force_error), 1)} of their sum on average "
-                f"({percent(np.nanmax(self.force_error), 1)} in the worst sample), the sum itself by "
-                f"{percent(np.nanmean(np.abs(self.total_error)), 1)}; "
-            )
+        if loaded.any():
+            each = np.abs(error).sum(axis=1)[loaded] / total[loaded]
+            whole = np.abs(error.sum(axis=1))[loaded] / total[loaded]
+            text += f"normal forces are wrong by {percent(each.mean(), 1)} of their sum on average "
+            text += f"({percent(each.max(), 1)} in the worst sample), the sum itself by {percent(whole.mean(), 1)}; "
         return text + f"{percent(1 - np.trace(self.states), 1)} of all contact states differ."
 
 
@@ -72,16 +73,7 @@ def law_cost(outcome: Outcome, stage: str) -> LawCost | None:
     f, a = get("coulomb", "f_n"), get("associated", "f_n")
     states = np.zeros((len(STATE_COLOURS), len(STATE_COLOURS)))
     np.add.at(states, (get("coulomb", "state").ravel(), get("associated", "state").ravel()), 1 / f.size)
-    total = f.sum(axis=1)
-    share = lambda x: np.divide(x, total, out=np.full(len(total), np.nan), where=total > 0)
-    return LawCost(
-        gaps=get("associated", "u_n")[get("associated", "state") > 0],
-        coulomb=f,
-        associated=a,
-        states=states,
-        force_error=share(np.abs(a - f).sum(axis=1)),
-        total_error=share(a.sum(axis=1) - total),
-    )
+    return LawCost(get("associated", "u_n")[get("associated", "state") > 0], f, a, states)
 
 
 def law_cost_picture(outcome: Outcome, context: Context) -> Picture | None:
@@ -89,8 +81,7 @@ def law_cost_picture(outcome: Outcome, context: Context) -> Picture | None:
     cost = law_cost(outcome, context.stage) if context.stage else None
     if cost is None:
         return None
-    fig = Figure(figsize=(10.5, 3.1), layout="constrained")
-    gap, force, state = fig.subplots(1, 3)
+    fig, (gap, force, state) = wide(3.1, 1, 3)
     gaps = np.maximum(cost.gaps, 0) * 1e3
     upper = max(np.quantile(gaps, 0.995), 1e-9) if len(gaps) else 1.0
     gap.hist(np.minimum(gaps, upper), bins=40, color=LAWS["associated"].colour, alpha=0.8)
@@ -124,20 +115,13 @@ def friction_picture(outcome: Outcome, context: Context) -> Picture | None:
     table, laws = summarise(study), [law for law in LAWS if law in set(study["law"])]
     here = outcome.model.contacts.friction_in(outcome.stages[0]).coefficient.mean()
     fig, axes = panels(3, 3, (3.5, 2.6))
-    for ax, (column, label, factor) in zip(
-        axes,
-        (
-            ("slip", "RMS slip, all contacts (mm)", 1),
-            ("normal_force", "total normal force (N)", 1),
-            ("gap_at_load", "largest gap under load (µm)", 1e3),
-        ),
-    ):
+    for ax, (column, label, factor) in zip(axes, STUDIED):
         for law in laws:
             rows, look = table.xs(law, level="law"), LAWS[law]
             ax.plot(rows.index, factor * rows[column], look.mark + "-", ms=4, lw=1.3, color=look.colour)
         ax.axvline(here, color="#8a949f", lw=0.9, ls="--")
-        ax.set(xlabel="friction coefficient, mean over contacts", ylabel=label, xlim=(0, None))
-        ax.set_ylim(0, 1.08 * factor * table[column].max() or 1.0)
+        top = 1.08 * factor * table[column].max() or 1.0
+        ax.set(xlabel="friction coefficient, mean over contacts", ylabel=label, xlim=(0, None), ylim=(0, top))
     law_legend(fig, laws)
     gaps = table.xs("associated", level="law")["gap_at_load"]
     ends = " and ".join(f"{number(1e3 * gaps.iloc[i])} µm at μ = {number(gaps.index[i], 2)}" for i in (0, -1))

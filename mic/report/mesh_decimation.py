@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 
 from mic.geometry.surface import Surface
@@ -38,34 +36,17 @@ def thinned(surface: Surface, most: int = MOST) -> tuple[np.ndarray, np.ndarray]
         return kept, surface.triangles
     while True:
         cells = np.floor((points - points.min(axis=0)) / size).astype(np.int64)
-        _, cell = np.unique(_keys(cells, cells.max(axis=0) + 1), return_inverse=True)
-        count = np.bincount(cell)
+        _, cell, count = np.unique(cells, axis=0, return_inverse=True, return_counts=True)
         if len(count) <= most:
             break
         size *= 1.1
+    cell = cell.ravel()
     middle = np.column_stack([np.bincount(cell, weights=x) / count for x in points.T])
-    order = np.lexsort((((points - middle[cell]) ** 2).sum(axis=1), ~_on_edge(surface), cell))
+    order = np.lexsort((((points - middle[cell]) ** 2).sum(axis=1), ~surface.border_vertices, cell))
     kept = np.sort(order[np.searchsorted(cell[order], np.arange(len(count)))])
     place = np.empty(len(count), dtype=np.int64)
     place[cell[kept]] = np.arange(len(kept))
     triangles = place[cell[surface.triangles]]
     apart = (triangles != np.roll(triangles, 1, axis=1)).all(axis=1)
-    _, first = np.unique(_keys(np.sort(triangles[apart], axis=1), [len(kept)] * 3), return_index=True)
+    _, first = np.unique(np.sort(triangles[apart], axis=1), axis=0, return_index=True)
     return kept, triangles[apart][np.sort(first)]
-
-
-def _on_edge(surface: Surface) -> np.ndarray:
-    """(v,) whether a vertex lies on a border edge."""
-    edges = np.sort(surface.triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
-    _, first, count = np.unique(_keys(edges, [len(surface.points)] * 2), return_index=True, return_counts=True)
-    on = np.zeros(len(surface.points), dtype=bool)
-    on[edges[first[count == 1]]] = True
-    return on
-
-
-def _keys(rows: np.ndarray, below: Sequence[int] | np.ndarray) -> np.ndarray:
-    """(n,) one number for each row (n, c) of numbers below others (c,), in the order of the rows."""
-    keys = rows[:, 0].astype(np.int64)
-    for column, size in zip(rows.T[1:], below[1:]):
-        keys = keys * int(size) + column
-    return keys

@@ -4,12 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pandas as pd
-from matplotlib.figure import Figure
 
 from mic.report.driver_sentences import FAR
-from mic.report.picture import MOST_PANELS, Picture, draw_intervals, named_panels, svg
+from mic.report.picture import MOST_PANELS, Picture, draw_intervals, named_panels, svg, wide
 from mic.report.style import LIMIT_COLOUR, number, probability
-from mic.scene import Scene
 from mic.statistics.estimates import LEVEL
 
 __all__ = ["likeliest_miss_picture", "miss_picture"]
@@ -21,23 +19,20 @@ MILLION = 1e6
 NEVER = 1e-9  # smaller probabilities are drawn at the end of the axis
 
 
-def miss_picture(scene: Scene | None, table: pd.DataFrame) -> Picture | None:
+def miss_picture(table: pd.DataFrame) -> Picture | None:
     """Probability of a miss with its interval, and its first-order estimate, on a logarithmic scale."""
     if not len(table):
         return None
     own = table.head(MOST_PANELS)
     place = np.arange(len(own))
     value, low, high = (np.maximum(own[f"outside{end}"], NEVER) for end in ("", "_low", "_high"))
-    fig = Figure(figsize=(10.5, 1.2 + 0.32 * len(own)), layout="constrained")
-    ax = fig.subplots()
+    fig, ax = wide(1.2 + 0.32 * len(own))
     draw_intervals(ax, place, MILLION * value, MILLION * low, MILLION * high, ms=5, color=INK, label="simulated")
     known = own["first_order"].notna().to_numpy()
     first = MILLION * np.maximum(own["first_order"][known], NEVER)
     ax.plot(first, place[known], "D", ms=5, mfc="white", color=FIRST, ls="", label="first order")
-    ax.set_xscale("log")
     ax.set_yticks(place, [name or "any limit" for name in own["measurement"]])
-    ax.set_ylim(len(own) - 0.5, -0.5)
-    ax.set_xlabel("outside limits, ppm")
+    ax.set(xscale="log", ylim=(len(own) - 0.5, -0.5), xlabel="outside limits, ppm")
     fig.legend(loc="outside upper left", ncols=2)
     row = own.iloc[0]
     share = probability(row["outside"], row["outside_low"], row["outside_high"])
@@ -48,7 +43,7 @@ def miss_picture(scene: Scene | None, table: pd.DataFrame) -> Picture | None:
     return svg(fig, "Probability of a miss", text)
 
 
-def likeliest_miss_picture(scene: Scene | None, points: pd.DataFrame) -> Picture | None:
+def likeliest_miss_picture(points: pd.DataFrame) -> Picture | None:
     """Deviations at the most likely miss of each limit, in standard deviations."""
     near = points[points["found"].astype(bool) & (points["beta"] < FAR)]
     limits = near.drop_duplicates(["measurement", "limit"]).sort_values("beta", kind="stable").head(LIMITS)

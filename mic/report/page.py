@@ -2,56 +2,34 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from os import PathLike
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from plotly.offline import get_plotlyjs
 
 from mic.contact.solution import Status
+from mic.report import driver_sentences
 from mic.report.background_pictures import BackgroundPictures
-from mic.report.context import read_context
-from mic.report.driver_sentences import (
-    design_words,
-    friction_words,
-    linear_words,
-    optimum_words,
-    remedy_words,
-    signed,
-    unit_of,
-)
-from mic.report.picture_registry import PICTURES, SECTIONS, draw_all
-from mic.report.style import LAWS, STATE_COLOURS, STATE_WORDS, zone_colour
+from mic.report.context import Context, read_context, study_tables
+from mic.report.picture_registry import PICTURES, draw_all
+from mic.report.style import LAWS, zone_colour
 from mic.report.template import render
 from mic.report.verdict import verdict
 from mic.report.viewer_data import packed, viewer_data
+from mic.results import schema
 from mic.results.mesh_error import read_accuracy
 from mic.results.outcome import Outcome, read_outcome
-from mic.results.schema import (
-    CONTRIBUTORS,
-    DESIGN_POINTS,
-    FRICTION_EFFECTS,
-    LINEARITY,
-    OPTIMA,
-    OPTIMUM_CHANGES,
-    OPTIMUM_MATCHES,
-    RARE,
-    REMEDIES,
-    REMEDY_EFFECTS,
-    SPREADS,
-)
-from mic.statistics.estimates import LEVEL, covered_share
+from mic.statistics.estimates import covered_share
 from mic.studies.contributors import joint_ranking
 from mic.studies.friction import friction_needed
 from mic.system.files import replacing, write_text
 
 __all__ = ["write_report"]
 
-LISTED_FAILURES = 50
-LISTED_CONTACTS = 1000
 LISTED_CONTRIBUTORS = 6
+ADVICE = {status.value: status.advice for status in Status}
+FAILED = "The computation failed at this sample; look for implausibly large deviations."
 
 
 def write_report(
@@ -82,41 +60,28 @@ def write_report(
     outcome = outcome or read_outcome(folder)
     context = read_context(outcome)
     pictures = draw_all(outcome, context, background)
-    sections = {
-        section: [entry.name for entry in PICTURES if entry.section == section and entry.name in pictures]
-        for section in SECTIONS
-    }
+    sections: dict[str, list[str]] = {entry.section: [] for entry in PICTURES}
+    for entry in PICTURES:
+        sections[entry.section] += [entry.name] * (entry.name in pictures)
     viewer = viewer_data(outcome, context)
-    zones = _zones(outcome, context.stage, context.published)
+    zones = _zones(outcome, context)
     page = render(
         "report.html",
         outcome=outcome,
-        record=outcome.record,
-        scene=outcome.model.scene,
-        stage=context.stage,
-        level=f"{100 * LEVEL:.0f} %",
+        context=context,
         verdict=verdict(outcome),
-        drivers=_drivers(outcome) | {"shown": any(sections[one] for one in ("drivers", "steps", "friction"))},
+        drivers=_drivers(outcome),
         misses=_misses(outcome),
         remedies=_remedies(outcome),
         optimum=_optimum(outcome),
         pictures=pictures,
         sections=sections,
-        colour=lambda law: LAWS[law].colour,
-        states=list(STATE_COLOURS),
-        state_words=STATE_WORDS,
         paths=_paths(outcome),
-        facts=_facts(outcome),
         validity=_validity(outcome),
         zones=zones,
         trend=_trend(zones, context.stage),
-        published=context.published,
-        measurements=_records(outcome.measurement_statistics),
         covered=covered_share(outcome.record["samples"]),
-        accuracy=_accuracy(outcome),
-        no_fields=context.no_fields,
-        contacts=_records(outcome.contact_statistics),
-        listed_contacts=LISTED_CONTACTS,
+        accuracy=read_accuracy(outcome.folder),
         viewer=viewer,
         plotly=packed(get_plotlyjs()) if viewer else None,
     )
@@ -130,54 +95,52 @@ def write_report(
 
 def _drivers(outcome: Outcome) -> dict[str, Any]:
     """Contributors, estimates by derivatives and effects of friction, as far as they were computed."""
-    table, linearity, effects = (outcome.study(t) for t in (CONTRIBUTORS, LINEARITY, FRICTION_EFFECTS))
-    found: dict[str, Any] = {"rows": [], "words": [], "joint": [], "spreads": [], "friction": [], "friction_words": []}
-    if table is not None and linearity is not None:
-        for row in _records(linearity):
-            shares = table[(table["law"] == row["law"]) & (table["measurement"] == row["measurement"])]
-            shares = shares[shares["total"].notna() | shares["bound"].isna()]
-            ordered = _records(shares.sort_values("total", ascending=False, kind="stable"))
-            found["rows"].append(row | {"contributors": ordered[:LISTED_CONTRIBUTORS]})
-        found["words"] = linear_words(table, linearity)
+    found: dict[str, list] = dict.fromkeys(("rows", "words", "joint", "spreads", "friction", "friction_words"), [])
+    if computed := study_tables(outcome, schema.CONTRIBUTORS, schema.LINEARITY):
+        table, linearity = computed
+        found["words"] = driver_sentences.linear_words(table, linearity)
         found["joint"] = _records(joint_ranking(table, linearity, outcome.model.scene))[:LISTED_CONTRIBUTORS]
-    spreads = outcome.study(SPREADS)
-    if spreads is not None:
-        found["spreads"] = _records(spreads[spreads["kind"] != "plain"])
-    if effects is not None:
-        found["friction"] = _records(effects)
-        found["friction_words"] = friction_words(effects, friction_needed(effects))
+        ranked = table[table["total"].notna() | table["bound"].isna()]
+        ranked = ranked.sort_values("total", ascending=False, kind="stable")
+        for row in _records(linearity):
+            own = ranked[(ranked["law"] == row["law"]) & (ranked["measurement"] == row["measurement"])]
+            found["rows"] = [*found["rows"], row | {"contributors": _records(own)[:LISTED_CONTRIBUTORS]}]
+    if computed := study_tables(outcome, schema.SPREADS):
+        found["spreads"] = _records(computed[0][computed[0]["kind"] != "plain"])
+    if computed := study_tables(outcome, schema.FRICTION_EFFECTS):
+        found["friction"] = _records(computed[0])
+        found["friction_words"] = driver_sentences.friction_words(computed[0], friction_needed(computed[0]))
     return found
 
 
 def _remedies(outcome: Outcome) -> dict[str, Any]:
     """Remedies and their effects on fresh samples, as far as they were computed."""
-    table, effects = outcome.study(REMEDIES), outcome.study(REMEDY_EFFECTS)
-    found: dict[str, Any] = {"rows": [], "words": []}
-    if table is None or effects is None:
-        return found
-    found["words"] = remedy_words(table, effects, outcome.model.scene)
-    for name, rows in effects.groupby("remedy", sort=False):
-        moves = _records(table[table["remedy"] == name])
-        adjustments = [
-            f"{one['adjustment']} {signed(one['change'])} {unit_of(one['adjustment'])}, to {one['value']:.4g}"
-            for one in moves
+    computed = study_tables(outcome, schema.REMEDIES, schema.REMEDY_EFFECTS)
+    if not computed:
+        return {"rows": [], "words": []}
+    table, effects = computed
+    rows = []
+    for name, own in effects.groupby("remedy", sort=False):
+        moves = [
+            f"{driver_sentences.adjusted(one)}, to {one['value']:.4g}"
+            for one in _records(table[table["remedy"] == name])
         ]
-        found["rows"].append({"moves": adjustments, "effects": _records(rows[rows["fresh"] == rows["fresh"].max()])})
-    return found
+        rows.append({"moves": moves, "effects": _records(own[own["fresh"] == own["fresh"].max()])})
+    return {"rows": rows, "words": driver_sentences.remedy_words(table, effects, outcome.model.scene)}
 
 
 def _misses(outcome: Outcome) -> list[str]:
     """The most likely misses in sentences, as far as they were computed."""
-    table, points = outcome.study(RARE), outcome.study(DESIGN_POINTS)
-    return [] if table is None or points is None else design_words(table, points)
+    computed = study_tables(outcome, schema.RARE, schema.DESIGN_POINTS)
+    return driver_sentences.design_words(*computed) if computed else []
 
 
 def _optimum(outcome: Outcome) -> dict[str, Any]:
     """The optimum on fresh samples, as far as it was computed."""
-    whole, changes, matched = (outcome.study(t) for t in (OPTIMA, OPTIMUM_CHANGES, OPTIMUM_MATCHES))
     found: dict[str, Any] = {"words": [], "changes": [], "matches": {}, "kinds": []}
-    if whole is not None and changes is not None:
-        found["words"], found["changes"] = optimum_words(whole), _records(changes)
+    if computed := study_tables(outcome, schema.OPTIMA, schema.OPTIMUM_CHANGES):
+        found["words"], found["changes"] = driver_sentences.optimum_words(computed[0]), _records(computed[1])
+    matched = outcome.study(schema.OPTIMUM_MATCHES)
     if matched is not None and len(matched):
         found["kinds"] = list(matched["kind"].unique())
         for row in _records(matched):
@@ -186,70 +149,23 @@ def _optimum(outcome: Outcome) -> dict[str, Any]:
     return found
 
 
-def _facts(outcome: Outcome) -> list[tuple[str, str]]:
-    """Heading facts as (name, value) pairs."""
-    record, model = outcome.record, outcome.model
-    contacts, zones = len(model.contacts), len(outcome.zones)
-    pairs = f"{contacts} in {zones} zone{'s' if zones > 1 else ''}, {model.contacts.dimension * contacts} unknowns"
-    resolutions = f"{len(outcome.stages)} ({', '.join(outcome.stages)})"
-    functionals = [f"{part.name} {count}" for part, count in zip(model.scene.parts, np.diff(model.compliance.offsets))]
-    return [
-        ("Samples", f"{record['samples']}, seed {record['seed']}"),
-        ("Contact laws", ", ".join(record["laws"])),
-        ("Stages", " → ".join(str(item.name) for item in model.scene.stages)),
-        ("Contact pairs", pairs if contacts else "none"),
-        ("Contact resolutions per sample", resolutions if outcome.stages else "none"),
-        ("Retained functionals", ", ".join(functionals)),
-    ]
-
-
 def _validity(outcome: Outcome) -> list[dict[str, Any]]:
     """For each law: residual, counts, and the failed samples with advice."""
     rows = []
     for law in outcome.record["laws"]:
         run = law in outcome.laws
-        reasons: dict[str, list] = {}
-        for row in _records(outcome.failures(law)) if run else ():
-            reasons.setdefault(row["status"], []).append((int(row["sample"]), row["stage"], row["residual"]))
+        failures = outcome.failures(law).groupby("status", sort=False) if run else ()
+        short = [row for row in _records(outcome.limit_statistics) if row["law"] == law and row["short"]]
         rows.append(
             {
                 "law": law,
                 "valid": len(outcome.sample_numbers(law)) if run else 0,
-                "missing": outcome.missing[law],
-                "failed": len(outcome.failed[law]),
                 "residual": outcome.worst_residual(law) if run else float("nan"),
-                "rescued": len(outcome.rescued[law]),
-                "not_built": len(outcome.unbuilt[law]),
-                "short": [row for row in _records(outcome.limit_statistics) if row["law"] == law and row["short"]],
-                "reasons": [
-                    {
-                        "status": status,
-                        "advice": _advice(status),
-                        "samples": found[:LISTED_FAILURES],
-                        "count": len(found),
-                        "unlisted": max(0, len(found) - LISTED_FAILURES),
-                    }
-                    for status, found in reasons.items()
-                ],
+                "short": short,
+                "reasons": [(status, ADVICE.get(str(status), FAILED), _records(found)) for status, found in failures],
             }
         )
     return rows
-
-
-def _accuracy(outcome: Outcome) -> list[dict[str, Any]]:
-    """Estimated mesh error of each part, and the cost of half the element size; empty where it was not estimated."""
-    found = read_accuracy(outcome.folder)
-    if found is None:
-        return []
-    parts = found.groupby("part", sort=False)
-    return [{**_records(rows)[0], "part": part, "quantities": _records(rows)} for part, rows in parts]
-
-
-def _advice(status):
-    try:
-        return Status(status).advice
-    except ValueError:
-        return "The computation failed at this sample; look for implausibly large deviations."
 
 
 def _paths(outcome: Outcome) -> list[dict[str, Any]]:
@@ -262,28 +178,25 @@ def _paths(outcome: Outcome) -> list[dict[str, Any]]:
     ]
 
 
-def _zones(outcome: Outcome, stage: str | None, published: Mapping[str, Any]) -> list[dict[str, Any]]:
+def _zones(outcome: Outcome, context: Context) -> list[dict[str, Any]]:
     """Rows of the paper's Table 1: figures of each law by zone, and the published ones."""
     table = outcome.zone_statistics
-    rows: list[dict[str, Any]] = []
-    if stage is None or not len(table):
-        return rows
-    published_zones = published.get("zones", {})
-    for i, zone in enumerate(outcome.zones):
-        for name in outcome.stages:
-            found = table[(table["zone"] == zone) & (table["stage"] == name)]
-            rows.append(
-                {
-                    "zone": zone,
-                    "stage": name,
-                    "colour": zone_colour(i),
-                    "friction": outcome.model.scene.zones[i].coefficient(name),
-                    "pairs": int((outcome.model.contacts.zone == i).sum()),
-                    "laws": {row["law"]: row for row in _records(found)},
-                    "published": published_zones.get(zone, {}) if name == stage else {},
-                }
-            )
-    return rows
+    if context.stage is None or not len(table):
+        return []
+    published = context.published.get("zones", {})
+    return [
+        {
+            "zone": zone,
+            "stage": stage,
+            "colour": zone_colour(i),
+            "friction": outcome.model.scene.zones[i].coefficient(stage),
+            "pairs": int((outcome.model.contacts.zone == i).sum()),
+            "laws": {row["law"]: row for row in _records(table[(table["zone"] == zone) & (table["stage"] == stage)])},
+            "published": published.get(zone, {}) if stage == context.stage else {},
+        }
+        for i, zone in enumerate(outcome.zones)
+        for stage in outcome.stages
+    ]
 
 
 def _trend(zones, stage):
@@ -296,19 +209,15 @@ def _trend(zones, stage):
     if law is None or "frictionless" not in shown[0]["laws"]:
         return None
 
-    def change(after, before):
-        return f"{100 * (after / before - 1):+.0f}".replace("-", "−") if before > 0 else "–"
+    def changes(kind, law, name):
+        pairs = [(row[kind][law][name], row[kind]["frictionless"][name]) for row in shown]
+        texts = [f"{100 * (after / before - 1):+.0f}" if before > 0 else "–" for after, before in pairs]
+        return ", ".join(texts).replace("-", "−")
 
     texts = []
-    for ours, theirs, label in (
-        ("mean_rms_tangential", "mean", "mean"),
-        ("six_sigma_rms_tangential", "six_sigma", "6σ"),
-    ):
-        here = ", ".join(change(row["laws"][law][ours], row["laws"]["frictionless"][ours]) for row in shown)
-        there = ", ".join(
-            change(row["published"]["associated"][theirs], row["published"]["frictionless"][theirs]) for row in shown
-        )
-        texts.append(f"the {label} by {here} % here ({law}) and by {there} % in the paper")
+    for figure, word in (("mean", "mean"), ("six_sigma", "6σ")):
+        here, there = changes("laws", law, f"{figure}_rms_tangential"), changes("published", "associated", figure)
+        texts.append(f"the {word} by {here} % here ({law}) and by {there} % in the paper")
     return f"Friction changes, in {', '.join(row['zone'] for row in shown)}: {'; '.join(texts)}."
 
 

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 import pandas as pd
+from matplotlib.axes import Axes
 from matplotlib.patches import Patch
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
@@ -15,8 +18,6 @@ from mic.results.schema import PATH_ERRORS
 
 __all__ = ["friction_work_picture", "path_error_picture", "path_state_picture"]
 
-SLIPPING = list(STATE_WORDS)[-1]
-
 
 def path_state_picture(outcome: Outcome, context: Context) -> Picture | None:
     """Shares of each stage's path in which the pairs of a zone are open, sticking or slipping, a panel for each law."""
@@ -25,27 +26,22 @@ def path_state_picture(outcome: Outcome, context: Context) -> Picture | None:
         return None
     zones, stages = outcome.zones, outcome.stages
     fig, axes = panels(len(laws), len(laws), (10.5 / len(laws), 0.9 + 0.26 * len(zones) * len(stages)), sharey=True)
+    places = [s * (len(zones) + 0.6) + z for s in range(len(stages)) for z in range(len(zones))]
+    labels = [f"{stage}  {zone}" if len(stages) > 1 else zone for stage in stages for zone in zones]
     sentences = []
     for ax, law in zip(axes, laws):
-        rows = _rows(outcome, law)
-        places, labels = [], []
-        for s, stage in enumerate(stages):
-            for z, zone in enumerate(zones):
-                place, left = s * (len(zones) + 0.6) + z, 0.0
-                for state, colour in STATE_COLOURS.items():
-                    share = rows[stage, zone][state]
-                    ax.barh(place, share, 0.8, left=left, color=colour)
-                    left += share
-                places.append(place)
-                labels.append(f"{stage}  {zone}" if len(stages) > 1 else zone)
+        rows, left = _rows(outcome, law), np.zeros(len(places))
+        for state, colour in STATE_COLOURS.items():
+            ax.barh(places, rows[state], 0.8, left=left, color=colour)
+            left = left + rows[state].to_numpy()
         ax.set(xlim=(0, 1), xlabel="share of the path, mean over pairs and samples", yticks=places, yticklabels=labels)
         ax.set_title(law, color=LAWS[law].colour)
         ax.grid(False)
-        mean = {word: np.mean([row[state] for row in rows.values()]) for state, word in STATE_WORDS.items()}
-        most = max(rows, key=lambda key: rows[key][SLIPPING])
+        mean = ", ".join(f"{percent(rows[state].mean())} {word}" for state, word in STATE_WORDS.items())
+        stage, zone = rows.index[int(rows["slip"].to_numpy().argmax())]
         sentences.append(
-            f"{law}: {', '.join(f'{percent(share)} {word}' for word, share in mean.items())} on average over zones and "
-            f"stages; the largest slipping share is in {most[1]}, stage {most[0]} ({percent(rows[most][SLIPPING])})"
+            f"{law}: {mean} on average over zones and stages; the largest slipping share is in {zone}, stage {stage} "
+            f"({percent(rows['slip'].max())})"
         )
     axes[0].invert_yaxis()  # shared by all panels
     for ax in axes:
@@ -61,16 +57,13 @@ def friction_work_picture(outcome: Outcome, context: Context) -> Picture | None:
     laws = _laws(outcome, context)
     if not laws:
         return None
-    zones, stages = outcome.zones, outcome.stages
+    zones, stages, rows = outcome.zones, outcome.stages, {law: _rows(outcome, law) for law in laws}
     fig, axes = panels(len(stages), min(3, len(stages)), (10.5 / min(3, max(2, len(stages))), 2.5))
     width = 0.8 / len(laws)
     for ax, stage in zip(axes, stages):
         for i, law in enumerate(laws):
-            rows = _rows(outcome, law)
-            mean, low, high = (
-                np.array([rows[stage, zone][f"mean_friction_work{end}"] for zone in zones])
-                for end in ("", "_low", "_high")
-            )
+            own = rows[law].loc[stage]
+            mean, low, high = (own[f"mean_friction_work{end}"].to_numpy() for end in ("", "_low", "_high"))
             place = np.arange(len(zones)) + (i - (len(laws) - 1) / 2) * width
             ax.bar(place, mean, 0.9 * width, color=LAWS[law].colour, alpha=0.85)
             ends = np.nan_to_num([mean - low, high - mean])
@@ -78,27 +71,22 @@ def friction_work_picture(outcome: Outcome, context: Context) -> Picture | None:
         ax.set_xticks(range(len(zones)), zones)
         for z, label in enumerate(ax.get_xticklabels()):
             label.set_color(zone_colour(z))
-        ax.set_title(f"stage {stage}")
-        ax.set(xlim=(-0.9, len(zones) - 0.1), ylim=(0, None))
+        ax.set(title=f"stage {stage}", xlim=(-0.9, len(zones) - 0.1), ylim=(0, None))
         ax.grid(axis="x", visible=False)
     axes[0].set_ylabel("work of friction (N mm)")
     law_legend(fig, laws)
     sentences = []
     for law in laws:
-        rows = _rows(outcome, law)
-        work = {stage: sum(rows[stage, zone]["mean_friction_work"] for zone in zones) for stage in stages}
+        work = rows[law]["mean_friction_work"].groupby(level="stage", sort=False).sum()
         sentences.append(f"{law}: " + ", ".join(f"{number(done)} N mm in {stage}" for stage, done in work.items()))
-    return svg(
-        fig,
-        "Work of friction",
-        f"Mean over the samples, with its 95 % interval. Over all zones, {'; '.join(sentences)}.",
-    )
+    text = f"Mean over the samples, with its 95 % interval. Over all zones, {'; '.join(sentences)}."
+    return svg(fig, "Work of friction", text)
 
 
 def path_error_picture(outcome: Outcome, context: Context) -> Picture | None:
     """Distribution of the estimated path error, and comparison with the error measured on a tighter path."""
     shown = {
-        (law, stage): outcome.path_error(law, stage, outcome.sample_numbers(law)[:SHOWN])
+        (law, stage): 1e3 * outcome.path_error(law, stage, outcome.sample_numbers(law)[:SHOWN])
         for law in _laws(outcome, context)
         for stage in outcome.stages
     }
@@ -111,42 +99,43 @@ def path_error_picture(outcome: Outcome, context: Context) -> Picture | None:
     count = len(stages) + bool(beside)
     fig, axes = panels(count, min(3, count), (10.5 / min(3, max(2, count)), 2.5))
     for ax, stage in zip(axes, stages):
-        found = {law: 1e3 * shown[law, stage] for law in laws if (law, stage) in shown}
+        found = {law: shown[law, stage] for law in laws if (law, stage) in shown}
         everything = np.concatenate([error[error > 0] for error in found.values()])
         edges = np.geomspace(0.9 * everything.min(), 1.1 * everything.max(), 31)
         for law, error in found.items():
-            clipped = np.maximum(error, edges[0])
-            ax.hist(clipped, bins=edges.tolist(), histtype="stepfilled", color=LAWS[law].colour, alpha=0.2, lw=0)
-            ax.hist(clipped, bins=edges.tolist(), histtype="step", color=LAWS[law].colour, lw=1.2)
+            clipped, colour = np.maximum(error, edges[0]), LAWS[law].colour
+            ax.hist(clipped, bins=edges.tolist(), histtype="stepfilled", color=colour, alpha=0.2, lw=0)
+            ax.hist(clipped, bins=edges.tolist(), histtype="step", color=colour, lw=1.2)
         ax.set(xscale="log", xlabel="estimated error (µm)", title=f"stage {stage}")
         _ticks(ax.xaxis, edges[0], edges[-1])
     axes[0].set_ylabel("samples")
     if beside:
-        ends = [np.inf, 0.0]
-        for law, errors in beside.items():
-            x, y = (1e3 * errors[name].to_numpy() for name in ("estimate", "measured"))
-            axes[-1].plot(x, y, LAWS[law].mark, ms=4, mew=0, color=LAWS[law].colour, alpha=0.85)
-            known = np.concatenate([x, y])
-            ends = [min(ends[0], known[known > 0].min(initial=np.inf)), max(ends[1], known.max())]
-        axes[-1].plot(ends, ends, color="#333", lw=0.8)
-        axes[-1].set(xscale="log", yscale="log", xlabel="estimated error (µm)", ylabel="measured (µm)")
-        axes[-1].set_title("repeated samples, after each stage")
-        _ticks(axes[-1].xaxis, *ends)
-        _ticks(axes[-1].yaxis, *ends)
+        _draw_estimated(axes[-1], beside)
     law_legend(fig, laws)
     sentences = []
     for law in laws:
-        by_stage = []
-        for stage in stages:
-            if (law, stage) in shown:
-                middle, worst = (number(1e3 * float(f(shown[law, stage])), 2) for f in (np.median, np.max))
-                by_stage.append(f"median {middle} µm and largest {worst} µm in {stage}")
+        by_stage = [
+            f"median {number(np.median(error), 2)} µm and largest {number(error.max(), 2)} µm in {stage}"
+            for (own, stage), error in shown.items()
+            if own == law
+        ]
         sentences.append(f"{law}: {', '.join(by_stage)}" + (_coverage(beside[law]) if law in beside else ""))
-    return svg(
-        fig,
-        "Estimated error of the path",
-        f"Error of the contacts' tangential positions, root mean square over the pairs. {'; '.join(sentences)}.",
-    )
+    text = "Error of the contacts' tangential positions, root mean square over the pairs. "
+    return svg(fig, "Estimated error of the path", f"{text}{'; '.join(sentences)}.")
+
+
+def _draw_estimated(ax: Axes, beside: Mapping[str, pd.DataFrame]) -> None:
+    """Measured against estimated error of the repeated samples, by law."""
+    known = 1e3 * pd.concat(beside.values())[["estimate", "measured"]].to_numpy()
+    ends = known[known > 0].min(initial=np.inf), known.max()
+    for law, errors in beside.items():
+        x, y = 1e3 * errors["estimate"], 1e3 * errors["measured"]
+        ax.plot(x, y, LAWS[law].mark, ms=4, mew=0, color=LAWS[law].colour, alpha=0.85)
+    ax.plot(ends, ends, color="#333", lw=0.8)
+    ax.set(xscale="log", yscale="log", xlabel="estimated error (µm)", ylabel="measured (µm)")
+    ax.set_title("repeated samples, after each stage")
+    _ticks(ax.xaxis, *ends)
+    _ticks(ax.yaxis, *ends)
 
 
 def _ticks(axis, low: float, high: float) -> None:
@@ -175,10 +164,11 @@ def _coverage(errors) -> str:
     return text
 
 
-def _rows(outcome, law) -> dict[tuple[str, str], dict]:
-    """Statistics by stage and zone."""
+def _rows(outcome, law) -> pd.DataFrame:
+    """Statistics by stage and zone, in the order of the scene."""
     table = outcome.zone_statistics
-    return {(row["stage"], row["zone"]): row for row in table[table["law"] == law].to_dict("records")}
+    own = table[table["law"] == law].set_index(["stage", "zone"])
+    return own.loc[pd.MultiIndex.from_product([outcome.stages, outcome.zones], names=["stage", "zone"])]
 
 
 def _laws(outcome, context) -> list[str]:

@@ -37,6 +37,7 @@ __all__ = [
     "panels",
     "png",
     "svg",
+    "wide",
 ]
 
 _DECIMALS = re.compile(rb'\b(?:x|y|x1|x2|y1|y2|points)="[^"]*"')  # coordinates, of which
@@ -48,6 +49,8 @@ _USE = rb'<use xlink:href="[^"]*" x="[^"]*" y="[^"]*" style="'
 _MARKS = re.compile(_USE + rb'([^"]*)"/>(?:' + _USE + rb'\1"/>)+')
 _IDLE = re.compile(rb' transform="rotate\(-?0 [^"]*"|<metadata>.*?</metadata>', re.S)
 _FONT = re.compile(rb";? ?font-family: [^;\"]*")  # of each text: the picture has one
+#: Of characters in a data URI between double quotes.
+_ESCAPES = str.maketrans({"'": "%26apos;", '"': "'", "%": "%25", "#": "%23", "&": "%26", "\n": "%0A"})
 MOST_PANELS = 24  # more panels or labels are unreadable
 
 
@@ -74,9 +77,7 @@ class Picture:
         """The picture as a data URI for a self-contained page."""
         if self.kind == "png":
             return f"data:image/png;base64,{base64.b64encode(self.data).decode()}"
-        text = self.data.decode().replace("'", "&apos;").replace('"', "'")
-        for sign, commands in (("%", "%25"), ("#", "%23"), ("&", "%26"), ("\n", "%0A")):
-            text = text.replace(sign, commands)
+        text = self.data.decode().translate(_ESCAPES)
         return Markup("data:image/svg+xml;charset=utf-8," + text)  # contains neither quote nor ampersand
 
     def _repr_html_(self) -> str:
@@ -87,12 +88,42 @@ class Picture:
 
 def svg(fig: Figure, title: str, caption: str) -> Picture:
     """The figure as SVG, for few elements."""
-    return _save(fig, title, caption, "svg", 72, {"Date": None})
+    buffer = io.BytesIO()
+    _lay_out(fig, 72)
+    FigureCanvasSVG(fig).print_svg(buffer, metadata={"Date": None})  # savefig would draw everything twice
+    data = _OUTLINE.sub(_outline, _DECIMALS.sub(_short, _IDLE.sub(b"", buffer.getvalue())))
+    data = _FONT.sub(b"", re.sub(rb">\s+<", b"><", data))
+    data = _MARKS.sub(_alike, _NAMED.sub(b"<g>", data))
+    data = data.replace(b"<svg ", b"<svg font-family=\"'DejaVu Sans', Arial, sans-serif\" ", 1)
+    return Picture(title, caption, data, "svg")
 
 
 def png(fig: Figure, title: str, caption: str, dpi: int) -> Picture:
     """The figure as PNG, for many triangles."""
-    return _save(fig, title, caption, "png", dpi, None)
+    buffer, indexed = io.BytesIO(), io.BytesIO()
+    _lay_out(fig, dpi)
+    FigureCanvasAgg(fig).print_png(buffer)
+    few = Image.open(buffer).convert("RGB").quantize(256, Image.Quantize.FASTOCTREE, dither=Image.Dither.NONE)
+    few.save(indexed, "PNG")
+    return Picture(title, caption, indexed.getvalue(), "png")
+
+
+def _lay_out(fig: Figure, dpi: int) -> None:
+    """Place axes, labels and legends, once: saving would otherwise draw everything again."""
+    for ax in fig.axes:
+        for axis in (ax.xaxis, ax.yaxis):
+            if not axis.get_label_text():
+                axis.set_label_coords(0.5, 0.5)  # avoids repeated layout of all ticks
+    with measured_once(fig.axes):
+        fig.get_layout_engine().execute(fig)  # type: ignore[union-attr]  # every figure has one
+    fig.set_layout_engine("none")
+    fig.set_dpi(dpi)
+
+
+def wide(height: float, rows: int = 1, columns: int = 1, **kwargs: Any) -> tuple[Figure, Any]:
+    """A figure as wide as the page and `height` inches high, with what :meth:`Figure.subplots` returns."""
+    fig = Figure(figsize=(10.5, height), layout="constrained")
+    return fig, fig.subplots(rows, columns, **kwargs)
 
 
 def panels(count: int, columns: int, size: tuple[float, float], **kwargs: Any) -> tuple[Figure, list[Axes]]:
@@ -187,33 +218,3 @@ def _room(ax: Axes, known: dict[str, Any], renderer: Any, *args: Any, **kwargs: 
     if whole is not None:
         known |= {"ticks": ticks, "margins": np.subtract(whole.extents, ax.bbox.extents)}
     return whole
-
-
-def _save(fig, title, caption, kind, dpi, metadata):
-    buffer = io.BytesIO()
-    for ax in fig.axes:
-        for axis in (ax.xaxis, ax.yaxis):
-            if not axis.get_label_text():
-                axis.set_label_coords(0.5, 0.5)  # avoids repeated layout of all ticks
-    engine = fig.get_layout_engine()
-    if engine is not None:  # once: saving would otherwise draw everything again
-        with measured_once(fig.axes):
-            engine.execute(fig)
-        fig.set_layout_engine("none")
-    fig.set_dpi(dpi)
-    if kind == "svg":  # by the canvas: savefig would draw everything twice
-        FigureCanvasSVG(fig).print_svg(buffer, metadata=metadata)
-    else:
-        FigureCanvasAgg(fig).print_png(buffer)
-    data = buffer.getvalue()
-    if kind == "svg":
-        data = _OUTLINE.sub(_outline, _DECIMALS.sub(_short, _IDLE.sub(b"", data)))
-        data = _FONT.sub(b"", re.sub(rb">\s+<", b"><", data))
-        data = _MARKS.sub(_alike, _NAMED.sub(b"<g>", data))
-        data = data.replace(b"<svg ", b"<svg font-family=\"'DejaVu Sans', Arial, sans-serif\" ", 1)
-    else:
-        indexed = io.BytesIO()
-        few = Image.open(buffer).convert("RGB").quantize(256, Image.Quantize.FASTOCTREE, dither=Image.Dither.NONE)
-        few.save(indexed, "PNG")
-        data = indexed.getvalue()
-    return Picture(title, caption, data, kind)

@@ -6,17 +6,17 @@ outcome lacks the data. It only reads results and solves nothing.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
-from typing import Protocol
+from typing import TYPE_CHECKING
 
 import matplotlib.style
 
 from mic.execution.worker_process import run_on_two_cores
 from mic.report.change_pictures import change_picture, order_picture, remedy_picture
 from mic.report.contact_pictures import sample_picture, slip_force_picture, state_picture, tangential_density_picture
-from mic.report.context import Context
+from mic.report.context import Context, study_tables
 from mic.report.driver_pictures import contributor_picture, friction_effect_picture, sensitivity_picture
 from mic.report.law_pictures import friction_picture, law_cost_picture
 from mic.report.measurement_pictures import measurement_picture
@@ -25,52 +25,14 @@ from mic.report.path_pictures import friction_work_picture, path_error_picture, 
 from mic.report.picture import Picture
 from mic.report.space_pictures import assembly_picture, deviation_map_picture, field_picture, overview_picture
 from mic.report.style import RC
+from mic.results import schema
 from mic.results.outcome import Outcome
-from mic.results.schema import (
-    COMPARISON,
-    CONTRIBUTORS,
-    DESIGN_POINTS,
-    FRICTION_EFFECTS,
-    LINEARITY,
-    ORDERS,
-    RARE,
-    REMEDY_EFFECTS,
-    SENSITIVITIES,
-    Table,
-)
+from mic.results.schema import Table
 
-__all__ = ["PICTURES", "SECTIONS", "Entry", "PictureSource", "StudyPicture", "draw", "draw_all"]
+if TYPE_CHECKING:
+    from mic.report.background_pictures import BackgroundPictures
 
-#: Sections of the page that show their pictures in a column. ``still`` has the pictures that replace the interactive
-#: views in browsers without WebGL; the page refers to them by name.
-SECTIONS = (
-    "drivers",
-    "steps",
-    "friction",
-    "misses",
-    "remedies",
-    "orders",
-    "optimum",
-    "path",
-    "motion",
-    "slip",
-    "contacts",
-    "laws",
-    "characteristics",
-    "fields",
-    "still",
-)
-
-
-class PictureSource(Protocol):
-    """Pictures that are drawn elsewhere, such as :class:`mic.report.background_pictures.BackgroundPictures`."""
-
-    @property
-    def names(self) -> Sequence[str]:
-        """The pictures that are drawn."""
-
-    def pictures(self) -> Mapping[str, Picture | None]:
-        """The pictures by name."""
+__all__ = ["PICTURES", "Entry", "StudyPicture", "draw", "draw_all"]
 
 
 @dataclass(frozen=True)
@@ -80,18 +42,20 @@ class StudyPicture:
     Attributes
     ----------
     func : callable
-        ``func(scene, *tables) -> Picture or None``; :mod:`mic.report.study_pictures` calls it with the result of the
-        study.
+        ``func(*tables) -> Picture or None``; :mod:`mic.report.study_pictures` calls it with the result of the study.
     tables : tuple of Table
         All of them are required.
+    limits : bool
+        Whether it takes the scene, too, for the limits of its key characteristics.
     """
 
     func: Callable[..., Picture | None]
     tables: tuple[Table, ...]
+    limits: bool = False
 
     def __call__(self, outcome: Outcome, context: Context) -> Picture | None:
-        tables = [outcome.study(table) for table in self.tables]
-        return None if any(table is None for table in tables) else self.func(outcome.model.scene, *tables)
+        found, scene = study_tables(outcome, *self.tables), [outcome.model.scene] if self.limits else []
+        return None if found is None else self.func(*found, *scene)
 
 
 @dataclass(frozen=True)
@@ -103,7 +67,8 @@ class Entry:
     name : str
         Its anchor in the page.
     section : str
-        One of :data:`SECTIONS`.
+        Section of the page, which shows its pictures by ``gallery("section")``. ``still`` has those that replace the
+        interactive views in browsers without WebGL; the page refers to them by name.
     function : callable
         ``function(outcome, context) -> Picture or None``.
     """
@@ -112,21 +77,17 @@ class Entry:
     section: str
     function: Callable[[Outcome, Context], Picture | None]
 
-    def __post_init__(self) -> None:
-        if self.section not in SECTIONS:
-            raise ValueError(f"picture {self.name}: section must be one of {', '.join(SECTIONS)}, not {self.section}")
-
 
 #: Every picture, in the order of the page.
 PICTURES = (
-    Entry("contributors", "drivers", StudyPicture(contributor_picture, (CONTRIBUTORS, LINEARITY))),
-    Entry("sensitivities", "steps", StudyPicture(sensitivity_picture, (SENSITIVITIES,))),
-    Entry("friction-effects", "friction", StudyPicture(friction_effect_picture, (FRICTION_EFFECTS,))),
-    Entry("rare-misses", "misses", StudyPicture(miss_picture, (RARE,))),
-    Entry("likeliest-misses", "misses", StudyPicture(likeliest_miss_picture, (DESIGN_POINTS,))),
-    Entry("remedy-effects", "remedies", StudyPicture(remedy_picture, (REMEDY_EFFECTS,))),
-    Entry("order-changes", "orders", StudyPicture(order_picture, (ORDERS,))),
-    Entry("optimum-changes", "optimum", StudyPicture(change_picture, (COMPARISON,))),
+    Entry("contributors", "drivers", StudyPicture(contributor_picture, (schema.CONTRIBUTORS, schema.LINEARITY))),
+    Entry("sensitivities", "steps", StudyPicture(sensitivity_picture, (schema.SENSITIVITIES,))),
+    Entry("friction-effects", "friction", StudyPicture(friction_effect_picture, (schema.FRICTION_EFFECTS,))),
+    Entry("rare-misses", "misses", StudyPicture(miss_picture, (schema.RARE,))),
+    Entry("likeliest-misses", "misses", StudyPicture(likeliest_miss_picture, (schema.DESIGN_POINTS,))),
+    Entry("remedy-effects", "remedies", StudyPicture(remedy_picture, (schema.REMEDY_EFFECTS,), limits=True)),
+    Entry("order-changes", "orders", StudyPicture(order_picture, (schema.ORDERS,))),
+    Entry("optimum-changes", "optimum", StudyPicture(change_picture, (schema.COMPARISON,))),
     Entry("assembly", "still", assembly_picture),
     Entry("path-error", "path", path_error_picture),
     Entry("tangential-density", "motion", tangential_density_picture),
@@ -158,20 +119,21 @@ def draw(name: str, outcome: Outcome, context: Context) -> Picture | None:
         return function(outcome, context)
 
 
-def draw_all(outcome: Outcome, context: Context, background: PictureSource | None = None) -> dict[str, Picture]:
+def draw_all(outcome: Outcome, context: Context, background: BackgroundPictures | None = None) -> dict[str, Picture]:
     """All pictures for which the outcome has data, by name, in the order of :data:`PICTURES`.
 
     Parameters
     ----------
     outcome : Outcome
     context : Context
-    background : PictureSource, optional
+    background : BackgroundPictures, optional
         Pictures of this outcome that are drawn already.
     """
-    names = [picture.name for picture in PICTURES if background is None or picture.name not in background.names]
+    ready = () if background is None else background.names
+    names = [entry.name for entry in PICTURES if entry.name not in ready]
     tasks = [partial(draw, name, outcome, context) for name in names]
     if background is None:
         drawn = dict(zip(names, run_on_two_cores(tasks)))
     else:
-        drawn = {name: task() for name, task in zip(names, tasks)} | dict(background.pictures())
+        drawn = {name: task() for name, task in zip(names, tasks)} | background.pictures()
     return {entry.name: picture for entry in PICTURES if (picture := drawn[entry.name]) is not None}

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence, Sized
 from typing import Any
 
 import numpy as np
@@ -20,13 +20,14 @@ from mic.geometry.surface import Surface
 from mic.model.assembly import Contacts
 from mic.report.context import Context
 from mic.report.mesh_decimation import MOST, thinned
-from mic.report.picture import MOST_PANELS, Picture, panels, png
+from mic.report.picture import MOST_PANELS, Picture, panels, png, wide
 from mic.report.style import MARK_COLOURS, RULE_COLOURS, RULE_WORDS, number, part_colour, zone_colour
 from mic.results.outcome import Outcome
 
 __all__ = [
     "ARROW",
     "assembly_picture",
+    "draw_fields",
     "draw_normals",
     "draw_overlap",
     "draw_surfaces",
@@ -37,6 +38,8 @@ __all__ = [
 
 ARROW = 0.07  # length of the arrow of a locator or clamp, as a share of the largest part
 INK = "#1b1f24"
+#: Marks of edges in the picture of the normals, by attribute of :class:`mic.geometry.normals.CornerNormals`.
+DOUBTFUL = (("coarse", "x", "bends too coarse"), ("single", "+", "rows that may be flat"))
 
 
 def viewpoint(surfaces: Collection[Surface]) -> np.ndarray:
@@ -100,14 +103,49 @@ def draw_surfaces(ax: Axes, surfaces: Sequence[Surface], colours: Sequence[np.nd
     _View(surfaces).draw(ax, colours, 0.2)
 
 
+def draw_fields(
+    surfaces: Mapping[str, Surface], rows: Sequence[tuple[str, str, Mapping[str, np.ndarray]]], signed: bool = False
+) -> tuple[Figure, list[tuple[float, str]]]:
+    """Rows of parts, coloured by their fields.
+
+    Parameters
+    ----------
+    surfaces : dict of str to Surface
+    rows : sequence of (str, str, dict of str to (v,) array)
+        Quantity, colour map, and values in mm at the vertices of each part.
+    signed : bool
+        Whether 0 is the middle of the scale and not its lower end.
+
+    Returns
+    -------
+    figure : Figure
+    largest : list of (float, str)
+        The value of largest magnitude in each row, and where it is.
+    """
+    fig, axes = wide(7.2, len(rows), len(rows[0][2]), squeeze=False)
+    largest = []
+    for row, (quantity, cmap, values) in zip(axes, rows):
+        size = {part: np.nan_to_num(np.abs(value)) for part, value in values.items()}
+        part = max(size, key=lambda name: size[name].max())
+        vertex = int(np.argmax(size[part]))
+        x, y, z = surfaces[part].points[vertex]
+        largest.append((float(values[part][vertex]), f"{part} at ({x:.0f}, {y:.0f}, {z:.0f})"))
+        top = float(size[part][vertex]) or 1.0
+        scale = Normalize(-top if signed else 0.0, top)
+        for ax, (name, value) in zip(row, values.items()):
+            draw_surfaces(ax, [surfaces[name]], [colormaps[cmap](scale(np.nan_to_num(value)))[:, :3]])
+            ax.set_title(name)
+        fig.colorbar(ScalarMappable(scale, cmap), ax=list(row), label=f"{quantity} (mm)", shrink=0.8)
+    return fig, largest
+
+
 def assembly_picture(outcome: Outcome, context: Context) -> Picture | None:
     """The parts with locators, clamps, welds, contact pairs and measurement points."""
     surfaces, scene, contacts = context.surfaces, outcome.model.scene, outcome.model.contacts
     if not surfaces:
         return None
     view = _View(surfaces.values())
-    fig = Figure(figsize=(10.5, 6.6), layout="constrained")
-    ax = fig.subplots()
+    fig, ax = wide(6.6)
     view.draw(ax, [np.array(to_rgb(part_colour(i))) for i in range(len(surfaces))], 0.5)
     handles = [
         Line2D([], [], marker="s", ls="", ms=9, color=part_colour(i), label=name) for i, name in enumerate(surfaces)
@@ -119,15 +157,16 @@ def assembly_picture(outcome: Outcome, context: Context) -> Picture | None:
             label = f"{zone.name}: {len(own)} pairs"
             handles.append(Line2D([], [], marker="o", ls="", ms=6, color=zone_colour(z), label=label))
     length = ARROW * max(surface.diameter for surface in surfaces.values())
-    for items, kind in ((scene.locators, "locator"), (scene.clamps, "clamp")):
+    for kind, items in (("locator", scene.locators), ("clamp", scene.clamps)):
         for item in items:
             _arrow(ax, view, item, length, MARK_COLOURS[kind])
         if items:
             label = f"{kind} ({len(items)})"
             handles.append(Line2D([], [], marker=">", ls="-", ms=5, color=MARK_COLOURS[kind], label=label))
+    measured = [point for measurement in scene.measurements for _, point in measurement.places]
     for kind, points, mark, ms, mew in (
         ("weld", [weld.point for weld in scene.welds], "o", 9, 1.2),
-        ("measurement", [point for measurement in scene.measurements for _, point in measurement.places], "D", 5, 1.0),
+        ("measurement", measured, "D", 5, 1.0),
     ):
         if points:
             x, y = view.flat(np.array(points)).T
@@ -137,18 +176,10 @@ def assembly_picture(outcome: Outcome, context: Context) -> Picture | None:
         place = view.flat(np.array([measurement.places[0][1]]))[0]
         ax.annotate(measurement.name, place, xytext=(5, 4), textcoords="offset points", fontsize=8)
     fig.legend(handles=handles, loc="outside right upper", fontsize=9)
-    kinds = {
-        "locator": len(scene.locators),
-        "clamp": len(scene.clamps),
-        "weld": len(scene.welds),
-        "contact pair": len(contacts),
-        "measurement point": sum(len(measurement.places) for measurement in scene.measurements),
-    }
-    text = (
-        f"{len(surfaces)} {'part' if len(surfaces) == 1 else 'parts'} with "
-        + ", ".join(f"{count} {kind}{'' if count == 1 else 's'}" for kind, count in kinds.items() if count)
-        + ". Arrows point the way a locator or clamp acts."
-    )
+    kinds: dict[str, Sized] = {"part": surfaces, "locator": scene.locators, "clamp": scene.clamps, "weld": scene.welds}
+    kinds |= {"contact pair": contacts, "measurement point": measured}
+    counts = [f"{len(own)} {kind}{'s' * (len(own) != 1)}" for kind, own in kinds.items() if len(own)]
+    text = f"{counts[0]} with {', '.join(counts[1:])}. Arrows point the way a locator or clamp acts."
     return png(fig, "The assembly", text, 110)
 
 
@@ -160,23 +191,18 @@ def draw_normals(surfaces: Mapping[str, Surface]) -> Picture:
         apart = Surface(surface.corners.reshape(-1, 3), np.arange(3 * len(surface.triangles)).reshape(-1, 3))
         view = _View([apart], len(apart.points))
         view.draw(ax, [colours[surface.curvature.rule.ravel()]], 0.35)
-        for places, mark in ((surface.curvature.coarse, "x"), (surface.curvature.single, "+")):
-            ax.plot(*view.flat(places).T, mark, ms=5, color=INK)
+        for name_, mark, _ in DOUBTFUL:
+            ax.plot(*view.flat(getattr(surface.curvature, name_)).T, mark, ms=5, color=INK)
         ax.set_title(name)
     counts = np.sum([np.bincount(s.curvature.rule.ravel(), minlength=len(Rule)) for s in surfaces.values()], axis=0)
-    label = lambda rule: f"{RULE_WORDS[rule]}: {counts[rule]}"
+    entries = [("s", 9, RULE_COLOURS[rule], f"{RULE_WORDS[rule]}: {counts[rule]}", counts[rule]) for rule in Rule]
+    for name, mark, words in DOUBTFUL:
+        count = sum(len(getattr(surface.curvature, name)) for surface in surfaces.values())
+        entries.append((mark, 6, INK, f"{count} {words}", count))
     handles = [
-        Line2D([], [], marker="s", ls="", ms=9, color=RULE_COLOURS[rule], label=label(rule))
-        for rule in Rule
-        if counts[rule]
-    ]
-    handles += [
-        Line2D([], [], marker=mark, ls="", ms=6, color=INK, label=f"{sum(map(len, places))} {words}")
-        for mark, places, words in (
-            ("x", [s.curvature.coarse for s in surfaces.values()], "bends too coarse"),
-            ("+", [s.curvature.single for s in surfaces.values()], "rows that may be flat"),
-        )
-        if any(map(len, places))
+        Line2D([], [], marker=mark, ls="", ms=size, color=colour, label=label)
+        for mark, size, colour, label, count in entries
+        if count
     ]
     fig.legend(handles=handles, loc="outside lower center", ncols=min(2 * len(surfaces), 4))
     text = f"Origin of the normals at {counts.sum()} triangle corners."
@@ -237,23 +263,13 @@ def field_picture(outcome: Outcome, context: Context) -> Picture | None:
     fields = context.fields_of(outcome.laws[0]) if outcome.laws else {}
     if not fields or not surfaces:
         return None
-    fig = Figure(figsize=(10.5, 7.2), layout="constrained")
-    axes = fig.subplots(2, len(fields), squeeze=False)
-    texts = []
     means = {part: np.linalg.norm(field.mean, axis=1) for part, field in fields.items()}
     spreads = {part: field.six_sigma_magnitude for part, field in fields.items()}
-    for row, values, label, cmap in ((axes[0], means, "mean", "viridis"), (axes[1], spreads, "6σ", "YlOrRd")):
-        known = np.concatenate(list(values.values()))
-        known = known[np.isfinite(known)]
-        scale = Normalize(0.0, float(known.max(initial=0.0)) or 1.0)
-        for ax, (part, value) in zip(row, values.items()):
-            _View([surfaces[part]]).draw(ax, [colormaps[cmap](scale(np.nan_to_num(value)))[:, :3]], 0.2)
-            ax.set_title(part)
-        fig.colorbar(ScalarMappable(scale, cmap), ax=list(row), label=f"{label} displacement (mm)", shrink=0.8)
-        if len(known):
-            part = max(values, key=lambda name: np.nan_to_num(values[name]).max())
-            x, y, z = surfaces[part].points[int(np.argmax(np.nan_to_num(values[part])))]
-            texts.append(f"the largest {label} is {number(known.max())} mm, on {part} at ({x:.0f}, {y:.0f}, {z:.0f})")
+    rows = [("mean displacement", "viridis", means), ("6σ displacement", "YlOrRd", spreads)]
+    fig, largest = draw_fields(surfaces, rows)
+    texts = [
+        f"the largest {word} is {number(value)} mm, on {place}" for word, (value, place) in zip(("mean", "6σ"), largest)
+    ]
     rank, discarded, error = (
         max(getattr(field, name) for field in fields.values()) for name in ("rank", "discarded", "error")
     )

@@ -8,7 +8,7 @@ Pictures that a run's report shows as well are listed in :mod:`mic.report.pictur
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import Any
 
@@ -59,7 +59,7 @@ class StudyPictures:
     command: str
     returns: type | Table
     words: str
-    draw: Callable[[Any, Scene | None], list[Picture | None]]
+    draw: Callable[[Any, Scene | None], Iterable[Picture | None]]
 
     def takes(self, found: Any) -> bool:
         """Whether the object is a result of the command."""
@@ -69,75 +69,72 @@ class StudyPictures:
 
 
 #: Pictures by command.
-STUDIES = (
-    StudyPictures("run", Outcome, "all pictures of its report", lambda found, scene: [*_of_run(found)]),
-    StudyPictures(
-        "compare",
-        Comparison,
-        "changes with their intervals; distributions before and after",
-        lambda found, scene: [*comparison_pictures(found)],
-    ),
-    StudyPictures(
-        "contributors",
-        Contributors,
-        "shares of the variance, alone and with interactions",
-        lambda found, scene: [contributor_picture(scene, found.table, found.linearity)],
-    ),
-    StudyPictures(
-        "explain",
-        Explanation,
-        "sources before and after the measurement; predicted characteristics",
-        lambda found, scene: [*explanation_pictures(found)],
-    ),
-    StudyPictures(
-        "explore",
-        ExploredAssembly,
-        "contact states, key characteristics against their limits",
-        lambda found, scene: [explored(found)],
-    ),
-    StudyPictures(
-        "friction",
-        FRICTION_EFFECTS,
-        "changes of mean and 6σ with the friction",
-        lambda found, scene: [friction_effect_picture(scene, found)],
-    ),
-    StudyPictures(
-        "optimise",
-        Optimum,
-        "changes with their intervals; the search",
-        lambda found, scene: [change_picture(scene, found.table), search_trail(found.trail, found.objective)],
-    ),
-    StudyPictures(
-        "order",
-        ORDERS,
-        "largest changes of mean and 6σ by order",
-        lambda found, scene: [order_picture(scene, found)],
-    ),
-    StudyPictures(
-        "predict",
-        PREDICTIONS,
-        "predictions of each assembly, by verdict",
-        lambda found, scene: [predicted(found, scene)],
-    ),
-    StudyPictures(
-        "rare",
-        RareFailures,
-        "probabilities of a miss; the most likely misses",
-        lambda found, scene: [miss_picture(scene, found.table), likeliest_miss_picture(scene, found.points)],
-    ),
-    StudyPictures(
-        "remedy",
-        Remedies,
-        "mean and 6σ without and with each remedy",
-        lambda found, scene: [remedy_picture(scene, found.effects)],
-    ),
-    StudyPictures(
-        "sensitivity",
-        Effects,
-        "effect of a step of each input",
-        lambda found, scene: [sensitivity_picture(scene, found.table)],
-    ),
-)
+STUDIES: list[StudyPictures] = []
+
+
+def _study(command: str, returns: type | Table, words: str) -> Callable[[Callable[..., Any]], None]:
+    """Decorator that adds a function to :data:`STUDIES`."""
+    return lambda draw: STUDIES.append(StudyPictures(command, returns, words, draw))
+
+
+@_study("run", Outcome, "all pictures of its report")
+def _(found, scene):
+    return draw_all(found, read_context(found)).values()
+
+
+@_study("compare", Comparison, "changes with their intervals; distributions before and after")
+def _(found, scene):
+    return comparison_pictures(found)
+
+
+@_study("contributors", Contributors, "shares of the variance, alone and with interactions")
+def _(found, scene):
+    return [contributor_picture(found.table, found.linearity)]
+
+
+@_study("explain", Explanation, "sources before and after the measurement; predicted characteristics")
+def _(found, scene):
+    return explanation_pictures(found)
+
+
+@_study("explore", ExploredAssembly, "contact states, key characteristics against their limits")
+def _(found, scene):
+    return [explored(found)]
+
+
+@_study("friction", FRICTION_EFFECTS, "changes of mean and 6σ with the friction")
+def _(found, scene):
+    return [friction_effect_picture(found)]
+
+
+@_study("optimise", Optimum, "changes with their intervals; the search")
+def _(found, scene):
+    return [change_picture(found.table), search_trail(found.trail, found.objective)]
+
+
+@_study("order", ORDERS, "largest changes of mean and 6σ by order")
+def _(found, scene):
+    return [order_picture(found)]
+
+
+@_study("predict", PREDICTIONS, "predictions of each assembly, by verdict")
+def _(found, scene):
+    return [predicted(found, scene)]
+
+
+@_study("rare", RareFailures, "probabilities of a miss; the most likely misses")
+def _(found, scene):
+    return [miss_picture(found.table), likeliest_miss_picture(found.points)]
+
+
+@_study("remedy", Remedies, "mean and 6σ without and with each remedy")
+def _(found, scene):
+    return [remedy_picture(found.effects, scene)]
+
+
+@_study("sensitivity", Effects, "effect of a step of each input")
+def _(found, scene):
+    return [sensitivity_picture(found.table)]
 
 
 def pictures(found: Any, scene: Scene | None = None) -> list[Picture]:
@@ -163,7 +160,3 @@ def pictures(found: Any, scene: Scene | None = None) -> list[Picture]:
     raise TypeError(
         f"no pictures for {type(found).__name__}: pass the result of {names}; for mic.explore, one of its answers"
     )
-
-
-def _of_run(outcome: Outcome) -> list[Picture]:
-    return list(draw_all(outcome, read_context(outcome)).values())

@@ -22,6 +22,7 @@ __all__ = [
     "STATE_WORDS",
     "VERDICT_COLOURS",
     "change",
+    "micrometres",
     "number",
     "part_colour",
     "percent",
@@ -107,6 +108,11 @@ def change(value: float | None, share: float | None = None) -> str:
         return text
     relative = percent(share, 1)
     return f"{text} ({'+' * (share > 0 and relative != '0.0 %')}{relative})"
+
+
+def micrometres(value: float) -> str:
+    """An error (mm) in µm; ``–`` for NaN."""
+    return "–" if np.isnan(value) else "< 0.01" if value < 1e-5 else number(1e3 * value, 2)
 
 
 def number(value: float | None, digits: int = 3) -> str:

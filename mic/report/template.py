@@ -8,7 +8,8 @@ from typing import Any
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup, escape
 
-from mic.report.style import change, number, percent
+from mic.report.style import LAWS, STATE_WORDS, change, micrometres, number, percent
+from mic.statistics.estimates import LEVEL
 
 __all__ = ["backticks_to_code", "render"]
 
@@ -24,8 +25,9 @@ def render(template: str, **values: Any) -> str:
     Parameters
     ----------
     template : str
-        File name in this package. Filters are :func:`mic.report.style.number`, :func:`~mic.report.style.change`,
-        ``percent`` with one decimal, and ``code``, :func:`backticks_to_code`.
+        File name in this package. Filters are those of :mod:`mic.report.style`, ``percent`` with one decimal;
+        ``code``, :func:`backticks_to_code`; and ``records``, the rows of a table. Variables of all templates are
+        ``level``, that of confidence intervals, ``looks`` of the laws by name, and ``state_words``.
     **values
         Variables of the template.
     """
@@ -36,6 +38,7 @@ def render(template: str, **values: Any) -> str:
         lstrip_blocks=True,
         undefined=StrictUndefined,
     )
-    environment.filters |= {"number": number, "change": change, "percent": lambda value: percent(value, 1)}
-    environment.filters["code"] = backticks_to_code
+    environment.filters |= {"number": number, "change": change, "micrometres": micrometres, "code": backticks_to_code}
+    environment.globals |= {"level": f"{100 * LEVEL:.0f} %", "looks": LAWS, "state_words": STATE_WORDS}
+    environment.filters |= {"percent": lambda x: percent(x, 1), "records": lambda table: table.to_dict("records")}
     return environment.get_template(template).render(**values)

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from mic.report.driver_sentences import named, signed, unit_of
+from mic.report.driver_sentences import adjusted, named
 from mic.report.style import change, number, percent, probability
 from mic.results.error_sources import Source, error_budget
 from mic.results.outcome import Outcome
@@ -36,15 +36,21 @@ class Verdict:
         :data:`mic.results.schema.MEASUREMENT_STATISTICS`, ``verdict`` (``in``, ``close`` or ``out``) and ``drivers``.
     more : int
         Number of further characteristics.
-    budget : list of dict
-        Sources of error: ``name``, ``mean`` and ``six_sigma`` as text, ``widths`` (%) of the bars, ``where``, ``how``.
+    budget : list of Source
+        Sources of error.
     """
 
     law: str
     sentences: list[str]
     rows: list[dict[Any, Any]]
     more: int
-    budget: list[dict[str, Any]]
+    budget: list[Source]
+
+    @property
+    def largest(self) -> float:
+        """The largest estimated error, mm, or 1."""
+        errors = [error for one in self.budget if one.measured for error in (one.mean, one.six_sigma)]
+        return float(np.nanmax(errors, initial=0.0)) or 1.0
 
 
 def verdict(outcome: Outcome) -> Verdict | None:
@@ -55,17 +61,14 @@ def verdict(outcome: Outcome) -> Verdict | None:
     table = outcome.measurement_statistics
     rows = table[table["law"] == law].sort_values("cpk", kind="stable", na_position="last").to_dict("records")
     drivers = outcome.study(CONTRIBUTORS)
+    own = CONTRIBUTORS.empty() if drivers is None else drivers[drivers["law"] == law]
     for row in rows:
+        shares = own[own["measurement"] == row["measurement"]]
         row["verdict"] = _verdict(row)
-        shares = None
-        if drivers is not None:
-            shares = drivers[(drivers["law"] == law) & (drivers["measurement"] == row["measurement"])]
-        row["drivers"] = (
-            None if shares is None or not len(shares) else named(shares, "total") or "none: it hardly varies"
-        )
+        row["drivers"] = (named(shares, "total") or "none: it hardly varies") if len(shares) else None
     budget = error_budget(outcome, law)
     sentences = [_first(outcome, law, rows), *_further(outcome, law, rows), *_trust(outcome, law, budget)]
-    return Verdict(law, sentences, rows[:SHOWN], max(0, len(rows) - SHOWN), _bars(budget))
+    return Verdict(law, sentences, rows[:SHOWN], max(0, len(rows) - SHOWN), budget)
 
 
 def _verdict(row: dict[Any, Any]) -> str:
@@ -112,7 +115,7 @@ def _further(outcome: Outcome, law: str, rows: list[dict[Any, Any]]) -> list[str
     serving = [] if table is None else table[(table["law"] == law) & table["reached"]].to_dict("records")
     if serving:
         last = [one for one in serving if one["remedy"] == serving[-1]["remedy"]]
-        moves = ", ".join(f"{one['adjustment']} {signed(one['change'])} {unit_of(one['adjustment'])}" for one in last)
+        moves = ", ".join(map(adjusted, last))
         which = "all characteristics" if last[0]["remedy"] == "together" else "the worst characteristic"
         sentences.append(f"Remedy: {moves} brings {which} within limits.")
     elif table is None and any(row["verdict"] == "out" for row in rows):
@@ -147,24 +150,3 @@ def _trust(outcome: Outcome, law: str, budget: list[Source]) -> list[str]:
             f"{len(outcome.unbuilt[law])} assemblies are not built: a clamp or gun falls short of its position."
         )
     return sentences
-
-
-def _bars(budget: list[Source]) -> list[dict[str, Any]]:
-    """Sources of error with bars relative to the largest."""
-    largest = max((np.nanmax([one.mean, one.six_sigma]) for one in budget if one.measured), default=0.0) or 1.0
-    return [
-        {
-            "name": one.name,
-            "measured": one.measured,
-            "mean": _micrometres(one.mean),
-            "six_sigma": _micrometres(one.six_sigma),
-            "widths": [0.0 if np.isnan(x) else round(100 * x / largest, 1) for x in (one.mean, one.six_sigma)],
-            "where": one.where,
-            "how": one.how,
-        }
-        for one in budget
-    ]
-
-
-def _micrometres(value: float) -> str:
-    return "–" if np.isnan(value) else "< 0.01" if value < 1e-5 else number(1e3 * value, 2)

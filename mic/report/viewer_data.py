@@ -5,7 +5,7 @@ from __future__ import annotations
 import base64
 import gzip
 import json
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -20,7 +20,7 @@ from mic.report.style import MARK_COLOURS, part_colour, zone_colour
 from mic.results.outcome import Outcome
 from mic.scene import Scene
 
-__all__ = ["drawable", "packed", "view", "viewer_data"]
+__all__ = ["arrow_group", "packed", "point_group", "view", "viewer_data"]
 
 NOT_A_NUMBER = 2**16 - 1
 PLACES = NOT_A_NUMBER - 1  # steps of a coordinate
@@ -47,8 +47,13 @@ def viewer_data(outcome: Outcome, context: Context) -> str | None:
     return packed(json.dumps(data))
 
 
-def view(surfaces: Mapping[str, Surface], scene: Scene) -> dict[str, Any]:
-    """Surfaces and placed items of a scene, as :func:`viewer_data` returns them; no contact pairs, no fields."""
+def view(
+    surfaces: Mapping[str, Surface], scene: Scene, describe: Callable[[str, Any], str] = lambda kind, item: item.name
+) -> dict[str, Any]:
+    """Surfaces and placed items of a scene, as :func:`viewer_data` returns them; no contact pairs, no fields.
+
+    ``describe(kind, item)`` gives the text that a locator or clamp shows under the pointer.
+    """
     length = ARROW * max(surface.diameter for surface in surfaces.values())
     everything = np.concatenate([surface.points for surface in surfaces.values()])
     low, high = everything.min(axis=0) - length, everything.max(axis=0) + length
@@ -68,15 +73,33 @@ def view(surfaces: Mapping[str, Surface], scene: Scene) -> dict[str, Any]:
             for i, (name, surface) in enumerate(surfaces.items())
             for kept, triangles in [thinned(surface)]
         ],
-        "arrows": _arrows(scene),
+        "arrows": [
+            *arrow_group("locator", MARK_COLOURS["locator"], scene.locators, describe),
+            *arrow_group("clamp", MARK_COLOURS["clamp"], scene.clamps, describe),
+        ],
         "points": _marks(scene),
         "laws": [],
     }
 
 
-def drawable(item: Any) -> bool:
-    """Whether the point and direction of an item are known."""
-    return item.point is not None and not isinstance(getattr(item, "direction", None), str)
+def arrow_group(
+    kind: str, colour: str, items: Sequence[Any], describe: Callable[[str, Any], str]
+) -> list[dict[str, Any]]:
+    """A group of items that act along a direction, as far as they are placed; no group if no item is."""
+    placed = [
+        {"head": item.point, "direction": item.direction, "label": describe(kind, item)}
+        for item in items
+        if item.point is not None and not isinstance(item.direction, str)
+    ]
+    return [{"name": f"{kind}s", "colour": colour, "items": placed}] if placed else []
+
+
+def point_group(
+    name: str, colour: str, size: float, points: Sequence[Any], labels: Sequence[str], **more: Any
+) -> list[dict[str, Any]]:
+    """A group of marked points; no group if there are none."""
+    group = {"name": name, "colour": colour, "size": size, "points": points, "labels": labels}
+    return [group | more] if points else []
 
 
 def packed(text: str) -> str:
@@ -99,52 +122,25 @@ def _field(field, surface, kept):
     return {name: _numbers(value[kept], SHADES) for name, value in values.items()}
 
 
-def _arrows(scene):
-    """Items that act along a direction."""
-    return [
-        {
-            "name": f"{kind}s",
-            "colour": MARK_COLOURS[kind],
-            "items": [{"name": item.name, "head": item.point, "direction": item.direction} for item in items],
-        }
-        for kind in ("locator", "clamp")
-        for items in [[item for item in getattr(scene, f"{kind}s") if drawable(item)]]
-        if items
-    ]
-
-
 def _zones(scene, contacts):
     """Contact pairs by zone."""
     groups = []
     for z, zone in enumerate(scene.zones):
-        own = contacts.zone == z
-        groups.append(
-            {
-                "name": zone.name,
-                "colour": zone_colour(z),
-                "size": 2.5,
-                "points": contacts.point[own].round(3).tolist(),
-                "labels": [f"{zone.name}, contact {k}" for k in np.flatnonzero(own)],
-            }
-        )
-    return [group for group in groups if group["points"]]
+        own = np.flatnonzero(contacts.zone == z)
+        labels = [f"{zone.name}, contact {k}" for k in own]
+        groups += point_group(zone.name, zone_colour(z), 2.5, contacts.point[own].round(3).tolist(), labels)
+    return groups
 
 
 def _marks(scene):
     """Welds and measurement points."""
     welds = [(item.name, item.point) for item in scene.welds if item.point is not None]
     measured = [(item.name, point) for item in scene.measurements for _, point in item.places]
-    return [
-        {
-            "name": f"{kind}s",
-            "colour": MARK_COLOURS[kind],
-            "size": 5,
-            "points": [point for _, point in marks],
-            "labels": [name for name, _ in marks],
-        }
-        for kind, marks in (("weld", welds), ("measurement", measured))
-        if marks
-    ]
+    groups = []
+    for kind, marks in (("weld", welds), ("measurement", measured)):
+        points, labels = [point for _, point in marks], [name for name, _ in marks]
+        groups += point_group(f"{kind}s", MARK_COLOURS[kind], 5, points, labels)
+    return groups
 
 
 def _numbers(values, steps=PLACES):
