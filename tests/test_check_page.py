@@ -83,6 +83,7 @@ def test_warnings_stand_beside_the_view_and_are_numbered_in_it(tmp_path, cache):
     assert group["labels"] == ["3. clamp C1-upper<br>4. clamp C1-lower"] and group["points"] == [[72.0, 12.5, 1.0]]
 
 
+@pytest.mark.slow
 def test_a_scene_that_is_not_valid_is_drawn_as_far_as_it_can_be(tmp_path, cache):
     moved = ("point = [88, 6, 0.5]", "point = [88, 60, 0.5]")
     html, data, output = checked(tmp_path, cache, moved, error="welds[0].point (W1)")
@@ -134,6 +135,7 @@ def test_a_strict_check_ends_in_its_warnings(tmp_path, cache):
     assert "The scene is valid" not in output
 
 
+@pytest.mark.slow
 def test_a_check_that_ends_in_an_error_prints_warnings_first(tmp_path, cache):
     """It may be why: a sheet of 40 mm reaches through its neighbour."""
     thick = ("thickness = 1\n", "thickness = 40\n")

@@ -141,6 +141,11 @@ def assemblies(cache):
 PAIRED = ("zones-alike", "zone-small")
 
 
+def marked(case):
+    slow = not {*PAIRED}.isdisjoint(case[1]["rules"])
+    return pytest.param(*case, marks=pytest.mark.slow if slow else ())
+
+
 def judged(name, scene, rules, assemblies, cache):
     """The warnings of an edited scene, on the meshes and pairs of the shipped one where they do."""
     found = find_warnings(scene)
@@ -151,7 +156,7 @@ def judged(name, scene, rules, assemblies, cache):
     return find_warnings(scene, replace(assemblies[name], scene=scene))
 
 
-@pytest.mark.parametrize("name, case", NONSENSE, ids=named)
+@pytest.mark.parametrize("name, case", [marked(one) for one in NONSENSE], ids=named)
 def test_each_implausible_input_is_refused_or_warned_of(name, case, assemblies, cache):
     rules, words = case["rules"], case["words"]
     try:
@@ -321,6 +326,7 @@ def test_each_rule_has_a_case():
     assert len(set(names)) == len(names) and set(names) <= tried
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("case", SHAPED)
 def test_implausible_meshes_are_warned_of(case, tmp_path):
     plates, rule, item = SHAPED[case]

@@ -59,12 +59,12 @@ class _Page:
         self.words = " ".join(html.unescape(text).split())
 
 
-def _results(scene, cache, folder, samples):
-    """Everything that a run of a scene leaves behind, and its page."""
+def _results(scene, cache, folder, samples, studies=False):
+    """What a run of a scene leaves behind, with all its studies if asked, and its page."""
     monte_carlo = scene.monte_carlo.model_copy(update={"samples": samples, "seed": 2})
     model = run(scene.model_copy(update={"monte_carlo": monte_carlo}), folder, cache).model
     write_fields(folder)
-    if scene.measurements and scene.deviations:
+    if studies:
         found = contributors(model, samples=16)
         CONTRIBUTORS.write(folder, found.table)
         LINEARITY.write(folder, found.linearity)
@@ -97,7 +97,7 @@ def drawn(lap_scene, cache, folder):
     pictures = {}
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("mic.report.page.draw_all", lambda *given: pictures.update(draw_all(*given)) or pictures)
-        return _results(scene, cache, folder, SAMPLES), pictures
+        return _results(scene, cache, folder, SAMPLES, studies=True), pictures
 
 
 @pytest.fixture(scope="module")
