@@ -10,22 +10,38 @@ from mic.contact.path import Increments
 from verification.contact_problems import slip_dominated
 
 
+def dragged(compliance, bound, way):
+    """(k, m) forces of m contacts on a rigid block, and (k, m) positions of their sliders, that goes ``way`` (k,) mm.
+
+    Normal forces are 1: an overlap of 1 on a compliance of 1; μ is what makes the bound.
+    """
+    m = len(compliance)
+    friction = Friction(np.asarray(bound), None, np.asarray(compliance, dtype=float))
+    S = np.kron(np.eye(m), np.diag([1.0, 0.0, 0.0]))
+    solver = ContactSolver(S, friction, MICRO_SLIP)
+    loads = np.zeros((1, len(way), m, 3))
+    loads[..., 0] = -1.0
+    loads[..., 1] = np.asarray(way)[:, None]
+    forces, anchors, work = [], [], np.zeros(m)
+    force, anchor = np.tile([1.0, 0.0, 0.0], m)[None], np.zeros((1, m, 2))
+    for k in range(len(way) - 1):
+        end = solver.follow(loads[:, k : k + 2].reshape(1, 2, -1), force, anchor, Increments(1))
+        assert end.converged.all()
+        np.testing.assert_allclose(end.displacement.reshape(m, 3)[:, 1], way[k + 1], atol=1e-12)
+        force, anchor, work = end.force, end.anchor, work + end.trace.work[0]
+        forces.append(-force.reshape(m, 3)[:, 1])
+        anchors.append(anchor[0, :, 0].copy())
+    return np.array(forces), np.array(anchors), work
+
+
 def test_a_jenkins_element_yields_slips_and_yields_back():
     """Spring 1/c in series with a slider of strength R: ``min(x/c, R)``; back, the spring unloads first."""
     c, R = 0.5, 0.3
     way = np.array([0.0, 0.1, 0.15, 0.4, 0.3, 0.1, -0.2])
-    solver = ContactSolver(np.diag([1.0, 0.0, 0.0]), Friction(np.array([R]), None, np.array([c])), MICRO_SLIP)
-    loads = np.column_stack([-np.ones(7), way, np.zeros(7)])
-    state, forces, sliders, work = (np.array([[1.0, 0.0, 0.0]]), np.zeros((1, 1, 2))), [], [], 0.0
-    for k in range(6):
-        end = solver.follow(loads[None, k : k + 2], *state, Increments(1))
-        assert end.converged.all() and end.displacement[0, 1] == pytest.approx(way[k + 1], abs=1e-12)
-        state, work = (end.force, end.anchor), work + end.trace.work[0, 0]
-        forces.append(-end.force[0, 1])
-        sliders.append(end.anchor[0, 0, 0])
-    np.testing.assert_allclose(forces, [0.2, 0.3, 0.3, 0.1, -0.3, -0.3], atol=1e-10)
-    np.testing.assert_allclose(sliders, [0.0, 0.0, 0.25, 0.25, 0.25, -0.05], atol=1e-10)
-    assert work == pytest.approx(R * (0.25 + 0.3), rel=1e-10)
+    force, slider, work = dragged([c], [R], way)
+    np.testing.assert_allclose(force[:, 0], [0.2, 0.3, 0.3, 0.1, -0.3, -0.3], atol=1e-10)
+    np.testing.assert_allclose(slider[:, 0], [0.0, 0.0, 0.25, 0.25, 0.25, -0.05], atol=1e-10)
+    assert work[0] == pytest.approx(R * (0.25 + 0.3), rel=1e-10)
 
 
 def test_a_stuck_contact_has_moved_by_its_own_compliance():
@@ -34,6 +50,42 @@ def test_a_stuck_contact_has_moved_by_its_own_compliance():
     solution = solve(S, [-1.0, 0.2, -0.1], Friction(np.ones(1), None, np.array([c])), MICRO_SLIP)
     np.testing.assert_allclose(solution.force, [1.0, -0.2 / 2.7, 0.1 / 2.7], rtol=1e-10)
     np.testing.assert_allclose(solution.displacement, -c * solution.force * [0.0, 1.0, 1.0], atol=1e-12)
+
+
+def test_an_iwan_chain_follows_its_backbone_and_masings_rule():
+    """m elements of stiffness K/m in parallel, strengths spread evenly up to 2 F_s/m: ``F = K x - K² x²/(4 F_s)``
+    until ``x = 2 F_s/K``; unloading and reloading repeat the backbone twice as large (Masing 1926, Iwan 1966)."""
+    m, K, F_s = 400, 50.0, 8.0
+    strength = 2.0 * F_s / m * (np.arange(m) + 0.5) / m
+
+    def backbone(x):
+        return np.where(x < 2.0 * F_s / K, K * x - (K * x) ** 2 / (4.0 * F_s), F_s)
+
+    top = 0.8 * 2.0 * F_s / K
+    up = np.linspace(0.0, top, 9)
+    down = np.linspace(top, -top, 17)[1:]
+    force, _, _ = dragged(np.full(m, m / K), strength, np.concatenate([up, down, -down]))
+    total = force.sum(axis=1)
+    scale = 1e-4 * F_s
+    np.testing.assert_allclose(total[:8], backbone(up[1:]), atol=scale)
+    peak = backbone(top)
+    np.testing.assert_allclose(total[8:24], peak - 2.0 * backbone((top - down) / 2.0), atol=scale)
+    np.testing.assert_allclose(total[24:], -peak + 2.0 * backbone((top - down) / 2.0), atol=scale)
+    assert np.abs(total[24:] - backbone(np.abs(down))).max() > 0.1 * F_s  # a loop, not the way back
+
+
+def test_a_pressed_disc_slips_in_an_annulus():
+    """``p = p0 (1 - r²/a²)`` on springs k_t per area, shifted by ξ: it sticks within c, ``1 - c²/a² = k_t ξ/(μ p0)``,
+    under ``Q = μ P (1 - c⁴/a⁴)``, ``P = π a² p0/2`` (the Winkler foundation of Johnson 1985, ch. 4.3)."""
+    rings, a, p0, mu, k_t, share = 300, 4.0, 3.0, 0.25, 120.0, 0.6
+    area = np.pi * a**2 / rings
+    inside = (np.arange(rings) + 0.5) / rings  # r²/a² in the middle of rings of equal area
+    bound = mu * p0 * (1.0 - inside) * area
+    xi = share * mu * p0 / k_t
+    force, slider, _ = dragged(np.full(rings, 1.0 / (k_t * area)), bound, [0.0, xi])
+    c_squared = 1.0 - share
+    assert force.sum() == pytest.approx(mu * 0.5 * np.pi * a**2 * p0 * (1.0 - c_squared**2), rel=1e-4)
+    np.testing.assert_array_equal(np.abs(slider[0]) > 1e-12, inside > c_squared)
 
 
 def half_plane(strips, a, modulus):

@@ -39,9 +39,7 @@ def same(a, b):
     if isinstance(a, np.ndarray):
         return a.dtype == b.dtype and a.shape == b.shape and np.ascontiguousarray(a).tobytes() == b.tobytes()
     if isinstance(a, csr_matrix):
-        return a.shape == b.shape and all(
-            same(getattr(a, name), getattr(b, name)) for name in ("data", "indices", "indptr")
-        )
+        return same([a.shape, a.data, a.indices, a.indptr], [b.shape, b.data, b.indices, b.indptr])
     if isinstance(a, dict):
         return list(a) == list(b) and all(same(a[name], b[name]) for name in a)
     if isinstance(a, (tuple, list)):
@@ -93,7 +91,7 @@ def small_scene(lap_scene):
     return lap_scene.model_copy(update={"parts": parts, "zones": zones})
 
 
-def changed_scenes(scene):
+def changed_scenes(scene, folder):
     """Scenes that differ in one thing each that pairs, rows or parts follow from."""
     (zone, *zones), (clamp, *clamps), (part, *parts) = scene.zones, scene.clamps, scene.parts
     yield scene.model_copy(update={"zones": [zone.model_copy(update={"friction": 0.3}), *zones]})
@@ -101,9 +99,11 @@ def changed_scenes(scene):
     yield scene.model_copy(update={"clamps": [clamp.model_copy(update={"point": (x + 1.0, y, z)}), *clamps]})
     yield scene.model_copy(update={"parts": [part.model_copy(update={"thickness": 1.01 * part.thickness}), *parts]})
     yield scene.model_copy(update={"report": scene.report.model_copy(update={"laws": ["frictionless"]})})
+    script = shutil.copytree(scene.folder, folder) / part.geometry
+    script.write_text(script.read_text(encoding="utf-8") + "\nOTHER = 1\n", encoding="utf-8")
+    yield scene.model_copy(update={"folder": folder})
 
 
-@pytest.mark.slow
 @pytest.mark.slow
 def test_a_cached_assembly_equals_a_new_one_and_belongs_to_one_scene(small_scene, tmp_path, monkeypatch):
     there = lambda: len(list((tmp_path / "assemblies").iterdir()))
@@ -113,7 +113,7 @@ def test_a_cached_assembly_equals_a_new_one_and_belongs_to_one_scene(small_scene
     more = small_scene.monte_carlo.model_copy(update={"samples": 7, "seed": 3})
     other = assemble(small_scene.model_copy(update={"monte_carlo": more, "name": "other"}), tmp_path)
     assert there() == 1 and other.scene.name == "other" and other.scene.monte_carlo.samples == 7
-    for count, scene in enumerate(changed_scenes(small_scene), 2):
+    for count, scene in enumerate(changed_scenes(small_scene, tmp_path / "scene"), 2):
         found = assemble(scene, tmp_path)
         assert there() == count and found.identity != first.identity
     monkeypatch.setattr("mic.system.memoise.program", lambda: ["another line of the program"])
@@ -121,23 +121,12 @@ def test_a_cached_assembly_equals_a_new_one_and_belongs_to_one_scene(small_scene
     assert there() == count + 1
 
 
-def test_a_changed_file_invalidates_the_cached_assembly(small_scene, tmp_path):
-    folder = tmp_path / "scene"
-    shutil.copytree(small_scene.folder, folder)
-    scene = small_scene.model_copy(update={"folder": folder})
-    first = assemble(scene, tmp_path)
-    script = folder / scene.parts[0].geometry
-    assert assemble(scene, tmp_path).identity == first.identity
-    script.write_text(script.read_text(encoding="utf-8") + "\nOTHER = 1\n", encoding="utf-8")
-    assert assemble(scene, tmp_path).identity != first.identity
-
-
 @pytest.mark.slow
 def test_warnings_are_cached_for_each_scene(small_scene, tmp_path):
     assembly = assemble(small_scene, tmp_path)
-    soft = [part.model_copy(update={"young": 1e3}) for part in small_scene.parts]
     expected = find_warnings(small_scene, assembly, tmp_path)
     assert expected == find_warnings(small_scene, assembly, tmp_path) == find_warnings(small_scene, assembly)
+    soft = [part.model_copy(update={"young": 1e3}) for part in small_scene.parts]
     odd = assemble(small_scene.model_copy(update={"parts": soft}), tmp_path)
     warned = find_warnings(small_scene, odd, tmp_path)
-    assert warned != expected and warned == find_warnings(small_scene, odd) == find_warnings(small_scene, odd, tmp_path)
+    assert warned != expected and warned == find_warnings(small_scene, odd, tmp_path)

@@ -108,11 +108,21 @@ def complete(scene, folder, cache, expected):
     return len(finished)
 
 
-def test_several_processes_give_the_bits_of_one(one_process, scene, cache, tmp_path):
-    """Although one of them finds no cached coefficients."""
+def test_several_processes_give_the_bits_of_one(one_process, scene, tmp_path):
+    """The first finds one part's coefficients and otherwise truncated files, which are reported once each; the second
+    finds nothing."""
+    cache = shutil.copytree(one_process.parent / "cache", tmp_path / "cache")
+    whole = next((cache / "influence").glob("*.npz"))
+    cut = [path for path in cache.glob("*/*.npz") if path != whole]
+    assert len(cut) == 7  # an assembly and its warnings, two meshes, a part and two fields
+    for path in cut:
+        path.write_bytes(path.read_bytes()[:300])
     code, output = mic_on(3, ["run", scene, "--out", tmp_path / "out"], cache, plant=(1, "cache"))
-    assert code == 0 and output.count("report: ") == 1, output
-    assert blocks(tmp_path / "out") == blocks(one_process)
+    assert code == 0 and output.count("report: ") == 1 and blocks(tmp_path / "out") == blocks(one_process), output
+    assert output.count("influence coefficients of ") == 2 and output.count(": reused from ") == 1
+    output = output.replace("\x1b[?25h", "")  # the cursor, shown again where the bar ends
+    reported = [line for line in output.splitlines() if "it counts as absent and is replaced" in line]
+    assert sorted(line.split(": this ")[0] for line in reported) == sorted(map(str, cut)), output
 
 
 def test_a_terminated_run_is_completed_by_another_number_of_processes(one_process, scene, cache, tmp_path):
@@ -146,11 +156,10 @@ def test_one_failing_process_ends_all_with_one_message(one_process, scene, cache
         assert complete(scene, out, cache, one_process) < BLOCKS
 
 
-@pytest.mark.parametrize("command", ["run", "check"])
-def test_a_wrong_scene_is_refused_once_and_by_all_processes(cache, tmp_path, command):
+def test_a_wrong_scene_is_refused_once_and_by_all_processes(cache, tmp_path):
     wrong = tmp_path / "scene.toml"
     wrong.write_text((SCENE / "scene.toml").read_text().replace("thickness", "thinness", 1))
-    code, output = mic_on(2, [command, wrong], cache, plant=None)
+    code, output = mic_on(2, ["check", wrong], cache, plant=None)
     assert code == 2 and output.count("error:") == 1 and "MPI_ABORT" not in output, output
 
 
@@ -159,40 +168,22 @@ def test_one_process_writes_the_report_and_the_others_end(one_process, cache):
     assert code == 0 and output.count("report: ") == 1 and (one_process / "report.html").is_file(), output
 
 
-def test_truncated_cache_files_are_computed_again_and_reported_once_each(one_process, scene, tmp_path):
-    cache = shutil.copytree(one_process.parent / "cache", tmp_path / "cache")
-    cut = list(cache.glob("*/*.npz"))
-    assert len(cut) == 8  # an assembly and its warnings, two meshes, two parts and their fields
-    for path in cut:
-        path.write_bytes(path.read_bytes()[:300])
-    code, output = mic_on(2, ["run", scene, "--out", tmp_path / "out"], cache)
-    assert code == 0 and blocks(tmp_path / "out") == blocks(one_process), output
-    assert output.count("influence coefficients of lower: ") == 1
-    output = output.replace("\x1b[?25h", "")  # the cursor, shown again where the bar ends
-    reported = [line for line in output.splitlines() if "it counts as absent and is replaced" in line]
-    assert sorted(line.split(": this ")[0] for line in reported) == sorted(map(str, cut)), output
-
-
-def test_processes_of_a_node_share_the_memory_of_a_result():
-    done = on_processes(3, "-m", "support.sharing")
-    lines = [line.split(" grew ") for line in sorted(done.stdout.splitlines())]
-    assert done.returncode == 0 and [text for text, _ in lines] == [
+def test_processes_share_the_memory_of_a_result_and_one_of_them_runs_alone(one_process, scene, cache, tmp_path):
+    done = on_processes(2, "-m", "support.sharing", tmp_path, scene, cache, timeout=SECONDS)
+    first, second, alone = done.stdout.splitlines()
+    assert done.returncode == 0 and {line.split(" grew ")[0] for line in (first, second)} == {
         "0 made [0] right True one True",
         "1 made [] right True one True",
-        "2 made [] right True one True",
-    ], done.stdout + done.stderr
-    assert max(float(grew) for _, grew in lines[1:]) < 8  # MB; the array has 80
-
-
-def test_one_process_runs_alone_as_the_others_do_something_else(one_process, scene, cache, tmp_path):
-    done = on_processes(2, "-m", "support.alone", tmp_path, scene, cache, timeout=SECONDS)
-    assert (done.returncode, done.stdout) == (0, "210 2\n"), done.stdout + done.stderr
+    }, done.stdout + done.stderr
+    (grown,) = [float(line.split(" grew ")[1]) for line in (first, second) if line.startswith("1")]
+    assert grown < 8 and alone == "210 2"  # MB; the array has 80
 
 
 @pytest.mark.parametrize("name", ["OMPI_COMM_WORLD_SIZE", "PMI_SIZE", "SLURM_STEP_NUM_TASKS"])
 def test_processes_that_cannot_communicate_are_refused(monkeypatch, name):
-    for other in ("OMPI_COMM_WORLD_SIZE", "PMI_SIZE", "SLURM_STEP_NUM_TASKS", "PMIX_RANK", "PMI_RANK"):
+    for other in ("OMPI_COMM_WORLD_SIZE", "PMI_SIZE", "SLURM_STEP_NUM_TASKS", "PMI_RANK"):
         monkeypatch.delenv(other, raising=False)
+    monkeypatch.setenv("PMIX_RANK", "0")  # a launcher that does not give the number: MPI does
     assert communicator() is None
     monkeypatch.setenv(name, "1")
     assert communicator() is None
@@ -200,13 +191,6 @@ def test_processes_that_cannot_communicate_are_refused(monkeypatch, name):
     with pytest.raises(LaunchError, match="started 4 processes that cannot communicate.*use its own mpirun"):
         communicator()
     monkeypatch.setenv("OMPI_COMM_WORLD_SIZE", "1")  # the innermost launcher says how many there are
-    assert communicator() is None
-
-
-def test_a_launcher_without_a_number_of_processes_is_queried_through_mpi(monkeypatch):
-    for other in ("OMPI_COMM_WORLD_SIZE", "PMI_SIZE", "SLURM_STEP_NUM_TASKS"):
-        monkeypatch.delenv(other, raising=False)
-    monkeypatch.setenv("PMIX_RANK", "0")
     assert communicator() is None
 
 

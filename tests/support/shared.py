@@ -19,7 +19,7 @@ from verification.scenes import with_stated_pairs
 def solved(file, folder: Path) -> list[np.ndarray]:
     """Measurements, fields and contact results of one sample; the same in every process."""
     scene = with_stated_pairs(mic.load_scene(file))
-    steps = {"path": "increments", "increments": 2}
+    steps = {"path": "increments", "increments": 1}
     loaded = ("clamp", "weld", "release")
     scene = scene.model_copy(
         update={

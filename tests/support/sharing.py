@@ -1,4 +1,8 @@
-"""One array of 80 MB that the first of several processes makes and all share: what each of them gets, one line each."""
+"""An array of 80 MB that the first of several processes makes and all share: what each of them gets, one line each;
+then a run of one process while the others wait: the number of samples and of processes.
+
+``python -m support.sharing FOLDER SCENE CACHE``
+"""
 
 import os
 import sys
@@ -6,7 +10,8 @@ from pathlib import Path
 
 import numpy as np
 
-from mic.execution.ranks import communicator, shared, wait
+import mic
+from mic.execution.ranks import alone, communicator, shared, wait
 
 SIZE = 10_000_000
 
@@ -34,6 +39,13 @@ def main() -> None:
     right = total == SIZE * (SIZE - 1) / 2 and found["words"] == ["as", "they", "are"] and found["few"].sum() == 3
     said = f"{world.rank} made {made} right {right} one {found['array'][7] == -1.0} grew {private() - before:.0f}\n"
     os.write(sys.stdout.fileno(), said.encode())  # at once, so that no line of another process comes between
+    wait(world)
+    folder, scene, cache = map(Path, sys.argv[1:])
+    if world.rank == 0:
+        with alone():
+            outcome = mic.run(mic.load_scene(scene), folder / "out", cache)
+        print(outcome.record["samples"], communicator().size, flush=True)
+    wait(world)
 
 
 if __name__ == "__main__":
