@@ -38,37 +38,20 @@ def calls(tmp_path):
 
 
 @pytest.mark.slow
-def test_a_script_runs_once_and_its_mesh_is_cached(tmp_path):
-    first, second = script(tmp_path, STRIP), script(tmp_path, STRIP)
-    assert calls(tmp_path) == ["sheet 2.0"]
-    assert np.array_equal(first.points, second.points) and np.array_equal(first.triangles, second.triangles)
-    assert script(tmp_path, STRIP, size="coarse").areas.sum() == pytest.approx(2)
-    script(tmp_path, STRIP + "\n")
-    assert len(calls(tmp_path)) == 3  # another size key, another script: other meshes
-
-
-def test_normals_returned_by_a_script_are_cached_with_its_mesh(tmp_path):
+def test_a_script_runs_once_and_its_mesh_is_cached_with_its_normals(tmp_path):
     leaning = STRIP.replace("[0, 2, 3]]", "[0, 2, 3]], np.full((2, 3, 3), [0.3, 0, 1.0])")
     for _ in range(2):
         surface = script(tmp_path, leaning)
         assert surface.given_normals == pytest.approx(np.full((2, 3, 3), [0.3, 0, 1.0]))
         assert surface.corner_normals == pytest.approx(surface.given_normals / np.sqrt(1.09))
-    assert len(calls(tmp_path)) == 1
-
-
-@pytest.mark.slow
-def test_a_damaged_cached_mesh_is_generated_again(tmp_path):
-    first = script(tmp_path, STRIP)
-    (kept,) = (tmp_path / "cache" / "meshes").iterdir()
-    kept.write_bytes(kept.read_bytes()[:100])
-    assert np.array_equal(script(tmp_path, STRIP).points, first.points)
-    script(tmp_path, STRIP)
-    assert len(calls(tmp_path)) == 2  # replaced, so the third time it is read
-
-
-def test_a_script_may_use_dataclasses(tmp_path):
-    text = "from __future__ import annotations\nfrom dataclasses import dataclass\n@dataclass\nclass A:\n    x: int\n"
-    assert script(tmp_path, text + STRIP).areas.sum() == pytest.approx(2)
+    assert calls(tmp_path) == ["sheet 2.0"] and surface.areas.sum() == pytest.approx(2)
+    (cached,) = (tmp_path / "cache" / "meshes").iterdir()
+    cached.write_bytes(cached.read_bytes()[:100])
+    for _ in range(2):
+        assert np.array_equal(script(tmp_path, leaning).points, surface.points)
+    assert len(calls(tmp_path)) == 2  # the damaged file was replaced
+    script(tmp_path, STRIP, size="coarse")
+    assert len(calls(tmp_path)) == 3  # another size and script: another mesh
 
 
 BUILD = "def build(part, size):\n    return "
@@ -78,30 +61,18 @@ BAD = {
     "a file beside it": ("import helper", "imports helper, a file in its folder"),
     "a name is missing": ("from math import sine", "cannot import name 'sine'"),
     "it raises": ("x = {}[17]", r"KeyError: 17 \(line 1 of the script\)"),
-    "it raises without words": ("def build(part, size):\n    assert size > 3", "AssertionError .*line 2"),
     "it does not want the part": ("def build(part, size):\n    raise ValueError('no such part')", "no such part"),
     "it exits": ("import sys\nsys.exit(1)", "exits instead of returning a mesh"),
-    "its build exits": ("import sys\ndef build(part, size):\n    sys.exit()", "exits instead of returning a mesh"),
     "it is no Python": ("def build(:", "SyntaxError"),
-    "it has no build": ("x = 1", "must define build"),
     "its build is no function": ("build = 3", "must define build"),
-    "nothing returned": (
-        "def build(part, size):\n    pass",
-        "must return two arrays, points and triangles, or three.* not NoneType",
-    ),
-    "four returned": (BUILD + "1, 2, 3, 4", "must return two arrays"),
+    "nothing returned": (BUILD + "None", "must return two arrays, points and triangles, or three.* not NoneType"),
     "normals of vertices": (BUILD + POINTS + ", [[0, 1, 2]], " + POINTS, "one at each corner of each triangle"),
-    "strings": (BUILD + "'points', 'triangles'", "points that are not numbers"),
     "ragged": (BUILD + "[[0, 0, 0], [1, 0]], [[0, 1, 2]]", "differ in length"),
     "plane points": (BUILD + "[[0, 0], [1, 0], [1, 1]], [[0, 1, 2]]", r"shape \(n, 3\), not \(3, 2\)"),
     "quadrilaterals": (BUILD + POINTS + ", [[0, 1, 2, 0]]", r"shape \(k, 3\)"),
-    "NaN": (
-        BUILD + POINTS.replace("1]", "1]").replace("[1, 1, 0]", "[1, float('nan'), 0]") + ", [[0, 1, 2]]",
-        "not finite",
-    ),
+    "NaN": (BUILD + POINTS.replace("[1, 1, 0]", "[1, float('nan'), 0]") + ", [[0, 1, 2]]", "not finite"),
     "half a number": (BUILD + POINTS + ", [[0, 1, 1.5]]", "not integers"),
     "out of range": (BUILD + POINTS + ", [[0, 1, 3]]", "outside 0..2"),
-    "no area": (BUILD + POINTS + ", [[0, 1, 1]]", "no area"),
     "SIZES is a list": ("SIZES = [1]\n" + BUILD + "1", "SIZES must be a dict"),
 }
 
@@ -124,7 +95,6 @@ def test_without_gmsh_the_message_names_the_extra(tmp_path):
 
 HOSTILE = {
     "it ends the program": ("import os\nos._exit(0)", r"ends the program \(exit status 0\).*remove the exit"),
-    "its build ends the program": ("import os\n" + BUILD + "os._exit(3)", r"ends the program \(exit status 3\)"),
     "its mesh finds no room": (  # as on a full disk, nothing more can be written
         "import resource\nresource.setrlimit(resource.RLIMIT_FSIZE, (0, 0))\n" + BUILD + POINTS + ", [[0, 1, 2]]",
         "cannot be written into .*: free space on that disk, or set TMPDIR to",
@@ -133,17 +103,7 @@ HOSTILE = {
         f"import os\n{BUILD}os.kill(os.getpid(), {int(signal.SIGSEGV)})",
         r"crashes \(signal 11\).*run it on its own",
     ),
-    "it interrupts": ("raise KeyboardInterrupt", "KeyboardInterrupt.*correct the script"),
-    "it raises what is no exception": (
-        "class Odd(BaseException):\n    pass\nraise Odd('odd')",
-        "Odd: odd.*correct the script",
-    ),
     "it raises many lines": ("raise RuntimeError('one\\ntwo\\n\\nthree')", "RuntimeError: one two three"),
-    "it recurses": ("def build(part, size):\n    return build(part, size)", "RecursionError"),
-    "it returns a generator": (BUILD + "(x for x in range(3))", "must return two arrays.*not generator"),
-    "it returns objects": (BUILD + "[[object()] * 3] * 3, [[0, 1, 2]]", "points that are not numbers"),
-    "it returns infinity": (BUILD + "[[0, 0, 0], [1, 0, 0], [1, float('inf'), 0]], [[0, 1, 2]]", "not finite"),
-    "it returns nothing in arrays": (BUILD + "[], []", "shape"),
 }
 
 
@@ -158,7 +118,6 @@ def test_a_script_that_does_harm_ends_in_one_sentence_too(tmp_path, case):
 
 HANGS = {
     "a loop": "while True: pass",
-    "asleep": "import time\ntime.sleep(3600)",
     "deaf": "import signal, time\nsignal.signal(signal.SIGTERM, signal.SIG_IGN)\ntime.sleep(3600)",
     "waiting for input": "import sys, time\nsys.stdin.read()\ntime.sleep(3600)",
 }
@@ -203,7 +162,12 @@ def test_processes_started_by_a_script_end_with_it(tmp_path, monkeypatch):
 
 
 RUBBISH = """
+from __future__ import annotations
 import sys, os, threading, time
+from dataclasses import dataclass
+@dataclass
+class A:
+    x: int
 print("\\x00" * 100_000)
 sys.stderr.write("warning! " * 10_000)
 sys.stdout.close()
@@ -218,17 +182,15 @@ def test_output_and_threads_of_a_script_do_no_harm(tmp_path, capfd):
     assert capfd.readouterr() == ("", "") and os.environ.get("HOME") == home
 
 
-def test_an_unknown_size_is_refused_with_the_named_sizes(tmp_path):
+@pytest.mark.slow
+def test_named_sizes_are_read_and_an_unknown_size_is_refused(tmp_path):
+    with pytest.raises(SceneError, match="no size called 'huge'; known: coarse"):
+        script(tmp_path, STRIP, size="huge")
     (tmp_path / "geometry.py").write_text("print('hello')\nSIZES = {'a': 2, 'b': 3.5}\ndef build(part, size): pass")
     assert named_sizes("sheet", tmp_path / "geometry.py") == {"a": 2.0, "b": 3.5}
     (tmp_path / "geometry.py").write_text("SIZES = {'a': 'large'}\ndef build(part, size): pass")
     with pytest.raises(SceneError, match=r"part 'sheet': geometry: .*geometry.py: .*'large'"):
         named_sizes("sheet", tmp_path / "geometry.py")
-
-
-def test_an_unknown_size_names_the_known_ones(tmp_path):
-    with pytest.raises(SceneError, match="no size called 'huge'; known: coarse"):
-        script(tmp_path, STRIP, size="huge")
 
 
 def test_a_script_must_be_a_python_file(tmp_path):

@@ -5,6 +5,7 @@ import re
 import meshlane
 import numpy as np
 import pytest
+from support.gmsh_files import gmsh_model, rectangles
 from support.mesh_texts import ABAQUS, FILES, NASTRAN_FREE, OBJ, PLY, POINTS, VTK
 
 from mic.errors import FormatError
@@ -66,45 +67,11 @@ def test_points_keep_the_order_of_the_file_whatever_their_numbers(tmp_path, name
     assert surface.points == pytest.approx(POINTS) and surface.areas.sum() == pytest.approx(1.5)
 
 
-@pytest.mark.parametrize("version", [2.2, 4.1])
-@pytest.mark.parametrize("binary", [0, 1])
-def test_gmsh_files_are_read_though_only_some_elements_are_in_a_group(tmp_path, version, binary):
-    gmsh = pytest.importorskip("gmsh")
-    gmsh.initialize()
-    try:
-        gmsh.option.setNumber("General.Terminal", 0)
-        gmsh.model.add("sheet")
-        sheets = [gmsh.model.occ.addRectangle(x, 0, 0, 3, 2) for x in (0, 3)]
-        gmsh.model.occ.fragment([(2, sheets[0])], [(2, sheets[1])])
-        gmsh.model.occ.synchronize()
-        gmsh.model.mesh.setRecombine(2, sheets[1])
-        gmsh.model.mesh.generate(2)
-        gmsh.model.addPhysicalGroup(2, [sheets[0]], name="left part")
-        for option, value in (("SaveAll", 1), ("MshFileVersion", version), ("Binary", binary)):
-            gmsh.option.setNumber(f"Mesh.{option}", value)
-        gmsh.write(str(tmp_path / "sheet.msh"))
-    finally:
-        gmsh.finalize()
-    surface, deck = read_mesh(tmp_path / "sheet.msh")
-    assert surface.areas.sum() == pytest.approx(12)
-    assert deck.repair.pieces == 1 and deck.repair.quadrilaterals_split
-
-
 def test_a_file_of_salome_is_read_with_its_groups(tmp_path):
-    gmsh = pytest.importorskip("gmsh")
-    gmsh.initialize()
-    try:
-        gmsh.option.setNumber("General.Terminal", 0)
-        sheets = [gmsh.model.occ.addRectangle(x, 0, 7, 3, 2) for x in (0, 3)]
-        gmsh.model.occ.fragment([(2, sheets[0])], [(2, sheets[1])])
-        gmsh.model.occ.synchronize()
-        gmsh.model.mesh.setRecombine(2, sheets[1])
-        gmsh.model.mesh.generate(2)
-        for sheet, name in zip(sheets, ("left", "right")):
+    with gmsh_model() as gmsh:
+        for sheet, name in zip(rectangles(gmsh, 2, 7.0), ("left", "right")):
             gmsh.model.addPhysicalGroup(2, [sheet], name=name)
         gmsh.write(str(tmp_path / "sheet.med"))
-    finally:
-        gmsh.finalize()
     surface, deck = read_mesh(tmp_path / "sheet.med")
     assert surface.areas.sum() == pytest.approx(12) and surface.points[:, 2] == pytest.approx(7)
     assert deck.repair.quadrilaterals_split and deck.repair.pieces == 1
@@ -170,31 +137,13 @@ def test_normals_follow_instances_and_repair(tmp_path):
 
 BAD = {
     "a bulk without sheets.bdf": ("BEGIN BULK\nGRID,1,,0.,0.,0.\nCBAR,1,1,1,1\nENDDATA\n", "only CBAR"),
-    "a coordinate system.bdf": (
-        NASTRAN_FREE.replace("GRID,2,,", "GRID,2,7,"),
-        "system 7, which does not exist",
-    ),
     "another default system.bdf": ("BEGIN BULK\nGRDSET,,7\n" + NASTRAN_FREE[11:], "coordinate system 7"),
-    "an include.bdf": (
-        "INCLUDE 'mesh.bdf'\n" + NASTRAN_FREE[11:],
-        "line 1: it includes mesh.bdf, and there is",
-    ),
-    "a point that is not there.bdf": (
-        NASTRAN_FREE.replace("2,10,3", "2,11,3"),
-        "grid point 11, which is not defined",
-    ),
-    "a cut card.bdf": (NASTRAN_FREE[:-5], "line 9: .* CTRIA3 is no number, or is missing"),
-    "bricks.bdf": ("BEGIN BULK\nGRID,1,,0.,0.,0.\nCTETRA,1,1,1,1,1,1\n", r"solid elements \(CTETRA\)"),
+    "a point that is not there.bdf": (NASTRAN_FREE.replace("2,10,3", "2,11,3"), "point 11, which is not defined"),
     "a node that is not there.inp": (
         re.sub(r"\*(End )?Part.*\n", "", ABAQUS).replace("2, 2, 10, 3", "2, 2, 17, 3"),
         "the node 17, which is not defined",
     ),
-    "normals in a system.bdf": (
-        NASTRAN_FREE.replace("CTRIA3", "SNORM,2,7,0.,.6,.8\nCTRIA3"),
-        "system 7, which does not exist",
-    ),
-    "bricks.inp": (ABAQUS.replace("S3", "C3D4").replace("2, 10, 3", "2, 10, 3, 1"), r"solid elements \(C3D4"),
-    "continuum shells.inp": (ABAQUS.replace("S3", "SC6R"), r"solid elements \(SC6R"),
+    "normals in a system.bdf": (NASTRAN_FREE.replace("CTRIA3", "SNORM,2,7,0.,.6,.8\nCTRIA3"), "system 7, which does"),
     "a table of another kind.vtk": (VTK.replace("UNSTRUCTURED_GRID", "POLYDATA"), "POLYDATA"),
     "no mesh.vtk": ("this is no mesh", "cannot be read"),
     "a header alone.off": ("OFF\n# of nothing\n\n", "it ends with its header"),

@@ -1,6 +1,7 @@
 """The geometries: exact where they claim to be, sound as meshes, the same every time."""
 
 import tomllib
+from functools import cache
 
 import numpy as np
 import pytest
@@ -19,16 +20,14 @@ ARCH = np.linspace(wheelhouse.ARCH_START, wheelhouse.ARCH_END, 61)[:, None]
 ACROSS = np.linspace(0, wheelhouse.FLANGE_WIDTH, 9)
 
 
-@pytest.fixture(scope="module")
-def medium():
-    return {(name, part): GEOMETRIES[name].build(part, GEOMETRIES[name].SIZES["medium"]) for name, part in CASES}
+@cache
+def built(name, part, size):
+    """Points, triangles and normals of a part at a named size."""
+    return GEOMETRIES[name].build(part, GEOMETRIES[name].SIZES[size])
 
 
-def normals_and_areas(points, triangles):
-    a, b, c = points[triangles].transpose(1, 0, 2)
-    normals = np.cross(b - a, c - a)
-    lengths = np.linalg.norm(normals, axis=1)
-    return normals / lengths[:, None], lengths / 2
+def sheet(name, part, size="medium"):
+    return Surface(*built(name, part, size)[:2])
 
 
 def smallest_angles(points, triangles):
@@ -42,8 +41,10 @@ def smallest_angles(points, triangles):
 
 @pytest.mark.fem
 @pytest.mark.parametrize("case", CASES, ids="-".join)
-def test_mesh_is_one_oriented_sheet(medium, case):
-    points, triangles, _ = medium[case]
+def test_mesh_is_one_oriented_sheet_of_well_shaped_triangles(case):
+    points, triangles, _ = built(*case, "coarse")
+    angles = smallest_angles(points, triangles)
+    assert angles.min() > 25 and np.percentile(angles, 5) > 35
     assert np.isfinite(points).all()
     assert np.array_equal(np.unique(triangles), np.arange(len(points)))  # no stray nodes
     directed = np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]])
@@ -58,30 +59,14 @@ def test_mesh_is_one_oriented_sheet(medium, case):
 
 
 @pytest.mark.fem
-@pytest.mark.parametrize("case", CASES, ids="-".join)
-def test_triangles_are_well_shaped(medium, case):
-    angles = smallest_angles(*medium[case][:2])
-    assert angles.min() > 25
-    assert np.percentile(angles, 5) > 35
-
-
-@pytest.fixture(scope="module")
-def coarse():
-    return {(name, part): GEOMETRIES[name].build(part, GEOMETRIES[name].SIZES["coarse"]) for name, part in CASES}
+def test_building_is_deterministic():
+    again = wheelhouse.build("outer", wheelhouse.SIZES["coarse"])
+    assert all(map(np.array_equal, built("wheelhouse", "outer", "coarse"), again))
 
 
 @pytest.mark.fem
 @pytest.mark.parametrize("case", CASES, ids="-".join)
-def test_building_is_deterministic(coarse, case):
-    name, part = case
-    again = GEOMETRIES[name].build(part, GEOMETRIES[name].SIZES["coarse"])
-    for first, second in zip(coarse[case], again):
-        assert np.array_equal(first, second)
-
-
-@pytest.mark.fem
-@pytest.mark.parametrize("case", CASES, ids="-".join)
-def test_normals_are_those_of_the_surface_at_the_corners(medium, case):
+def test_normals_are_those_of_the_surface_at_the_corners(case):
     """Against estimates from the mesh, which know the sheet's side and, on these meshes, nearly its normals.
 
     What an error of normals costs goes with its square: astray at random by a root mean square of 0.2, 0.5, 1 and 2°
@@ -89,7 +74,7 @@ def test_normals_are_those_of_the_surface_at_the_corners(medium, case):
     meshes are 0.4 to 0.9 % off. A median of 0.2° and a mean of 0.3° are a root mean square of 0.4° or so, and cost less
     than 0.1 %; nowhere may a corner be so far astray that all of them together would cost 2 %.
     """
-    points, triangles, normals = medium[case]
+    points, triangles, normals = built(*case, "medium")
     assert np.linalg.norm(normals, axis=2) == pytest.approx(1, abs=1e-12)
     estimated = Surface(points, triangles).corner_normals
     angle = np.degrees(np.arccos(np.clip((normals * estimated).sum(axis=2), -1, 1)))
@@ -108,10 +93,10 @@ def test_unusable_arguments_are_refused(name):
 
 
 @pytest.mark.fem
-@pytest.mark.parametrize("resolution, low, high", [("coarse", 3500, 5000), ("medium", 12000, 16500)])
-def test_wheelhouse_node_counts(resolution, low, high, request):
+@pytest.mark.parametrize("size, low, high", [("coarse", 3500, 5000), ("medium", 12000, 16500)])
+def test_wheelhouse_node_counts(size, low, high):
     for part in wheelhouse.PARTS:
-        points, triangles, _ = request.getfixturevalue(resolution)["wheelhouse", part]
+        points, triangles, _ = built("wheelhouse", part, size)
         assert low <= len(points) <= high
         assert smallest_angles(points, triangles).min() > 25
 
@@ -139,78 +124,48 @@ def test_flange_width():
     assert np.abs(width - wheelhouse.FLANGE_WIDTH).max() < 0.05
 
 
-def distance_to(points, triangles, queries, normals):
-    """Distance along a normal from each query to the mesh, by casting the line onto the planes of nearby triangles."""
-    corners = points[triangles]
-    mesh_normals, _ = normals_and_areas(points, triangles)
-    _, near = cKDTree(corners.mean(1)).query(queries, 12)
-    a, b, c = corners[near].transpose(2, 0, 1, 3)
-    n, d = mesh_normals[near], normals[:, None]
-    t = ((a - queries[:, None]) * n).sum(-1) / (d * n).sum(-1)
-    foot = queries[:, None] + t[..., None] * d
-    inside = np.min([(np.cross(q - p, foot - p) * n).sum(-1) for p, q in ((a, b), (b, c), (c, a))], axis=0)
-    best = inside.argmax(1)
-    assert inside.max(1).min() > -1e-2
-    return t[np.arange(len(t)), best]
-
-
 @pytest.mark.fem
-def test_meshes_of_the_flanges_are_one_thickness_apart(medium):
-    inner, outer, normal = (a.reshape(-1, 3) for a in wheelhouse.flange_point(ARCH[1:-1], ACROSS[1:-1]))
-    middle = (inner + outer) / 2
-    below = distance_to(*medium["wheelhouse", "inner"][:2], middle, normal)
-    above = distance_to(*medium["wheelhouse", "outer"][:2], middle, normal)
-    # What remains is the height of arcs over chords, h^2 / 8 R.
-    assert np.abs(above - below - wheelhouse.THICKNESS).max() < 0.01
-    assert np.abs(below + wheelhouse.THICKNESS / 2).max() < 0.01
-
-
-@pytest.mark.fem
-def test_flange_elements_resolve_a_contact_patch(medium):
-    middle = np.concatenate(wheelhouse.flange_point(ARCH[2:-2], ACROSS[2:-2])[0])
+def test_meshed_flanges_are_one_thickness_apart_and_resolve_a_contact_patch():
+    inner, outer, _ = (a.reshape(-1, 3) for a in wheelhouse.flange_point(ARCH[2:-2], ACROSS[2:-2]))
     for part in wheelhouse.PARTS:
-        points, triangles, _ = medium["wheelhouse", part]
-        _, areas = normals_and_areas(points, triangles)
-        near = cKDTree(points[triangles].mean(1)).query(middle)[1]
-        assert np.sqrt(areas[near] * 4 / np.sqrt(3)).max() < 4.0  # a patch 12 mm across spans at least three elements
+        surface = sheet("wheelhouse", part)
+        foot = surface.project((inner + outer) / 2)
+        # What remains is the height of arcs over chords, h^2 / 8 R.
+        assert np.abs(foot.distance - wheelhouse.THICKNESS / 2).max() < 0.01
+        sides = np.sqrt(surface.areas[foot.triangle] * 4 / np.sqrt(3))
+        assert sides.max() < 4.0  # a patch 12 mm across spans at least three elements
 
 
 @pytest.mark.fem
-def test_triangle_normals_agree_with_the_analytic_ones(medium):
+def test_triangle_normals_agree_with_the_analytic_ones():
     places = [("inner", region) for region in ("flange", "tread", "face", "hem")]
     places += [("outer", region) for region in ("flange", "panel", "step", "brim", "wall")]
     for part, region in places:
         point, normal = (
             a.reshape(-1, 3) for a in wheelhouse.surface_point(part, region, ARCH[1:-1], np.linspace(0.2, 0.8, 4))
         )
-        points, triangles, _ = medium["wheelhouse", part]
-        normals, _ = normals_and_areas(points, triangles)
-        distance, near = cKDTree(points[triangles].mean(1)).query(point)
-        assert distance.max() < wheelhouse.SIZES["medium"]
-        assert (normals[near] * normal).sum(1).min() > 0.97
+        surface = sheet("wheelhouse", part)
+        foot = surface.project(point)
+        assert foot.distance.max() < 0.1 * wheelhouse.SIZES["medium"]
+        assert (surface.normals[foot.triangle] * normal).sum(1).min() > 0.97
     _, tread = wheelhouse.surface_point("inner", "tread", 0.0, 0.2)
     _, panel = wheelhouse.surface_point("outer", "panel", 0.0, 0.5)
     assert tread[2] < -0.9 and panel[2] > 0.9  # towards the wheel, away from the wheel
 
 
 @pytest.mark.fem
-def test_sheets_do_not_penetrate(medium):
+def test_sheets_do_not_penetrate_and_the_wheel_has_room():
     """Nowhere are the mid-surfaces closer than on the flange."""
-    distance, _ = cKDTree(medium["wheelhouse", "inner"][0]).query(medium["wheelhouse", "outer"][0])
-    assert distance.min() > 0.99 * wheelhouse.THICKNESS
-
-
-@pytest.mark.fem
-def test_wheel_has_room(medium):
-    for part in wheelhouse.PARTS:
-        points = medium["wheelhouse", part][0]
+    inner, outer = (built("wheelhouse", part, "medium")[0] for part in ("inner", "outer"))
+    assert cKDTree(inner).query(outer)[0].min() > 0.99 * wheelhouse.THICKNESS
+    for points in (inner, outer):
         tread = points[points[:, 1] > -150]  # further inboard the inner face closes the arch
         assert np.hypot(tread[:, 0], tread[:, 2]).min() > 315
 
 
 @pytest.mark.fem
-def test_layout_lies_on_the_parts_and_holds_them(medium):
-    layout = wheelhouse.layout()
+def test_layout_lies_on_the_parts_and_holds_them():
+    layout, surfaces = wheelhouse.layout(), {part: sheet("wheelhouse", part) for part in wheelhouse.PARTS}
     assert {key: len(rows) for key, rows in layout.items()} == {
         "locators": 22, "clamps": 12, "welds": 5, "zones": 3, "deviations": 6, "measurements": 8
     }  # fmt: skip
@@ -218,24 +173,16 @@ def test_layout_lies_on_the_parts_and_holds_them(medium):
         for row in layout[key]:
             assert abs(np.linalg.norm(row["direction"]) - 1) < 1e-12
             in_plane = key == "locators" and row["name"].split("-")[1][0] in "BC"
-            _, normal = nearest_normal(*medium["wheelhouse", row["part"]][:2], row["point"])
-            assert abs(normal @ row["direction"]) < 0.05 if in_plane else abs(normal @ row["direction"]) > 0.98
-            assert nearest_normal(*medium["wheelhouse", row["part"]][:2], row["point"])[0] < wheelhouse.SIZES["medium"]
+            foot = surfaces[row["part"]].project(row["point"])
+            along = abs(surfaces[row["part"]].normals[foot.triangle[0]] @ row["direction"])
+            assert along < 0.05 if in_plane else along > 0.98
+            assert foot.distance[0] < wheelhouse.SIZES["medium"]
     for part in wheelhouse.PARTS:
-        rows = [
-            r
-            for r in layout["locators"]
-            if r["part"] == part and r["name"].split("-")[1] in ("A1", "A2", "A3", "B1", "B2", "C1")
-        ]
+        names = [f"{part}-{name}" for name in ("A1", "A2", "A3", "B1", "B2", "C1")]
+        rows = [row for row in layout["locators"] if row["name"] in names]
         points, directions = (np.array([row[key] for row in rows]) for key in ("point", "direction"))
         arms = (points - points.mean(0)) / 300
         assert np.linalg.cond(np.hstack([directions, np.cross(arms, directions)])) < 5
-
-
-def nearest_normal(points, triangles, point):
-    normals, _ = normals_and_areas(points, triangles)
-    distances = np.linalg.norm(points[triangles].mean(1) - point, axis=1)
-    return distances.min(), normals[distances.argmin()]
 
 
 def test_layout_keeps_off_the_zones():
@@ -261,21 +208,19 @@ def test_layout_prints_as_toml(capsys):
 
 
 @pytest.mark.fem
-def test_lap_joint_dimensions(medium):
-    lower, upper = (medium["lap_joint", part] for part in ("lower", "upper"))
-    assert np.allclose(lower[0].min(0), [0, 0, 0]) and np.allclose(lower[0].max(0), [100, 25, 0])
-    assert np.allclose(upper[0].min(0), [60, 0, 1]) and np.allclose(upper[0].max(0), [160, 25, 1])
-    for points, triangles, _ in (lower, upper):
-        normals, areas = normals_and_areas(points, triangles)
-        assert np.allclose(normals, [0, 0, 1]) and np.isclose(areas.sum(), 2500)
+def test_lap_joint_dimensions():
+    for part, low, high in (("lower", (0, 0, 0), (100, 25, 0)), ("upper", (60, 0, 1), (160, 25, 1))):
+        surface = sheet("lap_joint", part)
+        assert np.allclose(surface.points.min(0), low) and np.allclose(surface.points.max(0), high)
+        assert np.allclose(surface.normals, [0, 0, 1]) and np.isclose(surface.areas.sum(), 2500)
 
 
 @pytest.mark.fem
-def test_hat_on_plate_dimensions(medium):
-    plate, hat = (medium["hat_on_plate", part] for part in ("plate", "hat"))
-    assert np.allclose(plate[0].min(0), [0, -60, 0]) and np.allclose(plate[0].max(0), [160, 60, 0])
-    assert np.allclose(hat[0].min(0), [0, -45, 1]) and np.allclose(hat[0].max(0), [160, 45, 31])
-    normals, areas = normals_and_areas(*hat[:2])
+def test_hat_on_plate_dimensions():
+    plate, hat = (sheet("hat_on_plate", part) for part in ("plate", "hat"))
+    assert np.allclose(plate.points.min(0), [0, -60, 0]) and np.allclose(plate.points.max(0), [160, 60, 0])
+    assert np.allclose(hat.points.min(0), [0, -45, 1]) and np.allclose(hat.points.max(0), [160, 45, 31])
+    normals, areas = hat.normals, hat.areas
     assert np.isclose(areas[normals[:, 2] > 0.999].sum(), 160 * (40 + 2 * 20))  # flanges and top
     assert np.isclose(areas.sum(), 160 * (40 + 2 * 20 + 2 * np.hypot(30, 5)))
     assert normals[:, 2].min() > 0

@@ -19,6 +19,27 @@ def zone(**keys):
     return Zone(name="Z", parts=("a", "b"), **({"pairs": 9} | keys))
 
 
+def flats(first, second):
+    """Two flat sheets of 20 mm, of so many elements along an edge; they touch at z = 0.5."""
+    return Side(plane(0, n=first), 1.0), Side(plane(1, n=second), 1.0)
+
+
+def read(pair, bodies, which=0):
+    """(q, 3) points of the patch of a pair on the first or the second body."""
+    patch = pair.patches[which]
+    return bodies[which].surface.at(patch.triangle, patch.barycentric)
+
+
+def normals(pairs):
+    """(p,) z components of the normals of pairs."""
+    return np.array([pair.frame[2, 0] for pair in pairs])
+
+
+def total(pairs):
+    """Sum of the areas of pairs, mm²."""
+    return sum(pair.area for pair in pairs)
+
+
 @pytest.mark.parametrize("flip_a", [False, True])
 @pytest.mark.parametrize("flip_b", [False, True])
 def test_gap_normal_and_sides_do_not_depend_on_orientation(flip_a, flip_b):
@@ -30,7 +51,7 @@ def test_gap_normal_and_sides_do_not_depend_on_orientation(flip_a, flip_b):
         assert np.linalg.det(pair.frame) == pytest.approx(1)
         assert pair.gap == pytest.approx(1.5 - 0.9)
         assert pair.sides == (-1 if flip_a else 1, 1 if flip_b else -1)
-    assert sum(pair.area for pair in pairs) == pytest.approx(400)
+    assert total(pairs) == pytest.approx(400)
     areas = [pair.area for pair in pairs]
     assert max(areas) < 1.6 * min(areas)
 
@@ -58,9 +79,9 @@ def corner(n=8, size=20.0, start=5.0, z=1.0):
 
 BENT = {
     "L": Surface(*extrude([(5, 1), (25, 1), (25, 21)], 0.0, 20.0, 2.3)),
-    "hem": Surface(*extrude([(5, 1), (25, 1), (25, 2.2), (5, 2.2)], 0.0, 20.0, 2.3)),
-    "T": Surface(*extrude([(12, 21), (12, 1), (25, 1)], 0.0, 20.0, 2.3)),
-    "V": Surface(*extrude([(-5, 4), (10, 1), (25, 4)], 0.0, 20.0, 2.3)),
+    "hem": Surface(*extrude([(5, 1), (25, 1), (25, 2.2), (5, 2.2)], 0.0, 20.0, 3.3)),
+    "T": Surface(*extrude([(12, 21), (12, 1), (25, 1)], 0.0, 20.0, 3.3)),
+    "V": Surface(*extrude([(-5, 4), (10, 1), (25, 4)], 0.0, 20.0, 4.3)),
     "corner": corner(),
 }
 
@@ -69,7 +90,7 @@ def beside(pairs, bodies, angle, thickness, at_nodes=False):
     """Sideways distances, mm, of pairs whose points lie too far off the normal of the first body."""
     found = []
     for pair in pairs:
-        first, second = (body.surface.at(p.triangle, p.barycentric) for body, p in zip(bodies, pair.patches))
+        first, second = read(pair, bodies), read(pair, bodies, 1)
         surface, patch = bodies[0].surface, pair.patches[0]
         normal = surface.normals[patch.triangle]
         if at_nodes:
@@ -81,61 +102,47 @@ def beside(pairs, bodies, angle, thickness, at_nodes=False):
     return found
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("shape, angle", [("V", 15.0), ("V", 60.0), *((shape, 30.0) for shape in BENT if shape != "V")])
+@pytest.mark.parametrize("shape, angle", [("V", 15.0), *((shape, 30.0) for shape in BENT if shape != "V")])
 @pytest.mark.parametrize("bent_first", [False, True])
 @pytest.mark.parametrize("find", [find_pairs, node_pairs])
 def test_facing_points_lie_along_the_normal(find, shape, bent_first, angle):
     flat, bent = Side(plane(0, size=30.0, n=13), 1.0), Side(BENT[shape], 0.8)
     bodies = (bent, flat) if bent_first else (flat, bent)
-    pairs = find(zone(pairs=12, max_gap=20.0, max_angle_deg=angle), *bodies)
+    pairs = find(zone(pairs=12, max_gap=5.0, max_angle_deg=angle), *bodies)
     assert not beside(pairs, bodies, angle, 0.8, at_nodes=find is node_pairs)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("find", [find_pairs, node_pairs])
-def test_crossing_channels_of_a_body_side_have_no_pairs_beside_each_other(find, tmp_path):
+def test_crossing_channels_of_a_body_side_have_no_pairs_beside_each_other(tmp_path):
     """The lip of one channel stands up to 7 mm beside the web of the other and must not face it."""
     scene = mic.load_scene(Path(__file__).resolve().parents[1] / "meshes" / "body_side" / "body_side.toml")
     joint = next(one for one in scene.zones if one.name == "waist-a")
     parts = [next(part for part in scene.parts if part.name == name) for name in joint.parts]
     bodies = [Side(load_part(part, scene.folder, tmp_path).surface, part.thickness) for part in parts]
-    pairs = find(joint, *bodies)
-    assert len(pairs) > 30 and not beside(pairs, bodies, joint.max_angle_deg, min(part.thickness for part in parts))
+    thinner = min(part.thickness for part in parts)
+    for find in (find_pairs, node_pairs):
+        pairs = find(joint, *bodies)
+        assert len(pairs) > 30 and not beside(pairs, bodies, joint.max_angle_deg, thinner)
 
 
-def test_candidates_lie_on_the_edges_and_folds_of_both_sheets():
+@pytest.mark.slow
+def test_candidates_lie_on_the_edges_folds_and_corners_of_both_sheets():
     """A sheet of 20 mm on another that reaches beyond it; and an L, whose foot ends at its fold."""
     below = Side(plane(0, size=30.0, n=13), 1.0)
     above = (Side(plane(1, x0=5.0), 1.0), [(0, 5.0), (0, 25.0), (1, 0.0), (1, 20.0)])
     foot = (Side(BENT["L"], 1.0), [(1, 5.0), (1, 25.0), (0, 0.0), (0, 20.0)])
     for sheet, ends in (above, foot):
+        corners = [(x, y) if ends[0][0] == 0 else (y, x) for x in (5, 25) for y in (0, 20)]
         for which, bodies in enumerate(((sheet, below), (below, sheet))):
-            read = [
-                sheet.surface.at(pair.patches[which].triangle, pair.patches[which].barycentric)
-                for pair in find_pairs(zone(pairs=None, spacing=5.0), *bodies)
-            ]
+            found = find_pairs(zone(pairs=None, spacing=5.0), *bodies)
+            points = [read(pair, bodies, which) for pair in found]
             for axis, end in ends:
-                assert sum(np.abs(x[:, axis] - end).max() < 1e-9 for x in read) >= 2
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("spacing", [3.0, 9.0])
-def test_a_candidate_lies_at_every_corner_and_fold_end_of_a_border(spacing):
-    """A square above a larger one, and an L whose foot ends at its fold."""
-    below = Side(plane(0, size=30.0, n=13), 1.0)
-    above = Side(plane(1, x0=5.0), 1.0), [(5, 0), (5, 20), (25, 0), (25, 20)]
-    foot = Side(BENT["L"], 1.0), [(0, 5), (20, 5), (0, 25), (20, 25)]
-    for sheet, corners in (above, foot):
-        for which, bodies in enumerate(((sheet, below), (below, sheet))):
-            patches = [pair.patches[which] for pair in find_pairs(zone(pairs=None, spacing=spacing), *bodies)]
-            read = [sheet.surface.at(one.triangle, one.barycentric)[:, :2] for one in patches]
+                assert sum(np.abs(x[:, axis] - end).max() < 1e-9 for x in points) >= 2
             for corner in corners:
-                assert sum(np.abs(x - corner).max() < 1e-9 for x in read) == 1
+                assert sum(np.abs(x[:, :2] - corner).max() < 1e-9 for x in points) == 1
 
 
-@pytest.mark.parametrize("spacing", [3.0, 9.0])
-def test_a_candidate_lies_where_edges_cross_but_not_along_common_edges(spacing):
+def test_a_candidate_lies_where_edges_cross_but_not_along_common_edges():
     """Two strips that cross: neither has a corner there. Moved upon each other, they have no more than their own."""
     first = Side(Surface(*extrude([(-5.0, 0.0), (5.0, 0.0)], -15.0, 30.0, 2.3)[:2]), 1.0)
     turned = first.surface.points @ np.array([[0, 1, 0], [-1, 0, 0], [0, 0, 1]]) + [0, 0, 1]
@@ -143,29 +150,32 @@ def test_a_candidate_lies_where_edges_cross_but_not_along_common_edges(spacing):
     upon = Side(Surface(first.surface.points + [0, 0, 1], first.surface.triangles), 1.0)
 
     def corners(*bodies):
-        pairs = find_pairs(zone(pairs=None, spacing=spacing), *bodies)
-        patches = [(body.surface, one) for pair in pairs for body, one in zip(bodies, pair.patches)]
-        read = [surface.at(one.triangle, one.barycentric)[:, :2] for surface, one in patches]
-        return sorted({tuple(x[0].round(9) + 0.0) for x in read if np.ptp(x, axis=0).max() < 1e-9})
+        pairs = find_pairs(zone(pairs=None, spacing=6.0), *bodies)
+        points = [read(pair, bodies, which)[:, :2] for pair in pairs for which in (0, 1)]
+        return sorted({tuple(x[0].round(9) + 0.0) for x in points if np.ptp(x, axis=0).max() < 1e-9})
 
     for bodies in ((first, second), (second, first)):
         assert corners(*bodies) == [(-5, -5), (-5, 5), (5, -5), (5, 5)]
     assert corners(first, upon) == [(-15, -5), (-15, 5), (15, -5), (15, 5)]
 
 
+def pad(centre, radius, corners, turn=0.0):
+    """A flat round fixture below a sheet, of triangles around its circle."""
+    i = np.arange(corners)
+    angle = 2 * np.pi * i / corners + turn
+    rim = radius / np.cos(np.pi / corners) * np.column_stack([np.cos(angle), np.sin(angle), 0 * angle])
+    fan = np.column_stack([0 * i, 1 + i, 1 + (i + 1) % corners])
+    return Side(Surface(np.vstack([np.zeros(3), rim]) + centre, fan), disc=(centre, radius))
+
+
 @pytest.mark.parametrize("turn", [0.0, 0.4])
 def test_candidates_lie_on_the_rim_of_a_round_rest(turn):
     """Two of them lie where it crosses the edge of the sheet, 6 mm from its centre."""
-    disc = (13.0, 6.0, -0.5), 8.0
-    angle = np.linspace(0, 2 * np.pi, 37)[:-1] + turn
-    around = 8.0 / np.cos(np.pi / 36) * np.column_stack([np.cos(angle), np.sin(angle), np.zeros(36)])
-    fan = np.column_stack([np.zeros(36, int), 1 + np.arange(36), 1 + (np.arange(36) + 1) % 36])
-    rest = Side(Surface(np.vstack([np.zeros(3), around]) + disc[0], fan), disc=disc)
-    sheet = Side(plane(0, size=30.0, n=13), 1.0)
-    pairs = find_pairs(zone(pairs=None, spacing=4.0), rest, sheet)
-    read = [sheet.surface.at(pair.patches[1].triangle, pair.patches[1].barycentric) for pair in pairs]
-    away = [np.linalg.norm((x - disc[0])[:, :2], axis=1) for x in read]
-    on = [x for x, r in zip(read, away) if np.abs(r - 8.0).max() < 0.02]
+    centre = (13.0, 6.0, -0.5)
+    bodies = pad(centre, 8.0, 36, turn), Side(plane(0, size=30.0, n=13), 1.0)
+    points = [read(pair, bodies, 1) for pair in find_pairs(zone(pairs=None, spacing=4.0), *bodies)]
+    away = [np.linalg.norm((x - centre)[:, :2], axis=1) for x in points]
+    on = [x for x, r in zip(points, away) if np.abs(r - 8.0).max() < 0.02]
     length = 2 * 8.0 * (np.pi - np.arccos(6.0 / 8.0))
     assert length / 4.0 - 1 < len(on) < length / 4.0 + 2
     assert all((r <= 8.0 + 1e-6).all() for r in away)
@@ -178,22 +188,22 @@ def test_close_corners_are_merged_and_border_corners_win():
     """A tab 1.5 mm wide; a fold 1.5 mm before the border's end gives way to it."""
     below = Side(plane(-1, size=30.0, n=13), 1.0)
     tab = Surface(*extrude([(10.0, 0.0), (20.0, 0.0), (21.5, 0.4)], 3.0, 1.5, 1.0)[:2])
-    found = find_pairs(zone(pairs=None, spacing=5.0, max_gap=3.0), Side(tab, 1.0), below)
-    at = [tab.at(pair.patches[0].triangle, pair.patches[0].barycentric) for pair in found]
+    bodies = Side(tab, 1.0), below
+    at = [read(pair, bodies) for pair in find_pairs(zone(pairs=None, spacing=5.0, max_gap=3.0), *bodies)]
     points = np.array([x[0] for x in at if len(x) == 1])
     assert len(points) == 2 and sorted(points[:, 1]) == pytest.approx([10.0, 21.5])
 
 
 def test_seven_candidates_lie_under_a_pad_on_any_mesh():
     """One in the middle, six about it: two sheets that one candidate alone presses together tilt on it."""
-    bodies = Side(plane(0, n=3), 1.0), Side(plane(1, n=3), 1.0)
+    bodies = flats(3, 3)
     centre = np.array([9.0, 10.5, 0.5])
     pairs = find_pairs(zone(pairs=None, spacing=8.0), *bodies, pressed=[PressedPoint(centre, 3.5)])
     under = [pair for pair in pairs if np.linalg.norm((pair.point - centre)[:2]) < 3.5]
     away = np.array([np.linalg.norm((pair.point - centre)[:2]) for pair in under])
     assert len(under) == 7 and sum(away < 0.5) == 1 and sum(away > 1.75) == 6
-    assert sum(pair.area for pair in under) == pytest.approx(np.pi * 3.5**2, rel=0.05)
-    assert sum(pair.area for pair in pairs) == pytest.approx(400)
+    assert total(under) == pytest.approx(np.pi * 3.5**2, rel=0.05)
+    assert total(pairs) == pytest.approx(400)
     assert {round(pair.spacing, 6) for pair in pairs} == {8.0, round(3.5 * 2 / 3, 6)}
 
 
@@ -201,16 +211,18 @@ def test_a_candidate_lies_where_the_gap_of_its_cell_is_smallest():
     """Over a plate that is tilted, contact begins at the lower end of each cell."""
     bodies = Side(plane(0, n=16), 1.0), Side(plane(1, n=16, tilt=0.02), 1.0)
     for pair in find_pairs(zone(pairs=None, spacing=5.0), *bodies):
-        x = bodies[0].surface.at(pair.patches[0].triangle, pair.patches[0].barycentric)[:, 0]
-        read = x[pair.patches[0].weight > 0]
-        assert np.ptp(read) <= 0.005 / np.tan(0.02) + 1e-6 and pair.gap <= np.tan(0.02) * x.min() + 0.005
+        x = read(pair, bodies)[:, 0]
+        assert (
+            np.ptp(x[pair.patches[0].weight > 0]) <= 0.005 / np.tan(0.02) + 1e-6
+            and pair.gap <= np.tan(0.02) * x.min() + 0.005
+        )
 
 
 def hem():
     """A hem over y = 0..20 about a sheet that ends before its bend; the upper leaf reaches back to y = 8."""
-    arc = [(20 + np.sin(a), 1 - np.cos(a)) for a in np.linspace(0, np.pi, 7)]
-    about = Side(Surface(*extrude([(0, 0), *arc, (8, 2)], 0.0, 30.0, 2.3)), 1.0)
-    return about, Side(Surface(*extrude([(-10, 1), (19, 1)], 1.0, 28.0, 2.1)), 1.0)
+    arc = [(20 + np.sin(a), 1 - np.cos(a)) for a in np.linspace(0, np.pi, 5)]
+    about = Side(Surface(*extrude([(0, 0), *arc, (8, 2)], 0.0, 14.0, 2.3)), 1.0)
+    return about, Side(Surface(*extrude([(-4, 1), (19, 1)], 1.0, 12.0, 2.1)), 1.0)
 
 
 @pytest.mark.slow
@@ -227,29 +239,28 @@ def hem():
 def test_each_side_of_a_sheet_within_a_hem_has_its_own_pairs(find, keys, within_first):
     bodies = hem()[::-1] if within_first else hem()
     pairs = find(zone(**keys), *bodies)
-    up = np.array([pair.frame[2, 0] for pair in pairs]) * (-1 if within_first else 1)
+    up = normals(pairs) * (-1 if within_first else 1)
     np.testing.assert_allclose(np.abs(up), 1.0, atol=1e-9)  # towards the sheet, along it nowhere
     for pair in pairs:
-        for body, patch in zip(bodies, pair.patches):
-            z = body.surface.at(patch.triangle, patch.barycentric)[:, 2]
-            assert np.ptp(z[patch.weight > 0]) < 1e-9 and abs(pair.gap) < 1e-9
+        for which, patch in enumerate(pair.patches):
+            assert np.ptp(read(pair, bodies, which)[patch.weight > 0, 2]) < 1e-9 and abs(pair.gap) < 1e-9
     area = np.array([pair.area for pair in pairs])
-    assert area[up > 0].sum() == pytest.approx(28 * 19, rel=0.03)  # over the lower leaf, and beneath the upper one
-    assert area[up < 0].sum() == pytest.approx(28 * 11, rel=0.03)
+    assert area[up > 0].sum() == pytest.approx(12 * 19, rel=0.03)  # over the lower leaf, and beneath the upper one
+    assert area[up < 0].sum() == pytest.approx(12 * 11, rel=0.03)
     if find is find_pairs:
-        between = np.array([one.frame[2, 0] for one in find_between(zone(**keys), *bodies, pairs)])
-        assert (between > 0).sum() == (up > 0).sum() if not within_first else (between < 0).sum() == (up > 0).sum()
+        between = normals(find_between(zone(**keys), *bodies, pairs)) * (-1 if within_first else 1)
+        assert (between > 0).sum() == (up > 0).sum()
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("within_first", [False, True])
 def test_a_pad_on_a_hem_has_a_candidate_on_either_side_of_the_sheet(within_first):
     bodies = hem()[::-1] if within_first else hem()
-    pads = [PressedPoint(np.array([15.0, 14.0, 1.0]), 4.0), PressedPoint(np.array([8.0, 12.0, 0.0]), 2.0, weld=5)]
+    pads = [PressedPoint(np.array([8.0, 16.0, 1.0]), 3.0), PressedPoint(np.array([7.0, 11.0, 0.0]), 1.5, weld=5)]
     pairs = find_pairs(zone(pairs=None, spacing=5.0), *bodies, pressed=pads)
-    for pad in pads:
-        there = [pair for pair in pairs if np.linalg.norm(pair.point[:2] - pad.point[:2]) < 0.5]
-        assert sorted(np.sign([pair.frame[2, 0] for pair in there])) == [-1, 1]
+    for place in pads:
+        there = [pair for pair in pairs if np.linalg.norm(pair.point[:2] - place.point[:2]) < 0.5]
+        assert sorted(np.sign(normals(there))) == [-1, 1]
     assert {np.sign(pair.frame[2, 0]) for pair in pairs if pair.nugget == 5} == {-1, 1}
     for up in (1, -1):  # a weld joins two sheets: on one side of the sheet within
         joined = replace(pads[1], normal=np.array([0.0, 0.0, up]))
@@ -259,8 +270,8 @@ def test_a_pad_on_a_hem_has_a_candidate_on_either_side_of_the_sheet(within_first
 
 def test_given_points_belong_to_the_nearer_side_of_the_sheet():
     for bodies, sign in ((hem(), 1), (hem()[::-1], -1)):
-        pairs = find_pairs(zone(pairs=None, points=[(15, 10, 0.2), (15, 15, 1.8), (10, 12, 1.9)]), *bodies)
-        np.testing.assert_allclose([sign * pair.frame[2, 0] for pair in pairs], [1, -1, -1], atol=1e-9)
+        pairs = find_pairs(zone(pairs=None, points=[(8, 10, 0.2), (8, 15, 1.8), (5, 12, 1.9)]), *bodies)
+        np.testing.assert_allclose(sign * normals(pairs), [1, -1, -1], atol=1e-9)
 
 
 def test_fewer_pairs_than_sides_are_refused():
@@ -268,61 +279,59 @@ def test_fewer_pairs_than_sides_are_refused():
         find_pairs(zone(pairs=1), *hem())
 
 
-@pytest.mark.slow
 def test_a_sheet_within_a_rigid_slot_is_held_on_both_sides():
     slot = Side(Surface(*extrude([(0, 0), (20, 0), (20, 2.4), (0, 2.4)], 0.0, 30.0, 5.0)))
-    pairs = find_pairs(
-        zone(pairs=None, spacing=4.0), slot, Side(Surface(*extrude([(-5, 1.2), (18, 1.2)], 2, 25, 2)), 2.0)
-    )
+    sheet = Side(Surface(*extrude([(-5, 1.2), (18, 1.2)], 2, 12, 2)), 2.0)
+    pairs = find_pairs(zone(pairs=None, spacing=4.0), slot, sheet)
     for way in (-1, 1):
         own = [pair for pair in pairs if pair.frame[2, 0] * way > 0.999]
-        assert sum(pair.area for pair in own) == pytest.approx(25 * 18, rel=0.03)
+        assert total(own) == pytest.approx(12 * 18, rel=0.03)
         assert all(pair.gap == pytest.approx(0.2) for pair in own)
 
 
 def test_no_candidate_patch_crosses_the_rim_of_a_nugget():
-    bodies = Side(plane(0, n=16), 1.0), Side(plane(1, n=15), 1.0)
+    bodies = flats(16, 15)
     weld = PressedPoint(np.array([9.0, 10.5, 0.5]), 2.5, weld=3)
     pairs = find_pairs(zone(pairs=None, spacing=4.0), *bodies, pressed=[weld])
     for pair in pairs:
-        x = bodies[0].surface.at(pair.patches[0].triangle, pair.patches[0].barycentric)
+        x = read(pair, bodies)
         inside = np.linalg.norm(x[:, :2] - weld.point[:2], axis=1) <= 2.5 + 1e-5
         assert inside.all() if pair.nugget == 3 else not inside.any()
     assert sum(pair.area for pair in pairs if pair.nugget == 3) == pytest.approx(np.pi * 2.5**2, rel=0.05)
-    assert sum(pair.area for pair in pairs) == pytest.approx(400)
+    assert total(pairs) == pytest.approx(400)
 
 
 @pytest.mark.slow
 def test_no_candidate_patch_crosses_the_rim_of_a_pad():
     """Two concentric pads, and one that only touches the zone and has no rim there."""
-    bodies = Side(plane(0, n=16), 1.0), Side(plane(1, n=15), 1.0)
+    bodies = flats(16, 15)
     centre = np.array([9.0, 10.5, 0.5])
     pads = [PressedPoint(centre, 5.0), PressedPoint(centre, 3.5), PressedPoint(np.array([-4.9, 10.0, 0.5]), 5.0)]
-    pairs = find_pairs(zone(pairs=None, spacing=3.0), *bodies, pressed=pads)
+    pairs = find_pairs(zone(pairs=None, spacing=5.0), *bodies, pressed=pads)
     inside = {radius: 0.0 for radius in (5.0, 3.5)}
     for pair in pairs:
-        x = bodies[0].surface.at(pair.patches[0].triangle, pair.patches[0].barycentric)
+        x = read(pair, bodies)
         for radius in inside:
             within = np.linalg.norm(x[:, :2] - centre[:2], axis=1) <= radius + 1e-5
             assert within.all() or not within.any()
             inside[radius] += pair.area * within.all()
     for radius, area in inside.items():
         assert area == pytest.approx(np.pi * radius**2, rel=0.05)
-    assert sum(pair.area for pair in pairs) == pytest.approx(400)
-    alone = find_pairs(zone(pairs=None, spacing=3.0), *bodies, pressed=pads[:2])
+    assert total(pairs) == pytest.approx(400)
+    alone = find_pairs(zone(pairs=None, spacing=5.0), *bodies, pressed=pads[:2])
     assert len(alone) == len(pairs)
 
 
 @pytest.mark.slow
 def test_a_rest_beneath_a_pad_bounds_patches_but_not_the_spacing():
     """A small rest has as many candidates as its share of the pad; how near all others stand the clamp decides."""
-    bodies = Side(plane(0, n=16), 1.0), Side(plane(1, n=15), 1.0)
+    bodies = flats(16, 15)
     centre = np.array([9.0, 10.5, 0.5])
     clamp, rest = PressedPoint(centre, 5.0), PressedPoint(centre, 3.5, backed_radius=5.0)
     pairs = find_pairs(zone(pairs=None), *bodies, pressed=[clamp, rest])
     area = 0.0
     for pair in pairs:
-        x = bodies[0].surface.at(pair.patches[0].triangle, pair.patches[0].barycentric)
+        x = read(pair, bodies)
         for radius in (3.5, 5.0):
             within = np.linalg.norm(x[:, :2] - centre[:2], axis=1) <= radius + 1e-5
             assert within.all() or not within.any()
@@ -337,14 +346,13 @@ def test_a_rest_beneath_a_pad_bounds_patches_but_not_the_spacing():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("keys", [{}, {"spacing": 4.0}])
-def test_a_spacing_factor_applies_under_pads_and_elsewhere(keys):
+def test_a_spacing_factor_applies_under_pads_and_elsewhere():
     """Half the distance, four times as many in either place."""
-    bodies = Side(plane(0, n=16), 1.0), Side(plane(1, n=15), 1.0)
+    bodies = flats(16, 15)
     clamp = PressedPoint(np.array([9.0, 10.5, 0.5]), 5.0)
     apart, under = [], []
     for factor in (1.0, 0.5):
-        asked = zone(pairs=None, spacing_factor=factor, **keys)
+        asked = zone(pairs=None, spacing_factor=factor)
         pairs = find_pairs(asked, *bodies, pressed=[clamp])
         own = [np.linalg.norm((pair.point - clamp.point)[:2]) < 4.9 for pair in pairs]
         apart.append(candidate_spacing(asked, *bodies, pressed=[clamp]))
@@ -354,7 +362,7 @@ def test_a_spacing_factor_applies_under_pads_and_elsewhere(keys):
 
 
 def test_an_invalid_spacing_factor_is_refused():
-    bodies = Side(plane(0, n=16), 1.0), Side(plane(1, n=15), 1.0)
+    bodies = flats(16, 15)
     with pytest.raises(ValueError, match=r"spacing = \S+ mm times spacing_factor = 0\.05 .*finer than the elements"):
         candidate_spacing(zone(pairs=None, spacing_factor=0.05), *bodies)
     with pytest.raises(ValueError, match="spacing_factor applies to candidates"):
@@ -380,15 +388,14 @@ def test_normals_along_a_bend_follow_the_arc_and_not_the_facets():
     below = bend(turn, 3.5)
     above = Surface(below.points + below.vertex_normals, below.triangles)
     for bodies in ((Side(below, 1.0), Side(above, 1.0)), (Side(above, 1.0), Side(below, 1.0))):
-        for spacing in (3.0, 2.0):
-            seen = []
-            for pair in find_pairs(zone(pairs=None, spacing=spacing), *bodies):
-                y, z = pair.point[1:]
-                direction = pair.frame[1:, 0] * np.sign(pair.frame[2, 0] - pair.frame[1, 0])
-                exact, found = np.arctan2(y - 10.0, 8.0 - z), np.arctan2(-direction[0], direction[1])
-                if turn < exact < 3 * turn:  # the two facets in the middle
-                    seen.append(np.degrees(abs(found - exact)))
-            assert len(seen) > 10 and max(seen) < 2.0
+        seen = []
+        for pair in find_pairs(zone(pairs=None, spacing=3.0), *bodies):
+            y, z = pair.point[1:]
+            direction = pair.frame[1:, 0] * np.sign(pair.frame[2, 0] - pair.frame[1, 0])
+            exact, found = np.arctan2(y - 10.0, 8.0 - z), np.arctan2(-direction[0], direction[1])
+            if turn < exact < 3 * turn:  # the two facets in the middle
+                seen.append(np.degrees(abs(found - exact)))
+        assert len(seen) > 10 and max(seen) < 2.0
 
 
 def test_node_pairs_use_every_node_of_both_sheets():
@@ -421,13 +428,12 @@ def test_a_node_on_a_fold_has_the_normal_of_the_flange(angle, bent_first, beyond
     surface, line = bodies[ending].surface, [5.0 + (beyond or 0.0), 1.0 if beyond is None else 0.0]
     fold = np.flatnonzero(np.abs(surface.points[:, 1:] - line).max(1) < 1e-9)
     flange = np.ptp(surface.corners[:, :, 2], axis=1) < 1e-9
-    thirds = np.bincount(
-        surface.triangles[flange].ravel(), np.repeat(surface.areas[flange] / 3, 3), len(surface.points)
-    )
-    read = np.array([surface.at(p.triangle, p.barycentric)[0] for p in (pair.patches[ending] for pair in pairs)])
+    third = np.repeat(surface.areas[flange] / 3, 3)
+    thirds = np.bincount(surface.triangles[flange].ravel(), third, len(surface.points))
+    points = np.array([read(pair, bodies, ending)[0] for pair in pairs])
     own = np.array([pair.patches[ending].barycentric.max() > 1 - 1e-9 for pair in pairs])  # other nodes read within
     for k in fold:  # half of its area of the flange, since both sheets have nodes, and none of the wall's
-        at = own & (np.linalg.norm(read - surface.points[k], axis=1) < 1e-9)
+        at = own & (np.linalg.norm(points - surface.points[k], axis=1) < 1e-9)
         assert any(pairs[i].area == pytest.approx(thirds[k] / 2) for i in np.flatnonzero(at))
 
 
@@ -460,19 +466,12 @@ def test_coincident_nodes_are_merged_on_each_side_of_a_sheet_in_a_slot(within_fi
 
 
 def test_a_round_pad_ends_at_its_circle_on_any_mesh():
-    plate = plane(0, n=16)
+    plate = Side(plane(0, n=16), 1.0)
     found = []
-    for turn in np.radians([0, 3, 17]):
-        angle = np.linspace(0, 2 * np.pi, 13)[:-1] + turn
-        rim = 6.0 / np.cos(np.pi / 12) * np.column_stack([np.cos(angle), np.sin(angle), 0 * angle])
-        points = np.vstack([np.zeros(3), rim]) + [9.0, 10.5, -0.6]
-        i = np.arange(12)
-        pad = Surface(points, np.column_stack([0 * i, 1 + i, 1 + (i + 1) % 12]))
-        side = Side(pad, disc=((9.0, 10.5, -0.6), 6.0))
-        found.append(find_pairs(zone(pairs=5), side, Side(plate, 1.0)))
+    for turn in np.radians([0, 17]):
+        found.append(find_pairs(zone(pairs=5), pad((9.0, 10.5, -0.6), 6.0, 12, turn), plate))
         assert sum(pair.area for pair in found[-1]) == pytest.approx(np.pi * 36, rel=0.01)
-    for pairs in found[1:]:
-        np.testing.assert_allclose([p.point for p in pairs], [p.point for p in found[0]], atol=1e-9)
+    np.testing.assert_allclose(*([pair.point for pair in pairs] for pairs in found), atol=1e-9)
 
 
 def test_the_border_of_a_region_belongs_to_it():
@@ -489,7 +488,7 @@ def test_the_border_of_a_region_belongs_to_it():
 
 def test_landmarks_choose_between_equal_pairs():
     """The square and its mesh are the same after half a turn: so are the pairs, where the landmarks turn as well."""
-    bodies = Side(plane(0), 1.0), Side(plane(1), 1.0)
+    bodies = flats(8, 8)
     middle, half_turn = np.array([10, 10, 0]), np.diag([-1, -1, 1])
     landmarks = np.array([[0, 0, 0], [20, 0, 0], [20, 20, 0]])
     first = np.array([pair.point for pair in find_pairs(zone(pairs=3), *bodies, landmarks)])
@@ -505,7 +504,7 @@ def test_coincident_points_share_their_area(apart):
     once = find_pairs(zone(pairs=None, points=[(4, 10, 0), (16, 10, 0)]), *bodies)
     often = find_pairs(zone(pairs=None, points=[(4, 10, 0), (16, 10, 0), (4 + apart, 10, 0), (4, 10, 0)]), *bodies)
     assert often[1].area == pytest.approx(once[1].area)
-    assert sum(pair.area for pair in often) == pytest.approx(400)
+    assert total(often) == pytest.approx(400)
     shared = [often[i].area for i in (0, 2, 3)]
     assert min(shared) > 0 and sum(shared) == pytest.approx(once[0].area)
     for i in (0, 2, 3):
@@ -514,15 +513,12 @@ def test_coincident_points_share_their_area(apart):
 
 
 def test_both_patches_of_a_pair_cover_the_same_points():
-    first, second = plane(0), plane(1.0, n=5, x0=6.0)  # overhang on both sides
-    pairs = find_pairs(zone(pairs=6), Side(first, 1.0), Side(second, 1.0))
+    bodies = Side(plane(0), 1.0), Side(plane(1.0, n=5, x0=6.0), 1.0)  # overhang on both sides
+    pairs = find_pairs(zone(pairs=6), *bodies)
     for pair in pairs:
-        centre = [
-            surface.at(patch.triangle, patch.barycentric).T @ patch.weight
-            for surface, patch in zip((first, second), pair.patches)
-        ]
+        centre = [patch.weight @ read(pair, bodies, which) for which, patch in enumerate(pair.patches)]
         np.testing.assert_allclose(centre[1] - centre[0], [0, 0, 1.0], atol=1e-9)
-    assert sum(pair.area for pair in pairs) == pytest.approx(14 * 20, rel=0.06)
+    assert total(pairs) == pytest.approx(14 * 20, rel=0.06)
 
 
 def test_distance_angle_and_region_limit_the_pairs():
@@ -547,38 +543,36 @@ def test_a_rigid_pad_and_a_sheet_have_the_right_gap():
 
 
 def test_a_patch_radius_bounds_patches_but_not_areas():
-    first, second = plane(0), plane(1.0, n=7)
-    pairs = find_pairs(
-        zone(pairs=None, points=[(5, 5, 0), (15, 12, 0)], patch=3.0), Side(first, 1.0), Side(second, 1.0)
-    )
-    assert sum(pair.area for pair in pairs) == pytest.approx(400)
+    bodies = flats(8, 7)
+    pairs = find_pairs(zone(pairs=None, points=[(5, 5, 0), (15, 12, 0)], patch=3.0), *bodies)
+    assert total(pairs) == pytest.approx(400)
     for pair in pairs:
-        for surface, patch in zip((first, second), pair.patches):
-            r = np.linalg.norm(surface.at(patch.triangle, patch.barycentric)[:, :2] - pair.point[:2], axis=1)
+        for which, patch in enumerate(pair.patches):
+            r = np.linalg.norm((read(pair, bodies, which) - pair.point)[:, :2], axis=1)
             assert r.max() < 3.2 and patch.weight @ r**2 == pytest.approx(4.5, rel=0.1)  # a disc's mean r²
 
 
 def test_every_point_belongs_to_the_nearest_pair():
     """Cells of a centroidal Voronoi tessellation, to half a step of the sampling."""
-    bodies = Side(plane(0), 1.0), Side(plane(1), 1.0)
+    bodies = flats(8, 8)
     pairs = find_pairs(zone(pairs=17), *bodies)
     middle = np.array([pair.point for pair in pairs])
     for pair in pairs:
-        x = bodies[0].surface.at(pair.patches[0].triangle, pair.patches[0].barycentric)
+        x = read(pair, bodies)
         away = np.linalg.norm(x[:, None] - middle, axis=2).min(axis=1)
         assert (np.linalg.norm(x - pair.point, axis=1) <= away + 0.4).all()
 
 
 def test_spacing_given_points_and_nodal_patches_give_the_expected_pairs():
-    bodies = Side(plane(0), 1.0), Side(plane(1), 1.0)
+    bodies = flats(8, 8)
     candidates = find_pairs(zone(pairs=None, spacing=5.0), *bodies)
     assert len(candidates) == 80 / 5 + (400 - 80 * 5 / 2) / 25  # along the edges, and within
-    assert sum(pair.area for pair in candidates) == pytest.approx(400)
+    assert total(candidates) == pytest.approx(400)
     wanted = [(5, 5, 0), (15, 5, 0), (10, 15, 0)]
     pairs = find_pairs(zone(pairs=None, points=wanted), *bodies)
     nodal = find_pairs(zone(pairs=None, points=wanted, patch=0.0), *bodies)
     assert [len(pair.patches[0].weight) for pair in nodal] == [1, 1, 1]
-    assert len(pairs) == 3 and sum(pair.area for pair in pairs) == pytest.approx(400)
+    assert len(pairs) == 3 and total(pairs) == pytest.approx(400)
     with pytest.raises(ValueError, match=r"points\[1\]"):
         find_pairs(zone(pairs=None, points=[(5, 5, 0), (55, 5, 0)]), *bodies)
 
@@ -589,13 +583,12 @@ def cylinder(radius, degrees, elements, size, flat=0.0):
     profile = radius * np.column_stack([np.sin(angle), 1 - np.cos(angle)])
     if flat:
         profile = np.vstack([[-flat, 0.0], profile])
-    points, triangles, normals = extrude(profile, 0.0, 30.0, size)
+    points, triangles, normals = extrude(profile, 0.0, 12.0, size)
     corner = points[triangles]
     about = np.where(corner[..., 1:2] > 0, [0.0, 0.0, radius] - corner * [0, 1, 1], [0.0, 0.0, 1.0])
     return Surface(points, triangles, about * np.sign((about * normals).sum(2, keepdims=True)))
 
 
-@pytest.mark.slow
 def test_the_spacing_on_bends_follows_curvature_and_mesh():
     """√(R t) of the inner sheet, of 7 mm in 2 mm; on two facets of 5.4 mm across nothing nearer than these is read."""
 
@@ -604,7 +597,7 @@ def test_the_spacing_on_bends_follows_curvature_and_mesh():
         outer = Surface(outer.points - [0, 0, 2.0], outer.triangles, outer.given_normals)
         return candidate_spacing(zone(pairs=None), Side(inner, 2.0), Side(outer, 2.0)), outer
 
-    assert spacing(7.0, 90, 12, 1.0)[0] == pytest.approx(1.3 * np.sqrt(7 * 2.0), rel=0.01)
+    assert spacing(7.0, 90, 12, 2.0)[0] == pytest.approx(1.3 * np.sqrt(7 * 2.0), rel=0.01)
     coarse, outer = spacing(7.0, 90, 2, 6.0)
     assert coarse == pytest.approx(0.85 * np.median(outer.edge_lengths))
     assert spacing(400.0, 10, 12, 4.0)[0] == pytest.approx(8.0)  # bent gently: four thicknesses, as if flat

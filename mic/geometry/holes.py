@@ -84,5 +84,6 @@ def _hole(surface: Surface, triangle, opposite, ends) -> Hole | None:
     )
     longest = int(np.argmax(extents))
     size = float(extents[longest]), float(widths[longest])
-    *place, share = surface.sample_edges(triangle, opposite, float(length.max()))
-    return Hole(centre, axes[2], size, float(np.abs(corners @ axes[2]).max()), Patch(*place, share / share.sum()))
+    own, barycentric, share = surface.sample_edges(triangle, opposite, float(length.max()))
+    rim = Patch(own, barycentric, share / share.sum())
+    return Hole(centre, axes[2], size, float(np.abs(corners @ axes[2]).max()), rim)

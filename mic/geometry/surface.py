@@ -205,7 +205,8 @@ class Surface:
         total = np.column_stack([np.bincount(edge.ravel(), normals[:, i], len(count)) for i in range(3)])
         # The sum of two unit normals at an angle φ has length 2 cos(φ/2).
         smooth = (count == 2) & (np.linalg.norm(total, axis=1) >= 2 * np.cos(max_angle / 2) - EQUAL)
-        return np.nonzero(~smooth[edge])
+        triangle, opposite = np.nonzero(~smooth[edge])
+        return triangle, opposite
 
     def ends(self, triangle, opposite) -> np.ndarray:
         """(e, 2) vertices of edges as `edges` returns them, in the orientation of their triangles."""

@@ -103,7 +103,7 @@ class Bodies:
     @property
     def thinner(self) -> float:
         """Smallest thickness of the deformable bodies, mm."""
-        return min(body.thickness for body in (self.sampled, self.other) if not body.rigid)
+        return min(body.thickness for body in (self.sampled, self.other) if body.thickness is not None)
 
     @property
     def reach(self) -> float:
@@ -118,7 +118,7 @@ class Bodies:
         """(n,) gaps between the facing surfaces, mm."""
         return cloud.distance - self.sampled.half_thickness - self.other.half_thickness
 
-    def pair(self, cloud: FacingPoints, area: float) -> ContactPair:
+    def pair(self, cloud, area):
         """Contact pair of a cell; t1 and t2 of its frame are not set.
 
         Raises

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -39,7 +39,7 @@ def take(lines: Iterator[str], problem: str) -> str:
     return line
 
 
-def axes_of(points: np.ndarray, name: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def axes_of(points: Sequence[np.ndarray] | np.ndarray, name: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Axes of a coordinate system given by its origin, a point on its main axis and a point in a plane with that.
 
     Returns the main axis, the one that completes it in the plane, and the normal of the plane: x, y and z if the main

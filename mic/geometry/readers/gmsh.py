@@ -135,12 +135,12 @@ class _Numbers:
 
     def take(self, count: int, kind: type = np.int32) -> list:
         """The next numbers, of a kind that decides their size in a binary section."""
-        kind, start = np.dtype(kind), self.at
-        self.at += count * (kind.itemsize if self.binary else 1)
+        start = self.at
+        self.at += count * (np.dtype(kind).itemsize if self.binary else 1)
         if self.at > len(self.content):
             raise ValueError("the section of entities is cut short; export the file again")
         piece = self.content[start : self.at]
-        return (np.frombuffer(piece, kind) if self.binary else np.array(piece).astype(kind)).tolist()
+        return (np.frombuffer(piece, kind) if isinstance(piece, bytes) else np.array(piece).astype(kind)).tolist()
 
     def sizes(self, count: int = 1) -> list[int]:
         """The next counts."""
