@@ -20,6 +20,7 @@ from verification.scenes import FEW
 
 ROOT = Path(__file__).resolve().parents[1]
 LAP = ROOT / "meshes" / "lap_joint"
+COARSE = ('size = "medium"', 'size = "coarse"')  # an edit of its first part of medium size
 
 
 @pytest.fixture(autouse=True)
@@ -154,8 +155,7 @@ def test_check_prints_the_process_step_by_step_with_notes(output, tmp_path, lap_
 
 @pytest.mark.parametrize("order", ["check", "run", "order"])
 def test_a_process_that_frees_a_part_is_refused_before_long_work(call, order, tmp_path, monkeypatch):
-    medium = ('size = "medium"', 'size = "coarse"')
-    scene = lap_with(tmp_path, ('keep = ["lower-A1", "lower-A2",', "keep = ["), medium, medium)
+    scene = lap_with(tmp_path, ('keep = ["lower-A1", "lower-A2",', "keep = ["), COARSE, COARSE)
 
     def compute(*_):
         raise AssertionError("influence coefficients were asked for")
@@ -177,7 +177,7 @@ def test_an_error_is_one_line_and_the_exit_status_is_two(tmp_path):
 
 def test_a_folder_without_a_run_and_an_unknown_element_are_refused(call, tmp_path):
     assert "holds no run" in str(call("report", tmp_path).exception)
-    lap_with(tmp_path, ("name = ", 'element = "springs"\nname = '))
+    lap_with(tmp_path, ("name = ", 'element = "springs"\nname = '), COARSE, COARSE)
     error = str(call("check", tmp_path).exception)
     assert "element: there is none called 'springs'; known: " in error and "dkt-opt" in error
 

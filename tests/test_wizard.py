@@ -24,7 +24,7 @@ from mic.wizard import write_scene
 def hat(z, width=90.0, foot=22.0, rise=20.0, x=0.0):
     """A hat profile along y, its feet at height z."""
     profile = [(0, 0), (foot, 0), (foot + 5, rise), (width - foot - 5, rise), (width - foot, 0), (width, 0)]
-    return extruded([(x + a, z + b) for a, b in profile], 0, 80, 10)
+    return extruded([(x + a, z + b) for a, b in profile], 0, 60, 10)
 
 
 def turned(sheet):
@@ -48,104 +48,88 @@ def triangles(sheet):
     return points, np.concatenate([cells[:, [0, 1, 2]], cells[:, [0, 2, 3]]])
 
 
-PLATE = grid(90, 80, 10)
-STACK = {"BASE": grid(120, 80, 11), "HAT": hat(1.0, x=5), "CAP": grid(60, 80, 11, z=22.0, x=25)}
+PLATE = grid(90, 60, 10)
+STACK = {"BASE": grid(120, 60, 11), "HAT": hat(1.0, x=5), "CAP": grid(60, 60, 11, z=22.0, x=25)}
 
-#: Decks by what is special about them: {file: sheets}, zones, whether all parts are welded together, keys of the deck.
+FLAT = {"a": {"A": grid(80, 50, 7)}, "b": {"B": grid(80, 50, 6, z=1, x=50)}}
+
+#: Decks by what is special about them: {file: sheets}, number of zones, keys of the decks.
 SHAPES = {
-    "hat on a plate": ({"plate": {"P": PLATE}, "hat": {"H": hat(1.0)}}, 1, True, {}),
-    "drawn on the faying surface": ({"plate": {"P": PLATE}, "hat": {"H": hat(0.0)}}, 1, True, {}),
-    "drawn on it, normals opposed": ({"plate": {"P": upside_down(PLATE)}, "hat": {"H": hat(0.0)}}, 1, True, {}),
-    "drawn into each other": ({"a": {"A": grid(80, 50, 7)}, "b": {"B": grid(80, 50, 6, z=0.6, x=50)}}, 1, True, {}),
+    "drawn on the faying surface": ({"plate": {"P": PLATE}, "hat": {"H": hat(0.0)}}, 1, {}),
+    "drawn on it, normals opposed": ({"hat": {"H": hat(0.0)}, "plate": {"P": upside_down(PLATE)}}, 1, {}),
+    "drawn into each other": ({"a": {"A": grid(80, 50, 7)}, "b": {"B": grid(80, 50, 6, z=0.6, x=50)}}, 1, {}),
     "askew, in triangles": (
         {
             "plate": {"P": turned(triangles(PLATE))},
-            "angle": {"A": turned(extruded([(10, 1), (50, 1), (50, 40)], 0, 80, 11))},
+            "angle": {"A": turned(extruded([(10, 1), (50, 1), (50, 40)], 0, 60, 11))},
         },
         1,
-        True,
         {},
     ),
-    "three in one deck": ({"three": STACK}, 2, True, {"sections": {"BASE": 0.8, "HAT": 1.2, "CAP": 1.0}}),
+    "three in one deck": ({"three": STACK}, 2, {"sections": {"BASE": 0.8, "HAT": 1.2, "CAP": 1.0}}),
     "curved": (
-        {"a": {"A": extruded(arc(150, 60, 120, 7), 0, 80, 10)}, "b": {"B": extruded(arc(151, 50, 85, 8), 0, 80, 11)}},
+        {"a": {"A": extruded(arc(150, 60, 120, 7), 0, 60, 10)}, "b": {"B": extruded(arc(151, 50, 85, 8), 0, 60, 11)}},
         1,
-        True,
         {},
     ),
     "walls": (
         {
-            "channel": {"C": extruded([(0, 40), (0, 0), (60, 0), (60, 40)], 0, 100, 11)},
-            "wall": {"W": extruded([(61, 5), (61, 60)], 0, 100, 11)},
+            "channel": {"C": extruded([(0, 40), (0, 0), (60, 0), (60, 40)], 0, 80, 13)},
+            "wall": {"W": extruded([(61, 5), (61, 60)], 0, 80, 13)},
         },
         1,
-        True,
         {},
     ),
-    "holes": ({"drilled": {"D": drilled(120, 60, 6)}, "plate": {"P": grid(60, 60, 6, z=1, x=90)}}, 1, True, {}),
-    "in metres": (
-        {"a": {"A": grid(80, 50, 7)}, "b": {"B": grid(80, 50, 6, z=1, x=50)}},
-        1,
-        True,
-        {"scale": 1e-3, "sections": {"A": 1.0, "B": 1.0}},
-    ),
-    "one that touches nothing": (
-        {
-            "a": {"A": grid(80, 50, 7)},
-            "b": {"B": grid(80, 50, 6, z=1, x=50)},
-            "far": {"F": grid(60, 40, 8, z=9, x=300)},
-        },
-        1,
-        False,
-        {},
-    ),
-    "one part alone": ({"hat": {"H": hat(0.0)}}, 0, False, {}),
+    "holes": ({"drilled": {"D": drilled(120, 60, 6)}, "plate": {"P": grid(60, 60, 6, z=1, x=90)}}, 1, {}),
+    "in metres": (FLAT, 1, {"scale": 1e-3, "sections": {"A": 1.0, "B": 1.0}}),
+    "one that touches nothing": (FLAT | {"far": {"F": grid(60, 40, 8, z=9, x=300)}}, 1, {}),
+    "one part alone": ({"hat": {"H": hat(0.0)}}, 0, {}),
 }
 
 
-def propose(case, folder):
-    """The scene's folder and the proposal of a case."""
-    sheets, _, _, keys = SHAPES[case]
-    files = []
-    for name, own in sheets.items():
-        sections = {part: t for part, t in keys.get("sections", {}).items() if part in own}
-        files.append(
-            write_deck(folder / f"{name}.inp", own, sections=sections, scale=keys.get("scale", 1.0), first=101)
-        )
-    return write_scene(files, folder / "scene", {None: 1.0})
+def propose(sheets, folder, *lists, **keys):
+    """The scene's folder and the proposal for decks of these sheets, by file, or one sheet each."""
+    sections, files = keys.pop("sections", {}), []
+    folder.mkdir(exist_ok=True)
+    for name, sheet in sheets.items():
+        parts = sheet if isinstance(sheet, dict) else {"S": sheet}
+        own = {part: t for part, t in sections.items() if part in parts}
+        files.append(write_deck(folder / f"{name}.inp", parts, sections=own, first=101, **keys))
+    return write_scene(files, folder / "scene", {None: 1.0}, *lists)
 
 
 @pytest.fixture(scope="module")
 def proposed(tmp_path_factory):
-    """The scene's folder and the proposal of a case, made once; what is assembled of it is kept in ``kept`` beside."""
-    return cache(lambda case: propose(case, tmp_path_factory.mktemp("proposed")))
+    """The scene's folder and the proposal of a case, and its assembly, made once."""
 
+    @cache
+    def made(case):
+        sheets, _, keys = SHAPES[case]
+        folder, proposal = propose(sheets, tmp_path_factory.mktemp("proposed"), **keys)
+        return folder, proposal, assemble(load_scene(folder), folder.parent / "cache")
 
-def kept(folder):
-    return folder.parent / "kept"
+    return made
 
 
 @pytest.mark.parametrize("case", SHAPES)
 @pytest.mark.slow
 def test_a_proposed_scene_locates_its_parts_well(proposed, case):
     """It loads, stands on its meshes, has the zones that there are, and no motion of a part is nearly free."""
-    _, zones, welded, _ = SHAPES[case]
-    folder, proposal = proposed(case)
-    assembly = assemble(load_scene(folder), kept(folder))
-    scene = assembly.scene
+    _, proposal, assembly = proposed(case)
+    scene, zones = assembly.scene, SHAPES[case][1]
     assert [str(one) for one in find_warnings(scene, assembly) if "is in no zone and in no weld" not in str(one)] == []
     assert len(scene.zones) == zones
-    assert min(proposal.conditioned.values()) > 0.1
     for part in scene.parts:
         own = [one for one in scene.locators if one.part == part.name and one.stage == "locate"]
         x, d = np.array([one.point for one in own]), np.array([one.direction for one in own])
         arms = (x - x.mean(0)) / (np.linalg.norm(np.ptp(x, axis=0)) / 2)
         values = np.linalg.svd(np.column_stack([d, np.cross(arms, d)]), compute_uv=False)
         assert len(own) == 6 and values[5] / values[0] > 0.1
+        assert proposal.conditioned[part.name] > 0.1
     for zone in scene.zones:
         joined = [weld for weld in scene.welds if set(weld.parts) == set(zone.parts)]
         assert len(joined) >= 2 and any(clamp.part in zone.parts for clamp in scene.clamps)
-    assert (len(proposal.base) == 1) == (welded or len(scene.parts) == 1)
+    assert (len(proposal.base) == 1) == (case != "one that touches nothing")  # else one that holds all
     assert len(scene.measurements) == 4 * len(scene.parts)
     if zones:
         gap = assembly.contacts.gap
@@ -154,11 +138,11 @@ def test_a_proposed_scene_locates_its_parts_well(proposed, case):
 
 @pytest.mark.fem
 @pytest.mark.slow
-@pytest.mark.parametrize("case", ["three in one deck", "holes", "in metres", "one that touches nothing"])
+@pytest.mark.parametrize("case", ["holes", "in metres", "one that touches nothing"])
 def test_a_proposed_scene_runs_and_its_characteristics_vary(proposed, case):
     """No sample fails, and every key characteristic varies, by less than the part is large."""
-    folder, proposal = proposed(case)
-    model = mic.reduce(load_scene(folder), kept(folder))
+    folder, _, assembly = proposed(case)
+    model = mic.reduce(load_scene(folder), folder.parent / "cache")
     found = model.evaluate(draw(model.scene, 1, 0, 4))
     for stage, resolution in found.resolutions.items():
         assert (resolution.residual < 1e-8).all(), f"{stage}: {resolution.residual}"
@@ -166,29 +150,25 @@ def test_a_proposed_scene_runs_and_its_characteristics_vary(proposed, case):
     assert (found.measurements.std(axis=0) > 1e-5).all() and np.abs(found.measurements).max() < 10
 
 
+@pytest.mark.parametrize("case", ["drawn on the faying surface", "drawn on it, normals opposed"])
 @pytest.mark.slow
-def test_sheets_drawn_upon_each_other_are_put_side_by_side(tmp_path):
+def test_sheets_drawn_upon_each_other_are_put_side_by_side(proposed, case):
     """The hat rises above the plate: its sheet lies above the drawn surface, the plate's below, whoever is named first
     and whichever way the normals look."""
-    for name, plate, order in (("one", PLATE, 1), ("two", upside_down(PLATE), -1)):
-        (tmp_path / name).mkdir()
-        sheets = (("plate", plate), ("hat", hat(0.0)))
-        files = [write_deck(tmp_path / name / f"{n}.inp", {"S": sheet}) for n, sheet in sheets][::order]
-        scene, proposal = write_scene(files, tmp_path / name / "scene", {None: 1.0})
-        assert "side by side" in proposal.sentences[0] and "guess" not in proposal.sentences[0]
-        parts = {part.name: part for part in assemble(load_scene(scene), tmp_path / "cache").parts}
-        assert parts["plate"].surface.points[:, 2] == pytest.approx(-0.5)
-        assert parts["hat"].surface.points[:, 2].min() == pytest.approx(0.5)
+    _, proposal, assembly = proposed(case)
+    assert "side by side" in proposal.sentences[0] and "guess" not in proposal.sentences[0]
+    parts = {part.name: part for part in assembly.parts}
+    assert parts["plate"].surface.points[:, 2] == pytest.approx(-0.5)
+    assert parts["hat"].surface.points[:, 2].min() == pytest.approx(0.5)
 
 
 def test_an_ambiguous_drawing_side_is_called_a_guess(tmp_path):
-    files = [write_deck(tmp_path / f"{n}.inp", {"S": grid(80, 50, 7, x=x)}) for n, x in (("a", 0), ("b", 40))]
-    _, proposal = write_scene(files, tmp_path / "scene", {None: 1.0})
+    _, proposal = propose({"a": grid(80, 50, 7), "b": grid(80, 50, 7, x=40)}, tmp_path)
     assert "guess" in proposal.sentences[0]
 
 
 def test_sheets_drawn_into_each_other_say_how_deep(proposed):
-    folder, _ = proposed("drawn into each other")
+    folder = proposed("drawn into each other")[0]
     text = (folder / "scene.toml").read_text()
     assert "largest drawn overlap is 0.40 mm" in text
     assert load_scene(folder).zones[0].nominal_overlap == pytest.approx(0.45)
@@ -196,8 +176,7 @@ def test_sheets_drawn_into_each_other_say_how_deep(proposed):
 
 def test_a_flat_sheet_is_held_by_three_two_and_one(proposed):
     """Three across the sheet, two across its length, far apart, one along it."""
-    folder, _ = proposed("in metres")
-    own = [one for one in assemble(load_scene(folder), kept(folder)).scene.locators if one.part == "a"]
+    own = [one for one in proposed("in metres")[2].scene.locators if one.part == "a"]
     assert [one.name for one in own][:6] == [f"a-{label}" for label in ("A1", "A2", "A3", "B1", "B2", "C1")]
     assert np.abs([one.direction for one in own[:6]]) == pytest.approx(
         np.array([[0, 0, 1]] * 3 + [[0, 1, 0]] * 2 + [[1, 0, 0]])
@@ -208,10 +187,8 @@ def test_a_flat_sheet_is_held_by_three_two_and_one(proposed):
 
 def test_pins_go_through_holes(proposed):
     """One both ways, the other across the line between them; they read the rims."""
-    folder, _ = proposed("holes")
-    scene = assemble(load_scene(folder), kept(folder)).scene
-    pins = [one for one in scene.locators if one.hole is not None]
-    assert [one.name for one in pins] == ["drilled-B1", "drilled-C1", "drilled-B2"] or len(pins) == 3
+    pins = [one for one in proposed("holes")[2].scene.locators if one.hole is not None]
+    assert len(pins) == 3
     assert {one.part for one in pins} == {"drilled"}
     assert sorted({tuple(np.round(one.point, 3)) for one in pins}) == [(30, 30, 0), (90, 30, 0)]
     across = [one for one in pins if np.abs(one.direction) == pytest.approx([0, 1, 0])]
@@ -219,13 +196,13 @@ def test_pins_go_through_holes(proposed):
 
 
 def test_sets_of_one_deck_are_parts_with_the_thickness_of_the_deck(proposed):
-    folder, _ = proposed("three in one deck")
+    folder = proposed("three in one deck")[0]
     written = tomllib.loads((folder / "scene.toml").read_text())["parts"]
     assert [(part["set"], part["thickness"]) for part in written] == [("BASE", 0.8), ("HAT", 1.2), ("CAP", 1.0)]
 
 
 def test_metres_are_detected_and_written_into_the_scene(proposed):
-    folder, proposal = proposed("in metres")
+    folder, proposal, _ = proposed("in metres")
     scene = load_scene(folder)
     assert "taken for metres" in proposal.sentences[0]
     assert [(part.unit, part.thickness, part.young) for part in scene.parts] == [("m", 1.0, 210e3)] * 2
@@ -233,7 +210,7 @@ def test_metres_are_detected_and_written_into_the_scene(proposed):
 
 
 def test_a_part_that_touches_nothing_is_reported_and_stays_located(proposed):
-    folder, proposal = proposed("one that touches nothing")
+    folder, proposal, _ = proposed("one that touches nothing")
     assert [sentence for sentence in proposal.sentences if "far" in sentence] == [
         "far has no lap with another part; the nearest is b, 170 mm away"
     ]
@@ -241,10 +218,10 @@ def test_a_part_that_touches_nothing_is_reported_and_stays_located(proposed):
     assert len([name for name in keep if name.startswith("far-")]) == 6 and len(keep) == 12
 
 
-@pytest.mark.parametrize("case", ["hat on a plate", "three in one deck"])
+@pytest.mark.parametrize("case", ["drawn on the faying surface", "three in one deck"])
 def test_every_key_is_explained_where_it_first_stands(proposed, case):
     """A comment on its line or on the line above, by table and key."""
-    folder, _ = proposed(case)
+    folder = proposed(case)[0]
     seen, table, before, head = set(), "", "", False
     for line in (folder / "scene.toml").read_text().splitlines():
         if line.startswith("["):
@@ -275,31 +252,27 @@ def test_a_missing_thickness_is_refused_with_the_option_to_give(tmp_path):
 def test_a_part_in_pieces_that_nothing_names_is_refused(tmp_path):
     a, cells = grid(40, 30, 7)
     both = np.concatenate([a, a + [0, 0, 1]]), np.concatenate([cells, cells + len(a)])
-    file = write_deck(tmp_path / "two.inp", {"S": both})
     with pytest.raises(mic.SceneError, match="two.inp: part 'two' consists of 2 separate pieces"):
-        write_scene([file], tmp_path / "scene", {None: 1.0})
+        propose({"two": both}, tmp_path)
 
 
 def test_an_existing_scene_is_not_overwritten(tmp_path):
-    folder, _ = propose("one part alone", tmp_path)
-    (folder / "scene.toml").write_text("mine")
+    (tmp_path / "scene").mkdir()
+    (tmp_path / "scene" / "scene.toml").write_text("mine")
     with pytest.raises(mic.RunError, match="contains a scene already"):
-        write_scene([tmp_path / "hat.inp"], folder, {None: 1.0})
-    assert (folder / "scene.toml").read_text() == "mine"
+        propose({"a": grid(80, 50, 7)}, tmp_path)
+    assert (tmp_path / "scene" / "scene.toml").read_text() == "mine"
 
 
 def laid(tmp_path):
-    return [
-        write_deck(tmp_path / f"{n}.inp", {"S": sheet})
-        for n, sheet in (("a", grid(80, 50, 7)), ("b", grid(80, 50, 6, z=1.0, x=50)))
-    ]
+    return [write_deck(tmp_path / f"{name}.inp", sheets) for name, sheets in FLAT.items()]
 
 
 @pytest.mark.slow
 def test_listed_welds_and_points_are_taken_and_find_their_parts(tmp_path):
     (tmp_path / "w.csv").write_text("name;x;y;z\nS1;65;15;0.5\nS2;65;35;0.5\n")
     (tmp_path / "p.csv").write_text("x,y,z,direction,upper\n5,25,0,,\n125,25,1,0 0 1,0.8\n")
-    folder, _ = write_scene(laid(tmp_path), tmp_path / "scene", {None: 1.0}, tmp_path / "w.csv", tmp_path / "p.csv")
+    folder, _ = propose(FLAT, tmp_path, tmp_path / "w.csv", tmp_path / "p.csv")
     scene = load_scene(folder)
     assert [(weld.name, set(weld.parts), weld.point) for weld in scene.welds] == [
         ("S1", {"a", "b"}, (65, 15, 0.5)),
@@ -309,7 +282,6 @@ def test_listed_welds_and_points_are_taken_and_find_their_parts(tmp_path):
     assert told == [("M1", "a", "normal", 0.5), ("M2", "b", (0, 0, 1), 0.8)]
     clamps = np.array([clamp.point for clamp in scene.clamps])
     assert np.linalg.norm(clamps - [65, 15, 0.5], axis=1).min() > 10
-    assemble(scene, tmp_path / "cache")
 
 
 def test_a_list_may_have_decimal_commas_where_commas_do_not_separate_its_cells(tmp_path):
@@ -322,7 +294,7 @@ def test_a_list_may_have_decimal_commas_where_commas_do_not_separate_its_cells(t
     assert point == {"name": "M1", "point": [5.0, 25, 0], "direction": [0.0, 0.0, 1.0], "set": "1,2"}
     (tmp_path / "q.csv").write_text('x,y,z\n"1,500",15,0.5\n')  # a thousand and a half, or one and a half
     with pytest.raises(mic.SceneError, match="row 2: x, y and z must be numbers, mm; got 1,500, 15, 0.5"):
-        write_scene(laid(tmp_path), tmp_path / "scene", {None: 1.0}, tmp_path / "q.csv")
+        propose(FLAT, tmp_path, tmp_path / "q.csv")
 
 
 def test_the_next_command_quotes_a_folder_with_blanks(tmp_path):
@@ -334,46 +306,38 @@ def test_the_next_command_quotes_a_folder_with_blanks(tmp_path):
 
 def test_no_tong_presses_on_a_weld(tmp_path):
     """Of a lap that has room for a weld alone, the weld; its pad would lie on the nugget."""
-    sheets = [grid(80, 50, 7), grid(80, 12, 6, z=1.0, x=66, y=20)]
-    files = [write_deck(tmp_path / f"{n}.inp", {"S": sheet}) for n, sheet in zip("ab", sheets)]
-    folder, _ = write_scene(files, tmp_path / "scene", {None: 1.0})
-    scene = load_scene(folder)
+    sheets = {"a": grid(80, 50, 7), "b": grid(80, 12, 6, z=1.0, x=66, y=20)}
+    scene = load_scene(propose(sheets, tmp_path)[0])
     assert len(scene.welds) == 1 and scene.clamps == []
 
 
 def test_all_invalid_rows_of_the_lists_are_reported_together(tmp_path):
     (tmp_path / "w.csv").write_text("x,y,z\n65,15,0.5\n5,15,0\nsixty,15,0\n")
     with pytest.raises(mic.SceneError) as told:
-        write_scene(laid(tmp_path), tmp_path / "scene", {None: 1.0}, tmp_path / "w.csv")
+        propose(FLAT, tmp_path, tmp_path / "w.csv")
     assert "w.csv: row 3: a weld joins two parts within 5 mm; the nearest are a (0 mm off) and b (45 mm off)" in str(
         told.value
     )
     assert "w.csv: row 4: x, y and z must be numbers" in str(told.value)
     (tmp_path / "p.csv").write_text("part,x,y,z\nc,5,25,0\na,5,25,90\n")
     with pytest.raises(mic.SceneError) as told:
-        write_scene(laid(tmp_path), tmp_path / "scene", {None: 1.0}, points=tmp_path / "p.csv")
+        propose(FLAT, tmp_path, None, tmp_path / "p.csv")
     assert "row 2, column part: there is no part 'c'" in str(told.value) and "row 3: (5, 25, 90)" in str(told.value)
 
 
 def test_a_weld_of_three_sheets_is_two(tmp_path):
-    sheets = [grid(80, 50, 7, z=z) for z in (0.0, 1.0, 2.0)]
-    files = [write_deck(tmp_path / f"s{i}.inp", {"S": sheet}) for i, sheet in enumerate(sheets)]
     (tmp_path / "w.csv").write_text("name,x,y,z\nW,40,25,1\n")
-    folder, _ = write_scene(files, tmp_path / "scene", {None: 1.0}, tmp_path / "w.csv")
-    assert [(weld.name, set(weld.parts)) for weld in load_scene(folder).welds] == [
-        ("Wa", {"s0", "s1"}),
-        ("Wb", {"s1", "s2"}),
-    ] or [set(weld.parts) for weld in load_scene(folder).welds] == [{"s1", "s2"}, {"s0", "s1"}]
+    folder, _ = propose({f"s{i}": grid(80, 50, 10, z=i) for i in range(3)}, tmp_path, tmp_path / "w.csv")
+    welds = {weld.name: frozenset(weld.parts) for weld in load_scene(folder).welds}
+    assert list(welds) == ["Wa", "Wb"] and {*welds.values()} == {frozenset(("s0", "s1")), frozenset(("s1", "s2"))}
 
 
 @pytest.mark.slow
 def test_sheets_with_another_between_them_have_no_zone(tmp_path):
     """However they are drawn: apart by their thicknesses, or all three upon each other."""
     for name, rise in (("apart", 1.0), ("upon", 0.0)):
-        (tmp_path / name).mkdir()
-        sheets = [grid(80 - 10 * i, 50, 7, z=rise * i) for i in range(3)]
-        files = [write_deck(tmp_path / name / f"s{i}.inp", {"S": sheet}) for i, sheet in enumerate(sheets)]
-        folder, _ = write_scene(files, tmp_path / name / "scene", {None: 1.0})
+        sheets = {f"s{i}": grid(80 - 10 * i, 50, 7, z=rise * i) for i in range(3)}
+        folder, _ = propose(sheets, tmp_path / name)
         zones = [set(zone.parts) for zone in load_scene(folder).zones]
         assert len(zones) == 2 and (name == "upon" or {"s0", "s2"} not in zones)
 
@@ -381,11 +345,8 @@ def test_sheets_with_another_between_them_have_no_zone(tmp_path):
 @pytest.mark.slow
 def test_a_stack_of_three_sheets_is_joined_through_and_the_rest_touches_where_nothing_lies_between(tmp_path):
     """The plate steps under a doubler below one foot of the hat, and touches the hat's other foot itself."""
-    plate = extruded([(0, 0), (30, 0), (40, 1), (90, 1)], 0, 80, 7)
-    sheets = {"plate": plate, "doubler": grid(22, 80, 6, z=1), "hat": hat(2.0)}
-    files = [write_deck(tmp_path / f"{name}.inp", {"S": sheet}) for name, sheet in sheets.items()]
-    folder, _ = write_scene(files, tmp_path / "scene", {None: 1.0})
-    scene = load_scene(folder)
+    plate = extruded([(0, 0), (30, 0), (40, 1), (90, 1)], 0, 60, 7)
+    scene = load_scene(propose({"plate": plate, "doubler": grid(26, 60, 6, z=1), "hat": hat(2.0)}, tmp_path)[0])
     assert {frozenset(zone.parts) for zone in scene.zones} == {
         frozenset(pair) for pair in (("plate", "doubler"), ("doubler", "hat"), ("plate", "hat"))
     }
@@ -399,22 +360,16 @@ def test_a_stack_of_three_sheets_is_joined_through_and_the_rest_touches_where_no
     assert find_warnings(scene, assembly) == ()
 
 
-@pytest.mark.slow
-def test_a_large_lap_begins_with_fewer_pairs(tmp_path, proposed):
+def test_a_large_lap_begins_with_fewer_pairs(tmp_path, proposed, monkeypatch):
     """A candidate for each element would be more; a small lap has no stated spacing."""
-    sheets = [grid(300, 240, 8), grid(300, 240, 8.5, z=1.0)]
-    files = [write_deck(tmp_path / f"{n}.inp", {"S": sheet}) for n, sheet in zip("ab", sheets)]
-    folder, _ = write_scene(files, tmp_path / "scene", {None: 1.0})
-    (zone,) = load_scene(folder).zones
-    assert 600 < 300 * 240 / zone.spacing**2 < 900 < 300 * 240 / 8.5**2
-    folder, _ = proposed("hat on a plate")
-    assert load_scene(folder).zones[0].spacing is None
+    assert proposed("in metres")[2].scene.zones[0].spacing is None
+    monkeypatch.setattr("mic.wizard.proposal.PAIRS", 20)  # of an overlap of 30 × 50 mm with elements of 7
+    assert load_scene(propose(FLAT, tmp_path)[0]).zones[0].spacing == np.ceil(np.sqrt(30 * 50 / 20))
 
 
 def test_a_part_without_a_3_2_1_scheme_gets_six_other_locators(tmp_path):
     """A narrow half pipe: what looks one way is a strip, too narrow for three locators."""
-    file = write_deck(tmp_path / "pipe.inp", {"P": extruded(arc(9, 0, 180, 3), 0, 160, 5)})
-    folder, proposal = write_scene([file], tmp_path / "scene", {None: 1.0})
+    folder, proposal = propose({"pipe": extruded(arc(9, 0, 180, 3), 0, 160, 5)}, tmp_path)
     scene = assemble(load_scene(folder), tmp_path / "cache").scene
     assert [one.name for one in scene.locators[:6]] == [f"pipe-L{i}" for i in range(1, 7)]
     assert proposal.conditioned["pipe"] > 0.05
