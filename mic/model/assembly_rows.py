@@ -54,7 +54,8 @@ def assembly_rows(
     SceneError
         Naming the key, with one line per problem.
     """
-    problems, bodies, rows = Problems(), _bodies(scene, surfaces, fixtures), Rows(surfaces)
+    problems, bodies = Problems(), _bodies(scene, surfaces, fixtures)
+    rows = Rows(scene, bodies)
     for kind, items in (("locator", scene.locators), ("clamp", scene.clamps)):
         for i, item in enumerate(items):
             with problems:
@@ -62,19 +63,19 @@ def assembly_rows(
     drawn = []
     for i, weld in enumerate(scene.welds):
         with problems:
-            drawn.append(weld_rows(f"welds[{i}]", weld, bodies, rows))
+            drawn.append(weld_rows(f"welds[{i}]", weld, rows))
     pressed = [pressed_places(scene, zone, bodies) for zone in scene.zones]
     pairs = zone_pairs(scene, bodies, pressed, every_node, problems)
     if not problems:
-        contacts = contact_rows(scene, bodies, rows, pairs, every_node, problems)
+        contacts = contact_rows(rows, pairs, every_node, problems)
     if not problems:
-        between = gap_point_rows(scene, bodies, rows, pressed, [] if every_node else pairs)
+        between = gap_point_rows(rows, pressed, [] if every_node else pairs)
         weld_gap = weld_gaps(scene, contacts, drawn, problems)
     for source in sources(scene):
         with problems:
             source.retain(rows)
-    characteristics.retain(rows, scene, problems)
-    position_gap = np.array([]) if problems else position_rows(scene, bodies, rows)
+    characteristics.retain(rows, problems)
+    position_gap = np.array([]) if problems else position_rows(rows)
     matrices: dict[str, Superelement | None] = {}
     for part in loaded:
         with problems:

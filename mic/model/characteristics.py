@@ -44,21 +44,20 @@ class _Reading:
     point: np.ndarray
 
 
-def retain(rows: Rows, scene: Scene, problems) -> None:
-    """Add the rows of a placed scene's measurements.
+def retain(rows: Rows, problems) -> None:
+    """Add the rows of the scene's measurements.
 
     Parameters
     ----------
     rows : Rows
-    scene : Scene
     problems : context manager
         Collects each :class:`SceneError`: points off their part, characteristics that their best fit removes.
     """
     readings: dict[str, list[_Reading]] = {}
-    for i, item in enumerate(scene.measurements):
+    for i, item in enumerate(rows.scene.measurements):
         with problems:
             readings[item.name] = _readings(rows, f"measurements[{i}]", item)
-    for i, item in enumerate(scene.measurements):
+    for i, item in enumerate(rows.scene.measurements):
         if any(name not in readings for name in (item.name, *(item.best_fit or ()))):
             continue  # its error is already reported
         fitted = [reading for name in item.best_fit or () for reading in readings[name]]

@@ -2,37 +2,29 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
 from mic.contact.laws import LAWS
 from mic.contact.laws.pressure_dependent import rescaled
 from mic.errors import Problems
-from mic.geometry.pairing import ContactPair, PressedPoint, Side, find_between
+from mic.geometry.pairing import ContactPair, PressedPoint, find_between
 from mic.model.assembly_types import Contacts, GapPoints
 from mic.model.overlap import close_overlap
 from mic.model.rows import AXES, Rows
 from mic.model.zone_pairs import landmarks
-from mic.scene import Scene
 
 __all__ = ["contact_rows", "gap_point_rows"]
 
 
 def contact_rows(
-    scene,
-    bodies: Mapping[str, Side],
-    rows: Rows,
-    pairs_of_zones: Sequence[Sequence[ContactPair]],
-    every_node: bool,
-    problems: Problems,
+    rows: Rows, pairs_of_zones: Sequence[Sequence[ContactPair]], every_node: bool, problems: Problems
 ) -> Contacts:
     """Add the rows of all contact pairs; returns the data of the pairs.
 
     Parameters
     ----------
-    scene : mic.scene.Scene
-    bodies : mapping of str to Side
     rows : Rows
     pairs_of_zones : sequence of sequences of ContactPair
     every_node : bool
@@ -40,13 +32,14 @@ def contact_rows(
     problems : Problems
         Collects errors.
     """
+    scene = rows.scene
     friction = any(LAWS[law].frictional for law in scene.report.laws) and any(zone.frictional for zone in scene.zones)
     dimension = 3 if friction or scene.report.slip else 1
     pairs = [pair for zone_pairs in pairs_of_zones for pair in zone_pairs]
     zone_of = np.array([i for i, zone_pairs in enumerate(pairs_of_zones) for _ in zone_pairs], dtype=np.int64)
     zones = [scene.zones[i] for i in zone_of]
     for k, (zone, pair) in enumerate(zip(zones, pairs)):
-        _pair_rows(rows, "contact", f"{zone.name} {k}", zone, bodies, pair, dimension)
+        _pair_rows(rows, "contact", f"{zone.name} {k}", zone, pair, dimension)
     area = np.array([pair.area for pair in pairs])
     gap = np.array([pair.gap for pair in pairs])
     drawn = np.array([[pair.overlap, pair.overlapping * pair.area] for pair in pairs]).reshape(-1, 2)
@@ -66,7 +59,7 @@ def contact_rows(
     stiffness = [zone.tangential_stiffness for zone in zones]
     watched = np.array([every_node or zone.candidates for zone in zones], dtype=bool)
     through = [
-        sum(part.thickness / (2 * part.young) for part in scene.parts if part.name in zone.parts)
+        sum(part.sheet[0] / (2 * part.sheet[1]) for part in scene.parts if part.name in zone.parts)
         for zone in scene.zones
     ]
     return Contacts(
@@ -90,20 +83,16 @@ def contact_rows(
 
 
 def gap_point_rows(
-    scene: Scene,
-    bodies: Mapping[str, Side],
-    rows: Rows,
-    pressed: Sequence[Sequence[PressedPoint]],
-    pairs_of_zones: Sequence[Sequence[ContactPair]],
+    rows: Rows, pressed: Sequence[Sequence[PressedPoint]], pairs_of_zones: Sequence[Sequence[ContactPair]]
 ) -> GapPoints:
     """Add the normal readings of the points between the contact pairs; arguments as of :func:`contact_rows`."""
     points: list[ContactPair] = []
     zones: list[int] = []
     gaps: list[float] = []
-    for i, (zone, pairs, places) in enumerate(zip(scene.zones, pairs_of_zones, pressed)):
-        first, second = (bodies[name] for name in zone.parts)
-        for point in find_between(zone, first, second, pairs, landmarks(scene), places):
-            _pair_rows(rows, "between", f"{zone.name} between {len(points)}", zone, bodies, point, 1)
+    for i, (zone, pairs, places) in enumerate(zip(rows.scene.zones, pairs_of_zones, pressed)):
+        first, second = (rows.bodies[name] for name in zone.parts)
+        for point in find_between(zone, first, second, pairs, landmarks(rows.scene), places):
+            _pair_rows(rows, "between", f"{zone.name} between {len(points)}", zone, point, 1)
             points.append(point)
             zones.append(i)
             drawn = point.gap if zone.nominal_overlap == "keep" else max(point.gap, 0.0)
@@ -116,11 +105,11 @@ def gap_point_rows(
     )
 
 
-def _pair_rows(rows: Rows, kind, label, zone, bodies, pair: ContactPair, dimension) -> None:
+def _pair_rows(rows: Rows, kind, label, zone, pair: ContactPair, dimension) -> None:
     """Add the rows n, t1, t2 of a pair: motion of its second body less that of its first."""
     terms: list[list[tuple[str, int, float]]] = [[] for _ in range(dimension)]
     for name, patch, side, sign in zip(zone.parts, pair.patches, pair.sides, (-1.0, 1.0)):
-        if not bodies[name].rigid:  # a rigid fixture does not move
+        if not rows.bodies[name].rigid:  # a rigid fixture does not move
             index, side = rows.patch(name, patch), 0 if zone.mid_surface else side
             for own, axis, direction in zip(terms, AXES, pair.frame.T):
                 own.append((name, rows.functional(name, index, direction, f"{label} {axis}", side=side), sign))

@@ -10,16 +10,15 @@ and z of the scene it is ``Σ_t (e·t) a'_t`` over two tangents: the component o
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 
 from mic.errors import SceneError
-from mic.geometry.pairing import Side, pair_at
+from mic.geometry.pairing import pair_at
 from mic.model.rows import Rows
 from mic.model.weld_rows import drawn_gap, weld_terms
-from mic.scene import Scene
 
 __all__ = ["position_rows"]
 
@@ -30,15 +29,8 @@ FLAT = 0.02  # smallest component of an axis within the sheet that gives a row
 Read = Callable[[np.ndarray], tuple[np.ndarray, list]]
 
 
-def position_rows(scene: Scene, bodies: Mapping[str, Side], rows: Rows) -> np.ndarray:
+def position_rows(rows: Rows) -> np.ndarray:
     """Add the rows that the scene's report needs, kind ``"position"``; their labels are the names of the inputs.
-
-    Parameters
-    ----------
-    scene : Scene
-        With all items placed.
-    bodies : mapping of str to Side
-    rows : Rows
 
     Returns
     -------
@@ -52,18 +44,18 @@ def position_rows(scene: Scene, bodies: Mapping[str, Side], rows: Rows) -> np.nd
     """
     gaps: list[float] = []
     for kind in ("welds", "locators", "clamps"):
-        for item in getattr(scene, kind):
+        for item in getattr(rows.scene, kind):
             name = f"{kind}.{item.name}"
-            if not {kind, name} & set(scene.report.positions) or getattr(item, "hole", None) is not None:
+            if not {kind, name} & set(rows.scene.report.positions) or getattr(item, "hole", None) is not None:
                 continue
-            tangents, read = _weld(name, item, bodies, rows) if kind == "welds" else _point(name, item, rows)
+            tangents, read = _weld(name, item, rows) if kind == "welds" else _point(name, item, rows)
             gaps += _add(name, item, tangents, read, rows)
     return np.array(gaps)
 
 
-def _weld(name: str, weld, bodies, rows: Rows) -> tuple[np.ndarray, Read]:
+def _weld(name: str, weld, rows: Rows) -> tuple[np.ndarray, Read]:
     """Tangents at a weld, and its gap and terms at a point."""
-    sides = [bodies[part] for part in weld.parts]
+    sides = [rows.bodies[part] for part in weld.parts]
     here = pair_at(weld.point, weld.radius, *sides)
 
     def read(point):
@@ -78,7 +70,7 @@ def _weld(name: str, weld, bodies, rows: Rows) -> tuple[np.ndarray, Read]:
         t1 = here.frame[:, 1] - (here.frame[:, 1] @ n) * n
         t1 /= np.linalg.norm(t1)
         pair = replace(pair, frame=np.column_stack([n, t1, np.cross(n, t1)]))
-        return drawn_gap(weld, pair, bodies), [terms for _, *terms in weld_terms(weld, pair, bodies, rows)]
+        return drawn_gap(weld, pair, rows), [terms for _, *terms in weld_terms(weld, pair, rows)]
 
     return here.frame[:, 1:].T, read
 

@@ -15,7 +15,9 @@ from scipy.sparse import csr_matrix
 from mic.compliance.functional import Functionals
 from mic.errors import SceneError
 from mic.geometry.holes import find_holes
+from mic.geometry.pairing import Side
 from mic.geometry.surface import Patch, Projection, Surface
+from mic.scene import Scene
 
 __all__ = ["AXES", "KINDS", "NORMAL", "REACH", "Rows", "on_part", "xyz"]
 
@@ -32,15 +34,25 @@ class Rows:
 
     Parameters
     ----------
-    surfaces : mapping of str to Surface
-        The parts' surfaces by name, in the stacking order of their functionals.
+    scene : Scene
+        With all items placed.
+    bodies : mapping of str to Side
+        Parts, in the stacking order of their functionals, and fixtures by name.
+
+    Attributes
+    ----------
+    scene, bodies
+        As given.
+    surfaces : dict of str to Surface
+        Of the parts, by name.
     """
 
-    def __init__(self, surfaces: Mapping[str, Surface]):
-        self.surfaces = dict(surfaces)
-        self._patches: dict[str, list[Patch]] = {name: [] for name in surfaces}
+    def __init__(self, scene: Scene, bodies: Mapping[str, Side]):
+        self.scene, self.bodies = scene, bodies
+        self.surfaces = {part.name: bodies[part.name].surface for part in scene.parts}
+        self._patches: dict[str, list[Patch]] = {name: [] for name in self.surfaces}
         #: Patch, direction, rotation, side and label of each functional.
-        self._functionals: dict[str, list[tuple]] = {name: [] for name in surfaces}
+        self._functionals: dict[str, list[tuple]] = {name: [] for name in self.surfaces}
         self._terms: dict[str, list] = {kind: [] for kind in KINDS}
         self.labels: dict[str, list[str]] = {kind: [] for kind in KINDS}
 

@@ -12,13 +12,13 @@ assembly as a whole would strain the weld.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from mic.errors import Problems, SceneError
-from mic.geometry.pairing import ContactPair, Side, pair_at
+from mic.geometry.pairing import ContactPair, pair_at
 from mic.model.assembly_types import Contacts
 from mic.model.overlap import close_overlap, zone_of_weld
 from mic.model.rows import AXES, NORMAL, Rows, on_part
@@ -28,7 +28,7 @@ from mic.scene.checks import entry
 __all__ = ["drawn_gap", "weld_gaps", "weld_rows", "weld_terms"]
 
 
-def weld_rows(key: str, weld, bodies: Mapping[str, Side], rows: Rows) -> np.ndarray:
+def weld_rows(key: str, weld, rows: Rows) -> np.ndarray:
     """Add the rows of a weld; returns the gap as drawn that each of them reads.
 
     Raises
@@ -39,20 +39,20 @@ def weld_rows(key: str, weld, bodies: Mapping[str, Side], rows: Rows) -> np.ndar
     for name in weld.parts:
         on_part(f"{key}.point", name, rows.surfaces[name], weld.point, weld.name)
     try:
-        pair = pair_at(weld.point, weld.radius, *(bodies[name] for name in weld.parts))
+        pair = pair_at(weld.point, weld.radius, *(rows.bodies[name] for name in weld.parts))
     except ValueError as error:
         raise SceneError(f"{key}.point ({weld.name}): {error}; correct the coordinates") from None
-    for label, *terms in weld_terms(weld, pair, bodies, rows):
+    for label, *terms in weld_terms(weld, pair, rows):
         rows.add("weld", label, *terms)
-    return drawn_gap(weld, pair, bodies)
+    return drawn_gap(weld, pair, rows)
 
 
-def weld_terms(weld, pair: ContactPair, bodies, rows: Rows) -> list[tuple]:
+def weld_terms(weld, pair: ContactPair, rows: Rows) -> list[tuple]:
     """Retain the functionals of a weld over a pair; for each of its rows the label and the terms of the two parts."""
-    moments = _moment_weights(pair, bodies[weld.parts[0]].surface, weld.radius) if weld.fused and weld.moment else {}
+    moments = _moment_weights(pair, rows.surfaces[weld.parts[0]], weld.radius) if weld.fused and weld.moment else {}
     functionals: list[list[int]] = []
     for name, patch, side in zip(weld.parts, pair.patches, pair.sides):
-        middle = side * (1 + pair.gap / bodies[name].thickness)
+        middle = side * (1 + pair.gap / (2 * rows.bodies[name].half_thickness))
         mean = rows.patch(name, patch)
         readings = [("", mean, False)]
         readings += [(label, rows.patch(name, replace(patch, weight=w)), False) for label, w in moments.items()]
@@ -78,7 +78,7 @@ def _moment_weights(pair: ContactPair, surface, radius) -> dict[str, np.ndarray]
     return {f"{axis}-moment ": patch.weight * (step @ pair.frame[:, j]) / radius for j, axis in ((1, "t1"), (2, "t2"))}
 
 
-def drawn_gap(weld, pair: ContactPair, bodies: Mapping[str, Side]) -> np.ndarray:
+def drawn_gap(weld, pair: ContactPair, rows: Rows) -> np.ndarray:
     """(r,) gap g as drawn over the disc, as the rows of a weld read it; 0 for tangential rows.
 
     The mean gap, mm; for a fused nugget the moments ∫ φ g dA / A, mm, φ = x, y in radii; for an averaged weld the
@@ -88,7 +88,7 @@ def drawn_gap(weld, pair: ContactPair, bodies: Mapping[str, Side]) -> np.ndarray
     gap_read[0] = pair.gap
     if len(gap_read) == 3:
         return gap_read
-    first, second = (bodies[name].surface for name in weld.parts)
+    first, second = (rows.surfaces[name] for name in weld.parts)
     a, b = pair.patches
     point = first.at(a.triangle, a.barycentric)
     distance = (second.at(b.triangle, b.barycentric) - point) @ pair.frame[:, 0]
