@@ -213,23 +213,16 @@ def square_tube(element, n):
     open_tube = grid(3 * n, 4 * n, shape)
     points, number = np.unique(np.round(open_tube.points, 9), axis=0, return_inverse=True)
     part = ShellPart(type(open_tube)(points, number.ravel()[open_tube.triangles]), t, young, poisson, element)
-    G, shear_flow = young / 2 / (1 + poisson), 1.0  # torque 2 A q
-    load = np.zeros(part.ndof)
-    end = np.flatnonzero(near(points[:, 0], length))
-    for v in end:  # the flow on half a cell to either side of the vertex
-        for _ in (-1, 1):
-            wall = [points[w] - points[v] for w in end if near(np.linalg.norm(points[w] - points[v]), side / n)]
-            for towards in wall:
-                sense = np.sign(np.cross(points[v] + towards / 2, towards)[0])
-                load[part.vertex_displacement_dofs[v]] += shear_flow * sense * towards / 4
     held = at(part, lambda x: near(x[:, 0], 0), [1, 2])
     still = at(part, lambda x: near(x[:, 0], 0) & near(x[:, 1], side / 2) & near(abs(x[:, 2]), side / 2), [0])
     opposite = at(part, lambda x: near(x[:, 0], 0) & near(x[:, 1], -side / 2) & near(x[:, 2], side / 2), [0])
-    u = supported_solution(part, [held, still, opposite], load)
-    tip = read(part, u, [length, side / 2, 0])[2]
-    torque = 2 * side**2 * shear_flow
-    twist = torque * length / (4 * side**4 * G * t / (4 * side)) / (1 + (t / side) ** 2 / 3)
-    return tip / (side / 2) / twist
+    turned = at(part, lambda x: near(x[:, 0], length), [1, 2])
+    motion, (_, y, z) = np.zeros(part.ndof), part.dof_position[turned].T
+    motion[turned] = np.where(part.dof_component[turned] == 1, -z, y)
+    u = supported_solution(part, [held, still, opposite, turned], np.zeros(part.ndof), motion)
+    torque = motion @ part.stiffness_csr() @ u
+    G = young / 2 / (1 + poisson)
+    return side**3 * G * t / length * (1 + (t / side) ** 2 / 3) / torque
 
 
 THIN, THICK = 0.0032, 0.32
