@@ -6,6 +6,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 import pytest
+from support.runs import changed
 from typer.testing import CliRunner
 
 from mic.errors import RunError
@@ -20,9 +21,7 @@ SHEETS = "{http://schemas.openxmlformats.org/spreadsheetml/2006/main}"
 
 @pytest.fixture(scope="module")
 def folder(lap_scene, cache, tmp_path_factory):
-    few = lap_scene.monte_carlo.model_copy(update={"samples": 5})
-    report = lap_scene.report.model_copy(update={"laws": ["frictionless"], "fields": False})
-    scene = lap_scene.model_copy(update={"monte_carlo": few, "report": report})
+    scene = changed(lap_scene, monte_carlo={"samples": 5}, report={"laws": ["frictionless"], "fields": False})
     folder = tmp_path_factory.mktemp("excel") / "run"
     run(scene, folder, cache)
     return folder

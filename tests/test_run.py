@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 import pytest
-from support.runs import Heard
+from support.runs import Heard, changed
 
 import mic
 from mic.compliance.blocks import Blocks
@@ -94,17 +94,15 @@ def test_identity_depends_on_inputs_and_not_on_computed_values(lap_model, lap_sc
 
 def test_how_exactly_the_path_is_followed_belongs_to_the_identity(lap_model, monkeypatch):
     own = identity(lap_model, 4)
-    finer = lap_model.scene.path.model_copy(update={"tolerance": lap_model.scene.path.tolerance / 2})
-    assert identity(replace(lap_model, scene=lap_model.scene.model_copy(update={"path": finer})), 4) != own
+    finer = changed(lap_model.scene, path={"tolerance": lap_model.scene.path.tolerance / 2})
+    assert identity(replace(lap_model, scene=finer), 4) != own
     monkeypatch.setattr("mic.results.run_identity.LEAST_MOTION", 0.04)
     assert identity(lap_model, 4) != own
 
 
 @pytest.mark.slow
 def test_a_run_from_scene_to_summary(lap_scene, cache, tmp_path):
-    few = lap_scene.monte_carlo.model_copy(update={"samples": 8})
-    report = lap_scene.report.model_copy(update={"laws": LAWS, "fields": False})
-    scene = lap_scene.model_copy(update={"monte_carlo": few, "report": report})
+    scene = changed(lap_scene, monte_carlo={"samples": 8}, report={"laws": LAWS, "fields": False})
     heard = Heard()
     outcome = run(scene, tmp_path, cache, heard)
     assert outcome.laws == LAWS and outcome.missing == dict.fromkeys(LAWS, 0)
@@ -119,10 +117,9 @@ def test_a_run_from_scene_to_summary(lap_scene, cache, tmp_path):
     assert "coulomb: 8 of 8 samples were already finished" in " ".join(heard.sentences)
 
 
-def keeping(model, contacts, **report):
-    """The same model, of which so many samples keep their contact pairs."""
-    asked = model.scene.report.model_copy(update={"contacts": contacts, **report})
-    return replace(model, scene=model.scene.model_copy(update={"report": asked}))
+def storing(model, contacts):
+    """The same model, of which so many samples store their contact pairs."""
+    return replace(model, scene=changed(model.scene, report={"contacts": contacts}))
 
 
 def statistics_of(folder):
@@ -135,7 +132,7 @@ def long_and_short(lap_model, tmp_path_factory):
     """Folders of 120 samples: all keep their pairs, or only the first block."""
     place = tmp_path_factory.mktemp("pairs")
     for name, contacts in (("all", 2000), ("few", 0)):
-        sample_into(place / name, keeping(lap_model, contacts), LAWS, 120, 4)
+        sample_into(place / name, storing(lap_model, contacts), LAWS, 120, 4)
     return place / "all", place / "few"
 
 
@@ -161,7 +158,7 @@ def test_pairs_that_are_not_stored_are_refused_in_one_sentence(long_and_short):
 @pytest.mark.slow
 @pytest.mark.parametrize("contacts", [0, 2000])
 def test_fewer_samples_of_a_longer_run_are_those_of_a_run_of_so_many(lap_model, tmp_path, contacts):
-    model = keeping(lap_model, contacts)
+    model = storing(lap_model, contacts)
     sample_into(tmp_path / "first", model, ["coulomb"], 90, 4)
     for count in (100, 90):
         sample_into(tmp_path / "again", model, ["coulomb"], count, 4)
@@ -174,7 +171,7 @@ def test_fewer_samples_of_a_longer_run_are_those_of_a_run_of_so_many(lap_model, 
 @pytest.mark.slow
 def test_pairs_requested_afterwards_are_computed(long_and_short, lap_model, tmp_path):
     shutil.copytree(long_and_short[1], tmp_path / "run")
-    found = sample_into(tmp_path / "run", keeping(lap_model, 60), LAWS, 120, 4)
+    found = sample_into(tmp_path / "run", storing(lap_model, 60), LAWS, 120, 4)
     assert found == dict.fromkeys(LAWS, 70)
     assert read_run(tmp_path / "run").with_pairs("coulomb").tolist() == list(range(100))
 
@@ -189,7 +186,7 @@ def test_a_block_without_sums_of_its_pairs_is_computed_again(long_and_short, lap
     if length is not None:
         path.write_bytes(content[:length])
     heard = Heard()
-    assert sample_into(tmp_path / "run", keeping(lap_model, 0), LAWS, 120, 4, progress=heard)["coulomb"] == 100
+    assert sample_into(tmp_path / "run", storing(lap_model, 0), LAWS, 120, 4, progress=heard)["coulomb"] == 100
     assert "computed again" in " ".join(heard.sentences)
     for one, other in zip(statistics_of(long_and_short[1]), statistics_of(tmp_path / "run")):
         pd.testing.assert_frame_equal(one, other, check_exact=True)
@@ -208,10 +205,9 @@ def test_a_long_run_announces_its_duration_after_its_first_samples(lap_model, tm
 FRICTIONLESS = ["frictionless"]
 
 
-def asking(model, **keys):
-    """The model whose scene asks for an accuracy."""
-    monte_carlo = model.scene.monte_carlo.model_copy(update=keys)
-    return replace(model, scene=model.scene.model_copy(update={"monte_carlo": monte_carlo}))
+def asking(model, accuracy):
+    """The model whose scene requests an accuracy."""
+    return replace(model, scene=changed(model.scene, monte_carlo={"accuracy": accuracy}))
 
 
 def drawn(folder):
@@ -220,7 +216,7 @@ def drawn(folder):
 
 def test_samples_are_drawn_until_the_accuracy_is_reached_and_no_longer(lap_model, tmp_path):
     heard = Heard()
-    sample_into(tmp_path, asking(lap_model, accuracy=0.004), FRICTIONLESS, 500, 4, heard)
+    sample_into(tmp_path, asking(lap_model, 0.004), FRICTIONLESS, 500, 4, heard)
     count = RunFolder(tmp_path).record()["samples"]
     found = read_outcome(tmp_path)
     assert found.uncertainty <= 0.004 and drawn(tmp_path) == list(range(count)) and 50 <= count < 500
@@ -230,16 +226,16 @@ def test_samples_are_drawn_until_the_accuracy_is_reached_and_no_longer(lap_model
 
 
 def test_the_requested_accuracy_decides_the_number_of_samples(lap_model, tmp_path):
-    sample_into(tmp_path / "rough", asking(lap_model, accuracy=0.9), FRICTIONLESS, 500, 4)
+    sample_into(tmp_path / "rough", asking(lap_model, 0.9), FRICTIONLESS, 500, 4)
     assert drawn(tmp_path / "rough") == list(range(50))
-    sample_into(tmp_path / "fine", asking(lap_model, accuracy=1e-9), FRICTIONLESS, 120, 4, heard := Heard())
+    sample_into(tmp_path / "fine", asking(lap_model, 1e-9), FRICTIONLESS, 120, 4, heard := Heard())
     assert drawn(tmp_path / "fine") == list(range(120))
     assert heard.sentences[-1].endswith("increase --samples")
 
 
 @pytest.mark.slow
 def test_an_interrupted_run_ends_with_the_same_samples(lap_model, tmp_path):
-    model = asking(lap_model, accuracy=2e-4)
+    model = asking(lap_model, 2e-4)
     sample_into(tmp_path / "whole", model, FRICTIONLESS, 300, 4)
     with pytest.raises(KeyboardInterrupt):
         sample_into(tmp_path / "parts", model, FRICTIONLESS, 300, 4, Heard(stop_after=2))

@@ -36,16 +36,14 @@ def broken(found):
     return {name for name, limit in study.LIMITS.items() if found[name] > limit}
 
 
+def contacts_changed(model, **arrays):
+    return replace(model, contacts=replace(model.contacts, **arrays))
+
+
 PLANTED = {
     "nothing": (lambda model: model, set()),
-    "friction ignored": (
-        lambda model: replace(model, contacts=replace(model.contacts, friction=0 * model.contacts.friction)),
-        {"work"},
-    ),
-    "gaps off by 0.1 mm": (
-        lambda model: replace(model, contacts=replace(model.contacts, gap=model.contacts.gap + 0.1)),
-        {"mean", "work"},
-    ),
+    "friction ignored": (lambda model: contacts_changed(model, friction=0 * model.contacts.friction), {"work"}),
+    "gaps off by 0.1 mm": (lambda model: contacts_changed(model, gap=model.contacts.gap + 0.1), {"mean", "work"}),
 }
 
 

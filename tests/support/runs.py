@@ -5,6 +5,11 @@ from mic.results.schema import CONTACTS, MEASUREMENTS, RESOLUTIONS, SAMPLES, SLI
 from mic.runs import Progress
 
 
+def changed(scene, **tables):
+    """The scene with other keys in some of its tables."""
+    return scene.model_copy(update={name: getattr(scene, name).model_copy(update=tables[name]) for name in tables})
+
+
 class Heard(Progress):
     """Keeps what a run says, and may stop it after a number of blocks."""
 
