@@ -78,6 +78,7 @@ def test_a_mesh_is_made_again_when_a_file_read_by_its_script_changes(tmp_path, w
     assert second == 5 and changed != read
 
 
+@pytest.mark.slow
 def test_a_file_that_a_script_looked_for_in_vain_counts_once_it_is_there(tmp_path):
     read = "3.0\n    try: length = float(open(HERE / 'better.txt').read())\n    except FileNotFoundError: pass"
     write_script(tmp_path, read)
@@ -96,6 +97,7 @@ def test_copies_of_a_scene_beside_other_data_have_meshes_of_their_own(tmp_path, 
         assert built(tmp_path / name / "scene", tmp_path / "cache")[0] == float(length)
 
 
+@pytest.mark.slow
 def test_a_copy_of_a_script_that_reads_the_data_of_the_first_follows_them(tmp_path):
     data = tmp_path / "one" / "length.txt"
     for name in ("one", "two"):
@@ -142,6 +144,7 @@ def test_texts_samples_and_laws_do_not_change_the_identity(scene, unchanged, cac
     assert identity_of(scene.rename(scene.with_name("moved")), cache) == unchanged
 
 
+@pytest.mark.slow
 def test_the_mesh_of_a_fixture_belongs_to_the_identity(scene, cache):
     toml = scene / "scene.toml"
     toml.write_text(toml.read_text() + '\n[[fixtures]]\nname = "rest"\nmesh = "rest.stl"\n')
