@@ -15,10 +15,16 @@ import numpy as np
 
 import mic
 from mic import examples
-from mic.studies.optimisation.design import Space
+from mic.studies.optimisation.design import Design, Space
 from mic.studies.optimisation.evaluations import BudgetExceeded, DesignEvaluator
 from mic.studies.optimisation.optimum import evaluate_design, optimise
-from mic.studies.optimisation.search import random_design
+
+
+def random_design(space: Space, stream: np.random.Generator) -> Design:
+    """A design at random: settings uniform within their bounds, orders and places with equal chances."""
+    settings = space.settable(stream.uniform(space.low, space.high))
+    orders = tuple(tuple(groups[i] for i in stream.permutation(len(groups))) for groups in space.groups)
+    return Design(settings, orders, tuple(int(stream.integers(len(points))) for points in space.points))
 
 
 def by_chance(trials: DesignEvaluator, stream: np.random.Generator):

@@ -132,6 +132,7 @@ def dragged():
     return model, contributors(model, "coulomb", 500, seed=3)
 
 
+@pytest.mark.slow
 def test_two_deviations_that_matter_only_together_are_found(dragged):
     model, found = dragged
     own = found.table.set_index("contributor")
@@ -251,6 +252,7 @@ def test_samples_that_cannot_be_drawn_or_read_are_refused_in_one_sentence(closin
             contributors(with_scene(model, **change), "frictionless", 8)
 
 
+@pytest.mark.slow
 def test_a_nearly_constant_characteristic_has_no_shares(closing):
     quiet = [each.model_copy(update={"sigma": 1e-5}) for each in closing[0].scene.deviations]
     found = contributors(with_scene(closing[0], deviations=quiet), "frictionless", 20)
@@ -272,6 +274,7 @@ def test_the_joint_ranking_weighs_each_characteristic_by_how_much_of_its_toleran
     assert named(ranked, "total") == "B 73 %, A 27 %"
 
 
+@pytest.mark.slow
 def test_the_command_takes_a_saved_model_and_prints_its_results(closing, tmp_path):
     model, _ = closing
     model.save(tmp_path / "model.npz")

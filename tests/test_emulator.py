@@ -19,15 +19,6 @@ def test_linear_functions_and_their_slopes_are_exact(z):
     np.testing.assert_allclose(spline.slopes(there), np.tile(B.T, (len(there), 1, 1)), atol=1e-6)
 
 
-def test_more_points_reduce_the_error_at_a_bend(z):
-    def bent(z):
-        return np.column_stack([np.maximum(z[:, 0] + 0.3 * z[:, 1], 0.2), z[:, 2] ** 2])
-
-    there = np.random.default_rng(1).standard_normal((200, 3))
-    few, many = (np.sqrt(((Emulator(z[:n], bent(z[:n]))(there) - bent(there)) ** 2).mean(axis=0)) for n in (15, 60))
-    assert (many < 0.6 * few).all()
-
-
 def test_the_emulator_does_not_depend_on_scale(z):
     """Assemblies close to each other are not smoothed, and units do not matter."""
     h = np.sin(z[:, :1]) + z[:, 1:2] * z[:, 2:]

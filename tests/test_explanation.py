@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy import stats
-from support.springs import LIFT, MU, PULL, at_face, dragged, six, spring_model
+from support.springs import LIFT, MU, PULL, at_face, clamped, dragged
 from typer.testing import CliRunner
 
 from mic.commands.explain import read_measured
@@ -63,14 +63,17 @@ def test_a_finer_gauge_gives_more_information(model):
     assert coarse.untold == ["D", "P"] or coarse.untold == ["P", "D"]
 
 
-def test_indistinguishable_sources_are_named():
-    """Two locators that lift b alike."""
+def two_lifting(**changes):
+    """Two locators lift b alike."""
     deviations = [
         {"name": name, "kind": "locator", "target": target, "mean": LIFT, "sigma": SIGMA}
         for name, target in (("P", "bl1"), ("Q", "bl2"))
     ]
-    pulled = [at_face("t", (1, 0, 0), name="T", stroke=PULL)]
-    found = explain(dragged(deviations=deviations, clamps=pulled), {"M": MU * LIFT / 4 + 0.001}, 1e-5)
+    return dragged(deviations=deviations, clamps=[at_face("t", (1, 0, 0), name="T", stroke=PULL)], **changes)
+
+
+def test_indistinguishable_sources_are_named():
+    found = explain(two_lifting(), {"M": MU * LIFT / 4 + 0.001}, 1e-5)
     assert found.together == [("P", "Q")]
     assert "cannot separate P and Q" in " ".join(sentences(found))
 
@@ -94,52 +97,38 @@ def test_friction_may_be_among_the_unknown(model):
     assert MU + own["mean"] == pytest.approx(0.2, abs=1e-3) and own["low"] < -0.1 < own["high"] and own["told"] > 0.99
 
 
-def touching():
-    """b rises to t across a gap that half of the samples close: what N and M read has a kink there."""
-    return spring_model(
-        [0.2],
-        parts=[{"name": name, "mesh": f"{name}.stl", "thickness": 1.0} for name in "bt"],
-        locators=[*six("b"), *six("t")],
-        zones=[{"name": "z", "parts": ["b", "t"], "friction": 0.0, "pairs": 1}],
+@pytest.mark.slow
+def test_the_credible_region_covers_the_truth_where_contacts_change_state():
+    """b rises to t across a gap that half of the samples close: what N and M read has a kink there. 20 made assemblies
+    of which only the upper part was measured: 95 %, less and more three standard errors."""
+    model = clamped(
+        "bt",
+        0.2,
         measurements=[at_face("t", name="N", lower=-1, upper=1), at_face("b", name="B", lower=-1, upper=1)],
         deviations=[
             {"name": "P", "kind": "locator", "target": "bl1", "mean": 0.4, "sigma": 0.15},
             {"name": "Q", "kind": "locator", "target": "tl1", "mean": 0.0, "sigma": 0.15},
         ],
-        stages=[{"kind": "locate"}, {"kind": "clamp"}, {"kind": "measure"}],
     )
-
-
-@pytest.mark.slow
-def test_the_credible_region_covers_the_truth_where_contacts_change_state():
-    """30 made assemblies of which only the upper part was measured: 95 %, less and more three standard errors."""
-    model, draws, cases = touching(), np.random.default_rng(11), 30
+    draws, cases = np.random.default_rng(11), 20
     z = draws.standard_normal((cases, 2))
     h = model.process("frictionless").evaluate(from_normal(model.scene, z)).measurements[:, :1]
-    y, hits, counted = h + 0.01 * draws.standard_normal(h.shape), 0, 0
-    for i in range(cases):
-        found = posterior(model, [0], y[i], np.array([0.01]), "frictionless", seed=i)
-        hits += found.holds(z[i])
-        counted += found.count >= 50
-    assert counted == cases
-    assert abs(hits / cases - 0.95) < 3 * np.sqrt(0.95 * 0.05 / cases), hits / cases
+    y = h + 0.01 * draws.standard_normal(h.shape)
+    found = [posterior(model, [0], y[i], np.array([0.01]), "frictionless", seed=i) for i in range(cases)]
+    assert all(one.count >= 50 for one in found)
+    hits = np.mean([one.holds(own) for one, own in zip(found, z)])
+    assert abs(hits - 0.95) < 3 * np.sqrt(0.95 * 0.05 / cases), hits
 
 
 def test_the_proposed_further_point_reduces_the_uncertainty_most():
     """Of two locators that lift b's face alike, L reads the one, R the other by a tenth, N neither. Each is measured in
     turn: what is left of both is least where it was said to be."""
-    deviations = [
-        {"name": name, "kind": "locator", "target": target, "mean": LIFT, "sigma": SIGMA}
-        for name, target in (("P", "bl1"), ("Q", "bl2"))
-    ]
-    places = (("L", "b", [10, 0, 0], "z"), ("R", "b", [5.5, 4.5, 0], "z"), ("N", "t", [10, 0, 0], "z"))
+    places = (("L", "b", [10, 0, 0]), ("R", "b", [5.5, 4.5, 0]), ("N", "t", [10, 0, 0]))
     further = [
         {"name": name, "part": part, "point": point, "direction": [0, 0, 1], "lower": -1, "upper": 1}
-        for name, part, point, _ in places
+        for name, part, point in places
     ]
-    pulled = [at_face("t", (1, 0, 0), name="T", stroke=PULL)]
-    own = [at_face("b", (1, 0, 0), name="M", lower=-1, upper=1)]
-    model = dragged(deviations=deviations, clamps=pulled, measurements=[*own, *further])
+    model = two_lifting(measurements=[at_face("b", (1, 0, 0), name="M", lower=-1, upper=1), *further])
     true = model.evaluate({"P": LIFT + 1.5 * SIGMA, "Q": LIFT - SIGMA}).measurements[0]
     values = dict(zip(("M", "L", "R", "N"), true))
     found = explain(model, {"M": values["M"]}, 1e-3)
@@ -184,9 +173,7 @@ def test_slopes_of_distributions_are_those_of_their_quantiles(model):
         ("measurement,gauge\nM,1\n", "column 'value' is missing; add it"),
         ("measurement,value\nM,1\n", "column 'gauge' is missing; add it, or give --gauge"),
         ("measurement,value,gauge\nM,1,0\n", "row 2, column gauge: '0' is not a number above 0"),
-        ("measurement,value,gauge\nM,1,-1\n", "row 2, column gauge: '-1' is not a number above 0"),
         ("measurement,value,gauge\nM,a,1\n", "row 2, column value: 'a' is not a finite number"),
-        ("measurement,value,gauge\nM,nan,1\n", "row 2, column value: 'nan' is not a finite number"),
         ("measurement,value,gauge\nM,1,1\nM,2,1\n", "row 3, column measurement: 'M' is given twice"),
         ("measurement,value,gauge\n,1,1\n", "row 2, column measurement: is empty"),
         ("measurement,value,value\nM,1,1\n", "column 'value' is given twice"),

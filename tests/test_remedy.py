@@ -7,7 +7,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from scipy.special import ndtri
-from support.springs import STIFFNESS, at_face, six, spring_model
+from support.springs import STIFFNESS, at_face, clamped
 from typer.testing import CliRunner
 
 from mic.options import app
@@ -21,16 +21,9 @@ from mic.studies.remedy import Limits, remedies, smallest
 def faces(lower, upper, sigma=0.0, clamps=(), mean=0.8, gap=0.6, more=()):
     """b's face is w above nominal, and a's comes down by z, mean/2 and sigma/2: they touch at w + z = gap, and from
     there on b is pushed down by half of what they would overlap."""
-    return spring_model(
-        [gap],
-        parts=[{"name": name, "mesh": f"{name}.stl", "thickness": 1.0} for name in "ba"],
-        locators=[*six("b"), *six("a")],
-        clamps=list(clamps),
-        zones=[{"name": "Z", "parts": ["b", "a"], "friction": 0.0, "pairs": 1}],
-        measurements=[at_face("b", (0, 0, 1), name="M", lower=lower, upper=upper), *more],
-        deviations=[{"name": "A", "kind": "locator", "target": "al1", "mean": -mean, "sigma": sigma}],
-        stages=[{"kind": "locate"}, {"kind": "clamp"}, {"kind": "measure"}],
-    )
+    items = [{"name": "A", "kind": "locator", "target": "al1", "mean": -mean, "sigma": sigma}]
+    measured = [at_face("b", name="M", lower=lower, upper=upper), *more]
+    return clamped("ba", gap, clamps=list(clamps), measurements=measured, deviations=items)
 
 
 def changes(one):
@@ -151,11 +144,13 @@ def test_characteristics_within_limits_need_no_remedy():
     assert "no remedy is needed" in remedy_words(found.table, found.effects, faces(-0.5, 0.5).scene)[0]
 
 
+JAWS = [at_face("b", name="T-b", force=20.0), at_face("a", (0, 0, -1), name="T-a", force=20.0)]
+
+
 def test_jaws_of_one_pair_of_tongs_are_adjusted_together_and_others_alone():
-    jaws = [at_face("b", (0, 0, 1), name="T-b", force=20.0), at_face("a", (0, 0, -1), name="T-a", force=20.0)]
     other = at_face("a", (0, 0, -1), name="C", force=30.0)
     stroke = {**at_face("b", (0, 0, -1), name="S", stroke=0.1), "point": [5.0, 9.0, 0.0]}
-    model = faces(0.5, 1.5, clamps=[*jaws, other, stroke])
+    model = faces(0.5, 1.5, clamps=[*JAWS, other, stroke])
     some = adjustments(model, names=["T-b", "C", "S"])
     assert [one.name for one in some] == ["clamps.T-b+T-a.force", "clamps.C.force", "clamps.S.stroke"]
     assert [(one.low, one.high, one.unit) for one in some][0] == (-10.0, 20.0, "N") and some[2].now == 0.1
@@ -169,8 +164,7 @@ def test_changes_are_rounded_up_to_settable_steps_within_bounds():
 
 
 def test_the_written_table_holds_the_evaluated_values():
-    jaws = [at_face("b", (0, 0, 1), name="T-b", force=20.0), at_face("a", (0, 0, -1), name="T-a", force=20.0)]
-    model = faces(0.5, 1.5, clamps=jaws)
+    model = faces(0.5, 1.5, clamps=JAWS)
     some = adjustments(model, names=["bl1", "T-a"])
     told = tomllib.loads(adjustment_tables(model.scene, dict(zip(some, (0.3, -4.0)))))["deviations"]
     kinds = {"locator": LocatorDeviation, "clamp": ClampDeviation}
@@ -188,10 +182,9 @@ def test_the_written_table_holds_the_evaluated_values():
     [
         (["--adjust", "X"], "'X' is neither a locator nor a clamp of this scene; it has: bl0, bl1"),
         ([], "nothing to adjust besides the datum of its measurements"),
-        (["--adjust", "bl1", "--shim", "0"], "shim must be positive and factor larger than 1, not 0 and 2"),
-        (["--adjust", "bl1", "--shim", "nan"], "shim must be positive and factor larger than 1, not nan and 2"),
-        (["--adjust", "bl1", "--force", "0.5"], "shim must be positive and factor larger than 1, not 0.5 and 0.5"),
-        (["--adjust", "bl1", "--force", "inf"], "shim and factor must be finite"),
+        (["--adjust", "bl1", "--shim", "nan"], "shim must be above 0, factor above 1, and both finite; got nan and 2"),
+        (["--adjust", "bl1", "--force", "0.5"], "and both finite; got 0.5 and 0.5"),
+        (["--adjust", "bl1", "--force", "inf"], "and both finite; got 0.5 and inf"),
         (["--adjust", "bl1", "--save", "mended.toml"], "--save writes a changed copy of a scene file"),
         (["--adjust", "bl1", "--capability", "-1"], "Invalid value"),
         (["--adjust", "bl1", "--samples", "1"], "Invalid value"),

@@ -44,30 +44,16 @@ def test_a_quadratic_is_known_but_for_nothing(distribution, kurtosis):
 
 def test_there_may_be_more_inputs_than_samples():
     a = np.random.default_rng(4).standard_normal(40)
-    found = estimates_with_derivatives(
-        scene(40), *samples(lambda t: t @ a, lambda t: np.tile(a, (len(t), 1)), 20, 40, 2)
-    )
+    linear = samples(lambda t: t @ a, lambda t: np.tile(a, (len(t), 1)), 20, 40, 2)
+    found = estimates_with_derivatives(scene(40), *linear)
     assert found.kind.tolist() == ["linear"]
     np.testing.assert_allclose(found.sigma[:, 0], np.linalg.norm(a), rtol=1e-9)
 
 
-def test_the_residual_of_the_regression_counts_for_any_coefficients():
-    """t³ of a uniform t: variance 27/7, of which a line through values and slopes has more than its share."""
-
-    def slope(t):
-        return np.column_stack([3 * t[:, 0] ** 2, np.zeros(len(t))])
-
-    found = estimates_with_derivatives(
-        scene(2, "uniform"), *samples(lambda t: t[:, 0] ** 3, slope, 4000, 2, 5, "uniform")
-    )
-    assert found.kind[0] != "plain"
-    assert found.sigma[0, 0] == pytest.approx(np.sqrt(27 / 7), rel=0.03)
-
-
-def covered(function, slope, p, n, repeated=100):
+def covered(function, slope, p, n, repeated=40):
     """Share of repetitions whose interval holds σ, of those where it is offered; how many these are; and the errors
     there and of the samples alone, root mean square."""
-    truth = function(np.random.default_rng(0).standard_normal((400_000, p))).std()
+    truth = function(np.random.default_rng(0).standard_normal((100_000, p))).std()
     hits, errors, alone = [], [], []
     for seed in range(repeated):
         x, y, slopes = samples(function, slope, n, p, seed)
@@ -106,7 +92,7 @@ def test_intervals_hold_where_a_contact_closes_in_a_third_of_the_samples():
         return np.where((t @ a > 0.6)[:, None], a, 0.0)
 
     share, offered, _, _ = covered(lambda t: np.maximum(t @ a, 0.6), slope, 3, 20)
-    assert share > 0.95 - 3 * np.sqrt(0.95 * 0.05 / max(100 * offered, 1))
+    assert share > 0.95 - 3 * np.sqrt(0.95 * 0.05 / max(40 * offered, 1))
 
 
 def test_it_is_not_offered_where_it_cannot_be_known():

@@ -111,10 +111,8 @@ def adjustments(
     ValueError
         If a name belongs to neither a locator nor a clamp, or the bounds allow no change.
     """
-    if not (math.isfinite(shim + factor) or math.isnan(shim + factor)):
-        raise ValueError(f"shim and factor must be finite, not {shim:g} and {factor:g}")
-    if not (shim > 0 and factor > 1):
-        raise ValueError(f"shim must be positive and factor larger than 1, not {shim:g} and {factor:g}")
+    if not (0 < shim < math.inf and 1 < factor < math.inf):
+        raise ValueError(f"shim must be above 0, factor above 1, and both finite; got {shim:g} and {factor:g}")
     scene = model.scene
     known = [item.name for item in (*scene.locators, *scene.clamps)]
     for name in names:

@@ -8,7 +8,6 @@ contributor.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -55,11 +54,8 @@ def groups(scene: Scene) -> dict[str, list[int]]:
     for j, item in enumerate(scene.deviations):
         grouped.setdefault(getattr(item, "batch", None) or item.name, []).append(j)
     for table in scene.correlations:
-        joined = [
-            name
-            for name, columns in grouped.items()
-            if {scene.deviations[j].name for j in columns} & {*table.deviations}
-        ]
+        names = {name: {scene.deviations[j].name for j in columns} for name, columns in grouped.items()}
+        joined = [name for name, own in names.items() if own & {*table.deviations}]
         grouped[" + ".join(joined)] = sorted(j for name in joined for j in grouped.pop(name))
     return grouped
 
@@ -108,13 +104,13 @@ def contributors(
     many = draw(scene, seed, 2 * samples, DRAWS)
     a, b = evaluate(x_a), evaluate(x_b)
     separate, bound = every, np.full((len(every), a.shape[1]), np.nan)
-    if len(every) > MANY:
-        computed = bounds(model, process.law, every, seed=seed, progress=progress)
-        if computed is not None:
-            varies = np.nanstd(a, axis=0) > SMALLEST
-            bound = np.where(varies, computed, np.nan)
-            separate = _joined(every, negligible(computed, varies))
-    mixed = np.stack([evaluate(_mixed(x_a, columns, x_b)) for columns in separate.values()])
+    computed = bounds(model, process.law, every, seed=seed, progress=progress) if len(every) > MANY else None
+    if computed is not None:
+        varies = np.nanstd(a, axis=0) > SMALLEST
+        bound = np.where(varies, computed, np.nan)
+        separate = _joined(every, negligible(computed, varies))
+    every_column = np.arange(x_a.shape[1])
+    mixed = np.stack([evaluate(np.where(np.isin(every_column, own), x_b, x_a)) for own in separate.values()])
     slopes, r_squared = _regression(np.concatenate([x_a, x_b]), np.concatenate([a, b]))
     parts = [_parts(x, separate, slopes) for x in (x_a, x_b, many)]
     linear = Linear(parts[0], parts[1], *_moments(parts[2]))
@@ -135,13 +131,6 @@ def _joined(every: dict[str, list[int]], out: np.ndarray) -> dict[str, list[int]
     separate = {name: columns for (name, columns), left in zip(every.items(), out) if not left}
     others = sorted(j for columns, left in zip(every.values(), out) if left for j in columns)
     return separate | ({f"{int(out.sum())} others": others} if others else {})
-
-
-def _mixed(x: np.ndarray, columns: Sequence[int], other: np.ndarray) -> np.ndarray:
-    """Samples with some columns replaced by those of other samples."""
-    mixed = x.copy()
-    mixed[:, columns] = other[:, columns]
-    return mixed
 
 
 def _regression(x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -37,6 +37,7 @@ from mic.process.model import ReducedModel
 from mic.process.process import Process
 from mic.results.schema import EXPLANATION, FURTHER
 from mic.scene import Scene
+from mic.scene.deviation import FrictionDeviation
 from mic.statistics.emulator import Emulator
 from mic.statistics.estimates import LEVEL
 from mic.statistics.normal_space import from_normal
@@ -110,13 +111,9 @@ class Posterior:
         """Effective number of independent samples."""
         return float(1 / np.sum(self.weight**2))
 
-    def level(self, share: float = LEVEL) -> float:
-        """The φ that bounds the region of highest density with this share of the posterior."""
-        return _quantile(self.misfit, self.weight, share)
-
-    def holds(self, z: np.ndarray, share: float = LEVEL) -> bool:
-        """Whether the region of highest density with this share of the posterior contains z (p,)."""
-        return bool(self.target.misfit(z[None])[0] <= self.level(share))
+    def holds(self, z: np.ndarray) -> bool:
+        """Whether the region of highest density with 95 % of the posterior contains z (p,)."""
+        return bool(self.target.misfit(z[None])[0] <= _quantile(self.misfit, self.weight, LEVEL))
 
 
 @dataclass(frozen=True)
@@ -257,22 +254,14 @@ def _indistinguishable_pairs(
 def with_friction(model: ReducedModel, sigma: float) -> ReducedModel:
     """A model in which the friction of each zone varies independently, with a coefficient of at least 0."""
     scene = model.scene
-    items = [
-        {
-            "name": f"friction of {zone.name}".replace(" ", "_"),
-            "kind": "friction",
-            "target": zone.name,
-            "sigma": sigma,
-            "truncated": [-float(zone.coefficient("default")), 10.0],
-        }
-        for zone in scene.zones
-        if zone.frictional and zone.pressure_pieces() is None
-    ]
+    items = []
+    for zone in scene.zones:
+        if zone.frictional and zone.pressure_pieces() is None:
+            name, range_ = f"friction of {zone.name}".replace(" ", "_"), (-float(zone.coefficient("default")), 10.0)
+            items.append(FrictionDeviation(name=name, kind="friction", target=zone.name, sigma=sigma, truncated=range_))
     if not items:
         raise SceneError(f"scene {scene.name!r}: no zone has constant friction; omit --friction")
-    deviations = [*scene.model_dump(mode="json")["deviations"], *items]
-    extended = Scene(**scene.model_dump() | {"deviations": deviations, "folder": scene.folder})
-    return model.varied(extended)
+    return model.varied(scene.model_copy(update={"deviations": [*scene.deviations, *items]}))
 
 
 def _check_input(scene: Scene, measured, gauges, names) -> None:
@@ -335,7 +324,7 @@ def posterior(
             break
         known = np.count_nonzero(found.weight)
         fresh = found.z[stream.choice(len(found.z), min(BATCH, known), replace=False, p=found.weight)]
-    exact = evaluations.evaluate_exactly(found.best)
+    exact = evaluations.evaluate(evaluations.exact, found.best[None])
     least = float(target.misfit(found.best[None], exact)[0]) if np.isfinite(exact).all() else found.least
     return replace(found, least=least, error=error, evaluations=evaluations.count)
 
@@ -372,21 +361,21 @@ class _ModelEvaluations:
 
     def __init__(self, model, law, threads, progress):
         self._model, self._law, self._threads, self._progress = model, law, threads, progress
-        self._exact = self._process = model.process(law, threads=threads)
+        self.exact = self._process = model.process(law, threads=threads)  # on the scene's own path tolerance
         self._z, self._h = np.empty((0, len(model.scene.deviations))), np.empty((0, len(model.scene.measurements)))
         self.count = 0
 
     def loosen_path(self, z: np.ndarray, columns: list[int], s: np.ndarray) -> np.ndarray:
         """Choose the loosest path tolerance whose error is small against the gauge; returns its error (k,), mm."""
         none = np.zeros(self._h.shape[1])
-        if not any(isinstance(stage.path, Followed) for stage in self._exact.stages):
+        if not any(isinstance(stage.path, Followed) for stage in self.exact.stages):
             return none
-        exact = self._evaluate(self._exact, z)
+        exact = self.evaluate(self.exact, z)
         for tolerance in LOOSE:
             if tolerance <= self._model.scene.path.tolerance:
                 break
-            loose = Process(self._model, self._exact.law, threads=self._threads, path_tolerance=tolerance)
-            error = np.sqrt(np.nanmean((self._evaluate(loose, z) - exact) ** 2, axis=0))
+            loose = Process(self._model, self.exact.law, threads=self._threads, path_tolerance=tolerance)
+            error = np.sqrt(np.nanmean((self.evaluate(loose, z) - exact) ** 2, axis=0))
             if (error[columns] <= LOOSENED * s).all():
                 self._process = loose
                 return error
@@ -396,17 +385,13 @@ class _ModelEvaluations:
         """Evaluate assemblies (n, p) and add them to the spline.
 
         Returns the root mean square error (k,) at them of the spline before, mm; infinite if there was none."""
-        h = self._evaluate(self._process, z)
+        h = self.evaluate(self._process, z)
         known = np.isfinite(h).all(axis=1)
         error = np.full(h.shape[1], np.inf)
         if len(self._z) and known.any():
             error = np.sqrt(((self.emulator()(z[known]) - h[known]) ** 2).mean(axis=0))
         self._z, self._h = np.concatenate([self._z, z[known]]), np.concatenate([self._h, h[known]])
         return error
-
-    def evaluate_exactly(self, z: np.ndarray) -> np.ndarray:
-        """(1, k) of one assembly (p,), on the scene's own path tolerance."""
-        return self._evaluate(self._exact, z[None])
 
     def emulator(self) -> Emulator:
         """The spline through all evaluated assemblies."""
@@ -418,7 +403,7 @@ class _ModelEvaluations:
             )
         return Emulator(self._z, self._h)
 
-    def _evaluate(self, process: Process, z: np.ndarray) -> np.ndarray:
+    def evaluate(self, process: Process, z: np.ndarray) -> np.ndarray:
         """Key characteristics (n, k); NaN for assemblies that cannot be computed."""
         self.count += len(z)
         return key_characteristics(process, from_normal(self._model.scene, z), self._progress)
@@ -519,24 +504,15 @@ def _further_measurements(scene, names, measured, gauge: float, samples: Posteri
     w, rows = samples.weight, []
     _, spread = _moments(samples.response, w)
     for k, name in enumerate(names):
-        if name in measured:
-            continue
-        share = spread[k] ** 2 / (spread[k] ** 2 + gauge**2)
-        columns = np.column_stack([x[:, varied], samples.response[:, k]])
-        reduction = np.nan_to_num(_correlation(columns, w)[-1, :-1]) ** 2 * share
-        source = int(reduction.argmax())
-        rows.append(
-            {
-                "measurement": name,
-                "sigma": spread[k],
-                "bits": 0.5 * np.log2(1 + (spread[k] / gauge) ** 2),
-                "source": scene.deviations[varied[source]].name,
-                "told": reduction[source],
-            }
-        )
-    if not rows:
-        return FURTHER.empty()
-    table = pd.DataFrame(rows, columns=FURTHER.names)
+        if name not in measured:
+            share = spread[k] ** 2 / (spread[k] ** 2 + gauge**2)
+            columns = np.column_stack([x[:, varied], samples.response[:, k]])
+            reduction = np.nan_to_num(_correlation(columns, w)[-1, :-1]) ** 2 * share
+            source = int(reduction.argmax())
+            bits = 0.5 * np.log2(1 + (spread[k] / gauge) ** 2)
+            rows.append((name, spread[k], bits, scene.deviations[varied[source]].name, reduction[source]))
+    table = pd.DataFrame(rows, columns=["measurement", "sigma", "bits", "source", "told"])[FURTHER.names]
+    table = table if rows else FURTHER.empty()
     return table.sort_values("bits", ascending=False, kind="stable", ignore_index=True)
 
 

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from operator import attrgetter
 from typing import NamedTuple
 
 import numpy as np
@@ -144,14 +145,14 @@ class AdjustmentSearch:
                 within = excess[1:] <= 0
                 first = int(np.argmax(within)) + 1 if within.any() else int(excess.argmin())
                 if not first:
-                    best = _least_excess([best, _Candidate(a, 0.0, float(excess[0]))])
+                    best = min(best, _Candidate(a, 0.0, float(excess[0])), key=_excess)
                     continue
                 fine = adjustment.settings(float(coarse[first - 1]), float(coarse[first]))
                 excess = self._beyond(*predict(a, fine))
                 within = excess <= 0
                 i = int(np.argmax(within)) if within.any() else int(excess.argmin())
                 candidate = _Candidate(a, float(fine[i]), float(excess[i]))
-                best = _least_excess([best, candidate])
+                best = min(best, candidate, key=_excess)
                 sufficient += [candidate] if within.any() else []
         return self._least_change(sufficient) or best
 
@@ -165,8 +166,8 @@ class AdjustmentSearch:
             """Interpolate between evaluations on the same side; extrapolate along the derivatives."""
             result = np.empty((len(changes), len(y)))
             for i, change in enumerate(changes):
-                values = {0.0: y}
-                values |= {abs(at): value for (b, at), value in evaluated.items() if b == a and at * change > 0}
+                values = {abs(at): value for (b, at), value in evaluated.items() if b == a and at * change > 0}
+                values[0.0] = y
                 at, size = np.array(sorted(values)), abs(change)
                 j = int(np.clip(np.searchsorted(at, size) - 1, 0, len(at) - 1))
                 before, distance = values[at[j]], size - at[j]
@@ -192,9 +193,8 @@ class AdjustmentSearch:
                     evaluate(b, adjustment.high)
         candidates = [_Candidate(*key, float(self._beyond(values, half))) for key, values in evaluated.items()]
         candidates = candidates or [_Candidate(0, 0.0, float(self._beyond(y, half)))]
-        return self._least_change([candidate for candidate in candidates if candidate.excess <= 0]) or _least_excess(
-            candidates
-        )
+        sufficient = [candidate for candidate in candidates if candidate.excess <= 0]
+        return self._least_change(sufficient) or min(candidates, key=_excess)
 
     def _least_change(self, candidates: list[_Candidate]) -> _Candidate | None:
         """The candidate with the smallest change relative to its allowed range; None without candidates."""
@@ -202,5 +202,4 @@ class AdjustmentSearch:
         return min(candidates, key=relative, default=None)
 
 
-def _least_excess(candidates: list[_Candidate]) -> _Candidate:
-    return min(candidates, key=lambda candidate: candidate.excess)
+_excess = attrgetter("excess")

@@ -9,11 +9,11 @@ from typing import Any
 
 import numpy as np
 
-from mic.process.actions import stage_moves, tongs
+from mic.process.actions import stage_moves
 from mic.process.model import ReducedModel
 from mic.scene import Scene
 from mic.scene.optimisation import jaws, locator_or_clamp, named_items
-from mic.studies.adjustment import Adjustment, as_deviations, with_adjustments
+from mic.studies.adjustment import Adjustment, as_deviations
 from mic.studies.order import moved_names
 
 __all__ = ["Change", "Design", "Space"]
@@ -125,10 +125,6 @@ class Space:
         """Whether there are orders or places to choose from."""
         return bool(self.items) or any(len(groups) > 1 for groups in self.groups)
 
-    def with_setting_deviations(self, model: ReducedModel) -> tuple[ReducedModel, list[str]]:
-        """A model with a deviation of standard deviation 0 for each setting, and the names of these deviations."""
-        return with_adjustments(model, self.settings)
-
     def with_orders_of(self, model: ReducedModel, design: Design) -> ReducedModel:
         """A model with the orders of a design."""
         if all(order is None for order in design.orders):
@@ -181,8 +177,8 @@ class Space:
         for clamp in scene.clamps:
             key = "stroke" if clamp.force is None else "force"
             clamps.append(clamp.model_copy(update={key: getattr(clamp, key) + changes.get(clamp.name, 0.0)}))
-        shims = [(setting, x) for setting, x in zip(self.settings, design.settings) if setting.kind == "locator" and x]
-        shim_deviations = as_deviations(scene, [setting for setting, _ in shims], [x for _, x in shims])
+        shims = {setting: x for setting, x in zip(self.settings, design.settings) if setting.kind == "locator" and x}
+        shim_deviations = as_deviations(scene, [*shims], [*shims.values()])
         return scene.model_copy(update={"clamps": clamps, "deviations": [*scene.deviations, *shim_deviations]})
 
 
@@ -206,13 +202,15 @@ def _groups(scene, choice) -> tuple[tuple[str, ...], ...]:
     if choice.groups is not None:
         expand = lambda name: [item.name for item in jaws(scene, name)] or [name]
         return tuple(tuple(item for name in group for item in expand(name)) for group in choice.groups)
-    if stage.order is None and stage.kind == "clamp":
-        numbers = [i for i, item in enumerate(scene.clamps) if item.stage == stage.name]
-        locators = [(item.name,) for item in scene.locators if item.stage == stage.name]
-        return (*locators, *(tuple(scene.clamps[i].name for i in group) for group in tongs(scene, numbers)))
-    if stage.order is None and stage.kind == "weld":
-        return tuple((item.name,) for item in scene.welds if item.stage == stage.name)
-    return tuple(tuple(names) for move in moves if (names := moved_names(scene, move)))
+    groups = [names for move in moves if (names := moved_names(scene, move))]
+    if (
+        stage.order is None and stage.kind != "release"
+    ):  # items that close together, but for tongs, may close one by one
+        clamps = {clamp.name for clamp in scene.clamps}
+        groups = [
+            own for names in groups for own in ([names] if clamps.issuperset(names) else [[name] for name in names])
+        ]
+    return tuple(map(tuple, groups))
 
 
 def _with_orders(scene: Scene, orders: dict[str, Sequenced]) -> Scene:

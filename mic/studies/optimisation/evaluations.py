@@ -16,7 +16,7 @@ from mic.process.model import ReducedModel
 from mic.results.run_identity import identity
 from mic.statistics.draw import draw
 from mic.statistics.estimates import jackknife_error
-from mic.studies.adjustment import with_changes
+from mic.studies.adjustment import with_adjustments, with_changes
 from mic.studies.optimisation.design import Design, Space
 from mic.studies.optimisation.moved_items import RelocatedModels
 from mic.studies.optimisation.objective import Objective
@@ -121,7 +121,7 @@ class DesignEvaluator:
         carlo = model.scene.monte_carlo.model_copy(update={"design": "independent"})
         self._drawing = model.scene.model_copy(update={"monte_carlo": carlo})
         self._log = EvaluationLog(ledger, f"{identity(model, seed)} {law}")
-        self._bases = {(0,) * len(space.items): space.with_setting_deviations(model)}
+        self._bases = {(0,) * len(space.items): with_adjustments(model, space.settings)}
         self._ordered_model = lru_cache(maxsize=MODELS)(self._build_model)
 
     # --------------------------------------------------------------------------------------------------- samples
@@ -140,7 +140,7 @@ class DesignEvaluator:
         if design.places not in self._bases:
             assert self._relocated is not None
             relocated = self._relocated.model(self.space.with_places_of(design))
-            self._bases[design.places] = self.space.with_setting_deviations(relocated)
+            self._bases[design.places] = with_adjustments(relocated, self.space.settings)
         return self.space.with_orders_of(self._bases[design.places][0], design)
 
     def evaluate(self, design: Design, deviations: np.ndarray) -> dict[str, np.ndarray]:

@@ -22,6 +22,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 from scipy.optimize import minimize
@@ -46,7 +47,7 @@ class _Problem:
         self.costs = space.costs if self.objective.kind == "cost" else np.zeros(len(space.costs))
         self.priced = np.flatnonzero(self.costs)
         self.scale = 1.0
-        self._cached: dict[bytes, tuple[np.ndarray, ...]] = {}
+        self._known = cache(self._evaluate)
 
     def settings(self, z: np.ndarray) -> np.ndarray:
         """Settings x of the unknowns z."""
@@ -54,16 +55,14 @@ class _Problem:
 
     def values(self, z: np.ndarray) -> tuple[np.ndarray, ...]:
         """φ, c and their derivatives by u."""
-        x = self.settings(z)
-        key = x.tobytes()
-        if key not in self._cached:
-            design = replace(self.start, settings=tuple(float(setting) for setting in x))
-            y, slopes = self.evaluator.values_with_derivatives(design)
-            figures = self.objective.figures(y, slopes)
-            φ, dφ = self.objective.objective_terms(figures)
-            c, dc = self.objective.inequalities(figures, x)
-            self._cached[key] = φ, dφ * self.width, c, dc * self.width
-        return self._cached[key]
+        return self._known(tuple(self.settings(z).tolist()))
+
+    def _evaluate(self, x: tuple[float, ...]) -> tuple[np.ndarray, ...]:
+        y, slopes = self.evaluator.values_with_derivatives(replace(self.start, settings=x))
+        figures = self.objective.figures(y, slopes)
+        φ, dφ = self.objective.objective_terms(figures)
+        c, dc = self.objective.inequalities(figures, x)
+        return φ, dφ * self.width, c, dc * self.width
 
     def first(self) -> np.ndarray:
         """The unknowns z at the start; sets the scale of the objective."""

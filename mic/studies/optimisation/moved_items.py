@@ -8,7 +8,7 @@ a fused weld has elements of its own, so that its part is factorised for each of
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -50,8 +50,8 @@ class RelocatedModels:
 
     def __init__(self, space: Space, cache: Path, progress: Callable[[str], None] = lambda line: None):
         self._cache, self._progress = cache, progress
-        self._retained: dict[Mesh, Functionals] = {}
-        self._places: dict[Mesh, dict[bytes, int]] = {}
+        # The retained functionals by their keys, each with its row there.
+        self._retained: dict[Mesh, dict[bytes, tuple[Functionals, int]]] = {}
         self._coefficients: dict[Mesh, InfluenceCoefficients] = {}
         try:
             stated = self._assemble(space.scene)
@@ -78,7 +78,9 @@ class RelocatedModels:
         self._retain(assembly)
         missing = {part.name: _mesh(part) for part in assembly.parts if _mesh(part) not in self._coefficients}
         if missing:
-            parts = tuple(replace(part, functionals=self._retained[_mesh(part)]) for part in assembly.parts)
+            parts = tuple(
+                replace(part, functionals=_joined([*self._retained[_mesh(part)].values()])) for part in assembly.parts
+            )
             partial = replace(assembly, parts=tuple(part for part in parts if part.name in missing))
             coefficients = influence_coefficients(partial, self._cache, self._progress)[0]
             self._coefficients |= {mesh: coefficients[name] for name, mesh in missing.items()}
@@ -93,21 +95,17 @@ class RelocatedModels:
     def _retain(self, assembly: Assembly) -> None:
         """Add the functionals of an assembly to the retained ones; a part with new ones is marked for computation."""
         for part in assembly.parts:
-            mesh = _mesh(part)
-            places = self._places.setdefault(mesh, {})
-            functionals, before = part.functionals, len(places)
-            new = []
-            for i, key in enumerate(_keys(functionals)):
-                if key not in places:
-                    places[key] = len(places)
-                    new.append(i)
-            if len(places) > before:
-                self._retained[mesh] = _append(self._retained.get(mesh), functionals, new)
-                self._coefficients.pop(mesh, None)
+            retained = self._retained.setdefault(_mesh(part), {})
+            before = len(retained)
+            for i, key in enumerate(_keys(part.functionals)):
+                retained.setdefault(key, (part.functionals, i))
+            if len(retained) > before:
+                self._coefficients.pop(_mesh(part), None)
 
     def _select(self, part) -> InfluenceCoefficients:
         """Select the coefficients of the functionals of a part."""
-        coefficients, places = self._coefficients[_mesh(part)], self._places[_mesh(part)]
+        coefficients = self._coefficients[_mesh(part)]
+        places = {key: row for row, key in enumerate(self._retained[_mesh(part)])}
         rows = np.array([places[key] for key in _keys(part.functionals)], dtype=int)
         thicknesses = coefficients.thicknesses
         if thicknesses is not None:
@@ -132,20 +130,17 @@ def _keys(functionals: Functionals) -> list[bytes]:
     return [patches[p] + d.tobytes() + bytes([bool(r)]) + np.float64(s).tobytes() for p, d, r, s in rows]
 
 
-def _append(retained: Functionals | None, functionals: Functionals, rows: list[int]) -> Functionals:
-    """Append rows of functionals to the retained ones."""
-    if retained is None:
-        patch, direction = functionals.patch[:0], functionals.direction[:0]
-        retained = Functionals((), patch, direction, functionals.rotation[:0], functionals.side[:0], ())
-    patches = sorted({int(functionals.patch[i]) for i in rows})
-    number = {p: len(retained.patches) + i for i, p in enumerate(patches)}
+def _joined(rows: Sequence[tuple[Functionals, int]]) -> Functionals:
+    """Functionals from rows of others."""
+    patches = [own.patches[own.patch[i]] for own, i in rows]
+    numbers = {identity: number for number, identity in enumerate(dict.fromkeys(map(id, patches)))}
     return Functionals(
-        (*retained.patches, *(functionals.patches[p] for p in patches)),
-        np.concatenate([retained.patch, [number[int(functionals.patch[i])] for i in rows]]).astype(int),
-        np.concatenate([retained.direction, functionals.direction[rows]]),
-        np.concatenate([retained.rotation, functionals.rotation[rows]]),
-        np.concatenate([retained.side, functionals.side[rows]]),
-        (*retained.label, *(functionals.label[i] for i in rows)),
+        tuple({id(patch): patch for patch in patches}.values()),
+        np.array([numbers[id(patch)] for patch in patches], dtype=int),
+        np.array([own.direction[i] for own, i in rows]),
+        np.array([own.rotation[i] for own, i in rows]),
+        np.array([own.side[i] for own, i in rows]),
+        tuple(own.label[i] for own, i in rows),
     )
 
 

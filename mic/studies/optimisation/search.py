@@ -25,7 +25,7 @@ import numpy as np
 from mic.studies.optimisation.design import Design, Sequenced, Space
 from mic.studies.optimisation.evaluations import BLOCK, BudgetExceeded, DesignEvaluator
 
-__all__ = ["FEW", "all_designs", "local_search", "random_design", "successive_halving"]
+__all__ = ["FEW", "all_designs", "local_search", "successive_halving"]
 
 FEW = 5040  # largest number of designs that are enumerated
 KICKS = 3  # random moves of a perturbation
@@ -105,13 +105,6 @@ def local_search(
     except BudgetExceeded:
         pass
     return best
-
-
-def random_design(space: Space, stream: np.random.Generator) -> Design:
-    """A design at random: settings uniform within their bounds, orders and places with equal chances."""
-    settings = space.settable(stream.uniform(space.low, space.high))
-    orders = tuple(tuple(groups[i] for i in stream.permutation(len(groups))) for groups in space.groups)
-    return Design(settings, orders, tuple(int(stream.integers(len(points))) for points in space.points))
 
 
 def _moves(design: Design, space: Space, stream: np.random.Generator) -> Iterator[Design]:
