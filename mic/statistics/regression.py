@@ -65,7 +65,8 @@ class RegressionEstimates:
     def plain(cls, width: np.ndarray) -> RegressionEstimates:
         """The estimates without regression, for k outputs whose intervals of σ have these widths."""
         k = len(width)
-        return cls(np.full(k, "plain", dtype=object), np.full(k, np.nan), *np.full((2, 3, k), np.nan), width.copy())
+        mean, sigma = np.full((2, 3, k), np.nan)
+        return cls(np.full(k, "plain", dtype=object), np.full(k, np.nan), mean, sigma, width.copy())
 
     def offer(self, kind: str, width: np.ndarray, mean: np.ndarray, sigma: np.ndarray, explained: np.ndarray) -> None:
         """Use other estimates for the outputs whose interval of σ they make narrower."""
