@@ -11,8 +11,10 @@ import pytest
 from support.processes import on_processes, start_processes
 
 import mic
+from mic.errors import RunError
 from mic.execution.ranks import LaunchError, communicator
 from mic.results.schema import CONDENSED, CONTACTS, DATASETS, FORCES, SUMS
+from mic.system.lock import locked
 
 ROOT = Path(__file__).resolve().parents[1]
 SCENE = ROOT / "meshes" / "lap_joint"
@@ -134,6 +136,13 @@ def test_a_terminated_run_is_completed_by_another_number_of_processes(one_proces
     process.send_signal(signal.SIGTERM)
     process.communicate(timeout=SECONDS)
     assert process.returncode != 0
+    while True:  # mpirun can end before its processes do
+        try:
+            with locked(out):
+                break
+        except RunError:
+            assert time.monotonic() < end
+            time.sleep(0.1)
     complete(scene, out, cache, one_process)
 
 
