@@ -107,7 +107,6 @@ def test_offsets_move_parts_from_the_faying_surface_to_their_middle(tmp_path, ca
     middle = assemble(lap(tmp_path, (0.0, 1.0)), cache)
     offset_section = STEEL + "*Shell Section, elset=all, material=S, offset=SPOS\n1.,\n"
     for keys, turned, sections in (
-        (({"offset": -0.5}, {"offset": 0.5}), (False, False), ("", "")),
         (({"offset": -0.5}, {"offset": -0.5}), (False, True), ("", "")),
         (({"thickness": None}, {}), (False, False), (offset_section, "*Shell Section, elset=all, offset=-0.5\n1.,\n")),
     ):
@@ -135,11 +134,9 @@ def test_the_proposed_offsets_separate_coincident_sheets(tmp_path, cache):
         for name, mesh, turn in zip(("lower", "upper"), (plate, hat), turned):
             deck(tmp_path / f"{name}.inp", mesh[0], mesh[1][:, ::-1] if turn else mesh[1])
         wanted = {"lower": 0.5 if turned[0] else -0.5, "upper": -0.5 if turned[1] else 0.5}
-        bare = scene.model_copy(
-            update={key: [] for key in ("locators", "clamps", "welds", "measurements", "deviations")}
-        )
-        box = bare.zones[0].model_copy(update={"box": None, "path": None, "within": None})
-        bare = bare.model_copy(update={"zones": [box]})
+        zone = scene.zones[0].model_copy(update={"box": None, "path": None, "within": None})
+        none = {key: [] for key in ("locators", "clamps", "welds", "measurements", "deviations")}
+        bare = scene.model_copy(update=none | {"zones": [zone]})
         words = " and ".join(f"offset = {value:+g} for {name}" for name, value in wanted.items())
         with pytest.raises(SceneError, match=words.replace("+", r"\+") + ", which follows from the rest of the sheets"):
             assemble(bare, cache)
@@ -149,20 +146,16 @@ def test_the_proposed_offsets_separate_coincident_sheets(tmp_path, cache):
 
 
 def test_a_zone_can_state_its_gap(tmp_path, cache):
-    for drawn, stated in (((0.0, 1.3), 0.05), ((0.0, 0.8), 0.0)):
-        found = assemble(lap(tmp_path, drawn, gap=stated), cache)
-        assert (found.contacts.gap == stated).all() and (mean_gaps(found) == stated).all()
-        assert not found.contacts.overlap.any() and not found.contacts.overlapping.any()
-    found = assemble(lap(tmp_path, (0.0, 1.3)), cache)
-    assert found.contacts.gap == pytest.approx(0.3) and mean_gaps(found) == pytest.approx(0.3)
+    found = assemble(lap(tmp_path, (0.0, 0.8), gap=0.05), cache)  # drawn with overlap
+    assert (found.contacts.gap == 0.05).all() and (mean_gaps(found) == 0.05).all()
+    assert not found.contacts.overlap.any() and not found.contacts.overlapping.any()
 
 
 @pytest.mark.slow
 def test_the_scene_overrides_the_deck_and_missing_values_are_refused(tmp_path, cache):
     section = STEEL + "*Shell Section, elset=all, material=S\n0.7,\n"
-    scene = lap(
-        tmp_path, (0.0, 0.85), (section, section), parts=({"thickness": None}, {"young": 70e3, "poisson": 0.33})
-    )
+    keys = {"thickness": None}, {"young": 70e3, "poisson": 0.33}
+    scene = lap(tmp_path, (0.0, 0.85), (section, section), parts=keys)
     lower, upper = assemble(scene, cache).parts
     assert (lower.thickness, lower.young, lower.poisson) == (0.7, 205e3, 0.28)
     assert (upper.thickness, upper.young, upper.poisson) == (1.0, 70e3, 0.33)
@@ -189,17 +182,14 @@ def test_a_part_in_two_pieces_is_refused(tmp_path, cache):
     twice = np.concatenate([points, points + [0, 0, 40]]), np.concatenate([triangles, triangles[:6] + len(points)])
     deck(tmp_path / "a.inp", *twice)
     part = Part(name="a", mesh="a.inp", thickness=1.0)
-    with pytest.raises(
-        SceneError, match=r"part 'a': mesh: the mesh consists of 2 pieces .*48 triangles about .*; 6 triangles"
-    ):
+    with pytest.raises(SceneError, match=r"part 'a': mesh: .* of 2 pieces .*48 triangles about .*; 6 triangles"):
         load_part(part, tmp_path, cache)
 
 
 def test_check_reports_the_source_of_values_and_repairs(tmp_path, cache, monkeypatch):
     monkeypatch.setenv("MIC_CACHE", str(cache))
-    section = (
-        STEEL + "*Shell Section, elset=all, material=S, offset=-0.5\n0.7,\n*Element, type=MASS, elset=m\n9999, 1\n"
-    )
+    section = STEEL + "*Shell Section, elset=all, material=S, offset=-0.5\n0.7,\n"
+    section += "*Element, type=MASS, elset=m\n9999, 1\n"
     lap(tmp_path, (0.5, 0.5), (section.replace("-0.5", "0.5"), section))
     text = (MESHES / "lap_joint" / "scene.toml").read_text()
     for name, keys in (("lower", ""), ("upper", "thickness = 1\n")):
@@ -207,11 +197,8 @@ def test_check_reports_the_source_of_values_and_repairs(tmp_path, cache, monkeyp
         end = text.index("[[", start + 9)
         text = f'{text[:start]}[[parts]]\nname = "{name}"\nmesh = "{name}.inp"\n{keys}\n{text[end:]}'
     (tmp_path / "scene.toml").write_text(text)
-    output = (
-        CliRunner()
-        .invoke(app, ["check", str(tmp_path), "--page", str(tmp_path / "check.html")], env={"COLUMNS": "200"})
-        .output
-    )
+    command = ["check", str(tmp_path), "--page", str(tmp_path / "check.html")]
+    output = CliRunner().invoke(app, command, env={"COLUMNS": "200"}).output
     assert "lower: t = 0.7 mm (lower.inp), offset = -0.5 t (lower.inp), E = 205000 MPa (lower.inp)" in output
     assert "upper: t = 1 mm (scene; upper.inp gives 0.7), offset = 0.5 t (upper.inp)" in output
     assert "lower: moved 0.35 mm from the mesh, mostly in the direction (" in output

@@ -10,6 +10,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from support.runs import skip_pictures
 from typer.testing import CliRunner
 
 from mic.options import app
@@ -53,11 +54,18 @@ def edit(scene, block):
 
 
 @pytest.fixture(scope="module")
-def played(tmp_path_factory):
+def patched():
+    with pytest.MonkeyPatch.context() as patch:
+        yield patch
+
+
+@pytest.fixture(scope="module")
+def played(tmp_path_factory, patched):
     """The page from top to bottom: what each block printed, the folder, and the time of the processors, s."""
     folder, cache = tmp_path_factory.mktemp("own"), tmp_path_factory.mktemp("cache")
     scene = folder / "panel+channel" / "scene.toml"
     said = []
+    skip_pictures(patched.setattr)
     before = os.times()
     for number, (kind, block) in enumerate(BLOCKS):
         following = BLOCKS[number + 1] if number + 1 < len(BLOCKS) else ("", "")

@@ -12,6 +12,7 @@ from mic.model.sources import sources
 from mic.scene import Scene, load_scene
 
 RING, RIM, PAD = (30.0, 30.0, 1.0), 8.0, [12.0, 30.0, 1.0]
+TONG = {"name": "T", "parts": ["plate", "ring"], "point": PAD, "force": 50}
 
 
 @pytest.fixture(scope="module")
@@ -91,10 +92,11 @@ def test_a_pin_reads_the_mean_of_the_rim(folder):
 
 @pytest.mark.slow
 def test_normal_is_that_of_the_sheet_and_a_minus_turns_it(folder):
-    n = np.array(measured(folder, point=PAD).direction)
+    keys = {"point": PAD}, {"point": PAD, "direction": "-normal"}, {"hole": RING}
+    rows = [{"name": f"M{i}", "part": "ring", "lower": -1, "upper": 1} | one for i, one in enumerate(keys)]
+    n, turned, at_hole = (np.array(item.direction) for item in placed(folder, measurements=rows).measurements)
     assert n == pytest.approx([0, 0, n[2]]) and abs(n[2]) == pytest.approx(1)
-    assert measured(folder, point=PAD, direction="-normal").direction == pytest.approx(-n)
-    assert measured(folder, hole=RING).direction == pytest.approx(n)
+    assert turned == pytest.approx(-n) and at_hole == pytest.approx(n)
 
 
 def test_an_axis_is_laid_into_a_sheet_that_stands_askew(tmp_path):
@@ -123,24 +125,22 @@ def test_an_axis_is_laid_into_a_sheet_that_stands_askew(tmp_path):
 
 @pytest.mark.slow
 def test_a_tong_is_two_jaws_that_push_its_parts_together(folder):
-    tong = {"name": "T", "parts": ["plate", "ring"], "point": PAD, "force": 50}
-    scene = placed(folder, clamps=[tong])
+    scene = placed(folder, clamps=[TONG])
     below, above = scene.clamps
     assert (below.name, below.part, below.direction) == ("T-plate", "plate", pytest.approx((0, 0, 1)))
     assert (above.name, above.part, above.direction) == ("T-ring", "ring", pytest.approx((0, 0, -1)))
-    turned = placed(folder, clamps=[tong | {"parts": ["ring", "plate"], "direction": [0, 0.3, -1]}])
+    turned = placed(folder, clamps=[TONG | {"parts": ["ring", "plate"], "direction": [0, 0.3, -1]}])
     assert turned.clamps[0].direction == pytest.approx(np.array([0, 0.3, -1]) / np.hypot(0.3, 1))
     assert turned.clamps[0].part == "ring"
 
 
 def test_order_keep_and_deviations_may_name_a_tong(folder):
-    tong = {"parts": ["plate", "ring"], "force": 50}
     stages = table()["stages"]
     stages[1] = {"kind": "clamp", "order": [["B"], ["A"]]}
     stages[3] = {"kind": "release", "keep": ["B", *(f"plate-{i}" for i in range(6)), *(f"ring-{i}" for i in range(6))]}
     scene = placed(
         folder,
-        clamps=[tong | {"name": "A", "point": PAD}, tong | {"name": "B", "point": [48, 30, 1]}],
+        clamps=[TONG | {"name": "A"}, TONG | {"name": "B", "point": [48, 30, 1]}],
         stages=stages,
         deviations=[{"name": "D", "kind": "clamp", "target": "A", "sigma": 5}],
     )
@@ -151,9 +151,8 @@ def test_order_keep_and_deviations_may_name_a_tong(folder):
 
 @pytest.mark.slow
 def test_the_dump_of_a_placed_scene_is_the_same_placed_scene(folder):
-    keys = {"name": "T", "parts": ["plate", "ring"], "point": PAD, "force": 50}
     measurement = {"name": "M", "part": "ring", "hole": list(RING), "lower": -1, "upper": 1}
-    scene = placed(folder, clamps=[keys], measurements=[measurement])
+    scene = placed(folder, clamps=[TONG], measurements=[measurement])
     again = Scene(**scene.model_dump(), folder=folder)
     assert again == scene
     assert assemble(again, folder / "cache").scene == again
@@ -170,11 +169,11 @@ WRONG = {
         ["measurements[0] (X).direction", "z stands across the sheet", '"in-plane x" or "in-plane y"'],
     ),
     "tong where nothing faces": (
-        {"clamps": [{"parts": ["plate", "ring"], "point": [3, 3, 0.5], "force": 5}]},
+        {"clamps": [TONG | {"point": [3, 3, 0.5]}]},
         ["clamps[0] (X).point", "away from part 'ring'", "nearest point on it is"],
     ),
     "tong that pulls apart": (
-        {"clamps": [{"parts": ["plate", "ring"], "point": PAD, "direction": [0, 0, -1], "force": 5}]},
+        {"clamps": [TONG | {"direction": [0, 0, -1]}]},
         ["clamps[0] (X).direction", "does not push 'plate' towards 'ring'", "(0, 0, 1)"],
     ),
 }
@@ -182,7 +181,7 @@ WRONG = {
 
 def wrong(changes):
     blank = {"measurements": {"part": "ring", "lower": -1, "upper": 1}, "clamps": {}}
-    return {key: [blank[key] | {"name": "X"} | item for item in items] for key, items in changes.items()}
+    return {key: [blank[key] | item | {"name": "X"} for item in items] for key, items in changes.items()}
 
 
 @pytest.mark.parametrize("case", WRONG)
@@ -218,18 +217,9 @@ REFUSED = {
     "no place": ({"measurements": [{}]}, "give point = [x, y, z], or node or set or hole"),
     "two places": ({"measurements": [{"point": PAD, "node": 3}]}, "point and node both give its place"),
     "a word that is none": ({"measurements": [{"point": PAD, "direction": "up"}]}, "'up' is no direction"),
-    "a tong with a part": (
-        {"clamps": [{"part": "ring", "parts": ["plate", "ring"], "point": PAD, "force": 1}]},
-        "give either part, which it pushes, or parts",
-    ),
-    "a tong of one part": (
-        {"clamps": [{"parts": ["ring", "ring"], "point": PAD, "force": 1}]},
-        "name two different parts",
-    ),
-    "a tong with a word": (
-        {"clamps": [{"parts": ["plate", "ring"], "point": PAD, "force": 1, "direction": "-normal"}]},
-        "a tong presses its parts together",
-    ),
+    "a tong with a part": ({"clamps": [TONG | {"part": "ring"}]}, "give either part, which it pushes, or parts"),
+    "a tong of one part": ({"clamps": [TONG | {"parts": ["ring", "ring"]}]}, "name two different parts"),
+    "a tong with a word": ({"clamps": [TONG | {"direction": "-normal"}]}, "a tong presses its parts together"),
 }
 
 
@@ -264,10 +254,7 @@ def test_rows_without_a_name_are_numbered(tmp_path):
     "given, words",
     [
         ({"points": []}, r"welds\[0\].points: the list is empty"),
-        (
-            {"points": [[12, 30, 0.5]], "point": [48, 30, 0.5]},
-            r"welds\[0\]: give either point, for one weld, or points",
-        ),
+        ({"points": [[12, 30, 0.5]], "point": [48, 30, 0.5]}, r"welds\[0\]: give either point, for one weld, or poi"),
     ],
 )
 def test_a_weld_of_points_has_some_and_no_other(given, words):
@@ -329,8 +316,10 @@ def test_the_scene_file_is_named_in_every_line(tmp_path):
 @pytest.mark.slow
 def test_a_node_and_the_middle_of_a_set_are_where_the_deck_has_them(folder):
     """1001 is the ring's first: on the rim, along x. RIMS are two nodes across the rim, their middle in the hole."""
-    assert measured(folder, node=1001).point == pytest.approx((RING[0] + RIM, RING[1], RING[2]))
-    near = measured(folder, set="LOC").point
+    keys = {"node": 1001}, {"set": "LOC"}
+    rows = [{"name": f"M{i}", "part": "ring", "lower": -1, "upper": 1} | one for i, one in enumerate(keys)]
+    node, near = (item.point for item in placed(folder, measurements=rows).measurements)
+    assert node == pytest.approx((RING[0] + RIM, RING[1], RING[2]))
     assert np.linalg.norm(np.subtract(near, RING)) == pytest.approx(RIM, abs=0.2)
 
 
@@ -351,9 +340,8 @@ def test_an_unknown_node_or_set_is_refused_with_the_nearest_name(folder, case):
 
 
 def test_a_deviation_of_a_tong_is_one_of_both_its_jaws(folder):
-    tong = {"name": "T", "parts": ["plate", "ring"], "point": PAD, "force": 50}
     deviation = {"name": "D", "kind": "clamp", "target": "T", "sigma": 5}
-    scene = Scene(**table(clamps=[tong], deviations=[deviation]), folder=folder)
+    scene = Scene(**table(clamps=[TONG], deviations=[deviation]), folder=folder)
     assembly = assemble(scene, folder / "cache")
     (source,) = sources(assembly.scene)
     assert source.push(assembly.labels) == {("clamp", 0): 1.0, ("clamp", 1): 1.0}
@@ -376,7 +364,7 @@ def test_a_pad_is_set_against_the_skin_that_it_looks_at(folder):
     nodes = read_mesh(folder / "plate.inp")
     n = nodes[0].normals[0] @ [0, 0, 1]
     assert abs(n) == 1
-    for direction, sense in (("normal", n), ("-normal", -n), ([0, 0, 1], 1.0), ([0, 0, -1], -1.0)):
+    for direction, sense in (("-normal", -n), ([0, 0, 1], 1.0)):
         one = pad(folder, point=[25, 20, 1.5], normal=direction)
         assert one.point == pytest.approx((25, 20, -0.5 * sense)) and one.normal == pytest.approx((0, 0, sense))
     assert pad(folder, point=[25, 20, 0]).normal == pytest.approx((0, 0, n))
@@ -390,13 +378,12 @@ def test_a_pad_is_set_against_the_skin_that_it_looks_at(folder):
 def test_a_pad_may_lie_over_a_hole_or_a_set_of_nodes(folder):
     keys = {"part": "ring", "radius": RIM + 5, "normal": [0, 0, -1], "name": "pad"}
     zones = [{"name": "Z", "parts": ["pad", "ring"]}]
-    for place in ({"hole": [31, 29, 3]}, {"set": "LOC"}):
+    for place in ({"set": "LOC"}, {"hole": [31, 29, 3]}):
         found = assemble(Scene(**table(fixtures=[keys | place], zones=zones), folder=folder), folder / "cache")
         assert found.scene.fixtures[0].point[2] == pytest.approx(1.5)
         assert len(found.contacts) and found.contacts.gap == pytest.approx(0.0, abs=1e-9)
-    over = assemble(Scene(**table(fixtures=[keys | {"hole": RING}], zones=zones), folder=folder), folder / "cache")
-    assert over.scene.fixtures[0].point[:2] == pytest.approx(RING[:2])
-    assert np.linalg.norm(over.contacts.point[:, :2] - RING[:2], axis=1).min() > 0.9 * RIM
+    assert found.scene.fixtures[0].point[:2] == pytest.approx(RING[:2])
+    assert np.linalg.norm(found.contacts.point[:, :2] - RING[:2], axis=1).min() > 0.9 * RIM
 
 
 @pytest.mark.parametrize(

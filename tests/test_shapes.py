@@ -269,6 +269,11 @@ def scene_of(folder, **keys):
     return scene
 
 
+def expanded(surface, scene):
+    """The shapes of a scene on the surface of its part, written out."""
+    return expand_modes(scene, {"a": surface}, {"a": None})
+
+
 @pytest.fixture
 def pieces(angle, tmp_path):
     """Twelve pieces with two modes, measured at the same thirty points; where, and the values."""
@@ -283,7 +288,7 @@ def pieces(angle, tmp_path):
 
 def test_measured_pieces_become_a_mean_and_modes(angle, pieces):
     folder, at, values = pieces
-    written = expand_modes(scene_of(folder, kind="measured", files="p*.csv"), {"a": angle}, {"a": None})
+    written = expanded(angle, scene_of(folder, kind="measured", files="p*.csv"))
     mean, *modes = written.scene.deviations
     assert [mean.name, *(item.name for item in modes)] == ["S.mean", "S.1", "S.2"]
     np.testing.assert_allclose(mean.known, values.mean(axis=1), atol=1e-10)
@@ -295,7 +300,7 @@ def test_measured_pieces_become_a_mean_and_modes(angle, pieces):
 def test_samples_can_be_the_measured_pieces(angle, pieces):
     folder, _, values = pieces
     asked = scene_of(folder, kind="measured", files="p*.csv", pieces=True)
-    scene = expand_modes(asked, {"a": angle}, {"a": None}).scene
+    scene = expanded(angle, asked).scene
     samples = draw(scene, 7, 0, 60)
     shapes = samples @ np.array([item.known for item in scene.deviations])
     nearest = np.abs(shapes[:, None] - values.T[None]).max(axis=2)
@@ -306,7 +311,7 @@ def test_samples_can_be_the_measured_pieces(angle, pieces):
 
 def test_few_points_of_one_piece_are_used_directly(angle, pieces):
     folder, at, values = pieces
-    written = expand_modes(scene_of(folder, kind="measured", files="p03.csv", mean=2.0), {"a": angle}, {"a": None})
+    written = expanded(angle, scene_of(folder, kind="measured", files="p03.csv", mean=2.0))
     (only,) = written.scene.deviations
     assert (only.name, only.mean, only.sigma) == ("S", 2.0, 0.0)
     np.testing.assert_allclose(only.known, values[:, 3], atol=1e-10)
@@ -317,7 +322,7 @@ def test_a_scan_is_averaged_at_spread_points_on_each_side_of_a_bend(angle, tmp_p
     cloud, _, _ = scanned(angle, rng, 20000, noise=0.05)
     write(tmp_path, cloud)
     item = {"kind": "measured", "files": "piece.csv", "spacing": 12.0, "noise": 0.05, "align": False}
-    (only,) = expand_modes(scene_of(tmp_path, **item), {"a": angle}, {"a": None}).scene.deviations
+    (only,) = expanded(angle, scene_of(tmp_path, **item)).scene.deviations
     at, noise = np.array(only.points), np.array(only.noise)
     assert only.radius == 0.0 and 0.05 / 20 < np.median(noise) < 0.05 / 4
     border = angle.border_vertices[np.argmin(np.linalg.norm(at[:, None] - angle.points, axis=2), axis=1)]
@@ -331,10 +336,10 @@ def test_the_density_of_measured_points_limits_the_spacing(angle, tmp_path):
     cloud, _, _ = scanned(angle, np.random.default_rng(6), 700)
     write(tmp_path, cloud)
     keys = {"kind": "measured", "files": "piece.csv", "align": False}
-    (found,) = expand_modes(scene_of(tmp_path, **keys), {"a": angle}, {"a": None}).scene.deviations
+    (found,) = expanded(angle, scene_of(tmp_path, **keys)).scene.deviations
     assert 30 < len(found.points) < 150
     with pytest.raises(SceneError, match="measured points of every piece within 4.5 mm; give a larger spacing"):
-        expand_modes(scene_of(tmp_path, **keys, spacing=6.0), {"a": angle}, {"a": None})
+        expanded(angle, scene_of(tmp_path, **keys, spacing=6.0))
 
 
 @pytest.mark.slow
@@ -342,7 +347,7 @@ def test_many_wrong_files_give_one_short_error(angle, tmp_path):
     for i in range(9):
         write(tmp_path, np.random.default_rng(i).uniform(200, 300, (50, 3)), name=f"p{i}.csv")
     with pytest.raises(SceneError) as refused:
-        expand_modes(scene_of(tmp_path, kind="measured", files="p*.csv"), {"a": angle}, {"a": None})
+        expanded(angle, scene_of(tmp_path, kind="measured", files="p*.csv"))
     lines = str(refused.value).splitlines()
     assert len(lines) == 4 and lines[-1].endswith("files: 6 more files have errors; correct these first")
 
@@ -358,7 +363,7 @@ def test_noise_gives_no_mode(angle, offset, tmp_path):
     for i in range(15):
         write(tmp_path, at, planted[:, i] + noise * rng.standard_normal(len(at)), f"p{i:02}.csv")
     keys = {"kind": "measured", "files": "p*.csv", "noise": noise, "share": 0.999}
-    written = expand_modes(scene_of(tmp_path, **keys), {"a": angle}, {"a": None})
+    written = expanded(angle, scene_of(tmp_path, **keys))
     mean, *found = written.scene.deviations
     assert len(at) > 100 and len(found) == 3
     σ = np.sqrt(sum(np.array(one.known) ** 2 for one in found))
@@ -367,12 +372,12 @@ def test_noise_gives_no_mode(angle, offset, tmp_path):
     assert np.mean(mean.noise) <= noise / np.sqrt(15) * (1 + 1e-9)
     assert max(np.max(one.noise) for one in found) <= noise / np.sqrt(14) * (1 + 1e-9)
     assert "the residual scatters by 0.02 mm at a point and is treated as noise" in written.messages[0]
-    raw = expand_modes(scene_of(tmp_path, **keys | {"pieces": True}), {"a": angle}, {"a": None}).scene.deviations
+    raw = expanded(angle, scene_of(tmp_path, **keys | {"pieces": True})).scene.deviations
     assert len(raw) == 1 + 14  # as they were measured
 
 
 def test_samples_of_a_field_have_its_variance_and_correlation(angle):
-    scene = expand_modes(scene_of(None, kind="field", sigma=0.2, length=45.0), {"a": angle}, {"a": None}).scene
+    scene = expanded(angle, scene_of(None, kind="field", sigma=0.2, length=45.0)).scene
     shapes = draw(scene, 1, 0, 4000) @ np.array([item.known for item in scene.deviations])
     np.testing.assert_allclose(shapes.std(axis=0), 0.2, rtol=0.06)
     R = correlation(angle, spread(angle, 15.0), 45.0)
@@ -383,7 +388,7 @@ def test_a_field_through_control_points_has_their_sigma_and_correlation(angle):
     at = angle.points[spread(angle, 40.0)]
     values = np.linspace(0.5, 2.0, len(at)).tolist()
     keys = {"kind": "field", "sigma": 0.1, "length": 80.0, "points": at.tolist(), "values": values, "share": 0.999}
-    written = expand_modes(scene_of(None, **keys), {"a": angle}, {"a": None}).scene
+    written = expanded(angle, scene_of(None, **keys)).scene
     assert not any(item.loose for item in written.deviations)
     np.testing.assert_allclose(np.array(written.deviations[0].points), at, atol=1e-9)
     Φ = np.array([item.known for item in written.deviations]).T
@@ -404,10 +409,7 @@ BAD_FILES = {
     "twice": ("x,y,z,z\n1,2,3,4\n", r"row 1: the column 'z' appears twice"),
     "ragged": ("x,y,z\n1,2,3\n1,2\n", r"row 3: there are 2 cells and 3 columns"),
     "nodes of none": ("node,deviation\n7,0.1\n", r"the mesh of the part has no node numbers; give x, y, z"),
-    "another unit": (
-        "x,y,z\n" + "\n".join(f"{x / 25.4},{x / 50},0" for x in range(900, 4000, 10)),
-        r"points lie more",
-    ),
+    "another unit": ("x,y,z\n" + "\n".join(f"{x / 25.4},{x / 50},0" for x in range(900, 4000, 10)), "points lie more"),
     "few points": ("x,y,z,deviation\n0,0,0,0\n10,0,0,0\n", r"2 measured points do not determine a shape"),
 }
 
@@ -418,7 +420,7 @@ def test_a_malformed_file_of_points_is_refused_with_the_remedy(case, angle, tmp_
     (tmp_path / "piece.csv").write_text(text)
     scene = scene_of(tmp_path, kind="measured", files="piece.csv", align=False)
     with pytest.raises(SceneError, match=message) as refused:
-        expand_modes(scene, {"a": angle}, {"a": None})
+        expanded(angle, scene)
     assert str(refused.value).startswith("deviations[0] (S)") and "\n" not in str(refused.value)
 
 
@@ -433,35 +435,21 @@ def test_nodes_are_found_by_their_numbers(angle, tmp_path):
         read_cloud(tmp_path / "n.csv", "mm", angle, deck)
 
 
+FIELD = {"kind": "field", "sigma": 1.0, "length": 90.0}
 BAD_ITEMS = {
     "nothing there": ({"kind": "measured", "files": "none-*.csv"}, r"files: there is no file 'none-\*.csv'"),
     "no reader": ({"kind": "measured", "files": "p00.pdf"}, r"measured points cannot be read from .pdf"),
-    "too fine": (
-        {"kind": "measured", "files": "p00.csv", "spacing": 1.0},
-        r"spacing: 1 mm needs more than 400",
-    ),
-    "few about each": (
-        {"kind": "measured", "files": "p00.csv", "spacing": 15.0},
-        r"only \d+ % of part 'a' has 6 measured",
-    ),
+    "too fine": ({"kind": "measured", "files": "p00.csv", "spacing": 1.0}, "spacing: 1 mm needs more than 400"),
+    "few": ({"kind": "measured", "files": "p00.csv", "spacing": 15.0}, r"only \d+ % of part 'a' has 6 measured"),
     "twice": ({"kind": "measured", "files": "q*.csv"}, r"q1.csv and q0.csv have the same content; remove one"),
-    "a short field": ({"kind": "field", "sigma": 1.0, "length": 10.0}, r"length: 10 mm is less than 4 elements"),
-    "control points in one place": (
-        {"kind": "field", "sigma": 1.0, "length": 90.0, "points": [[0, 10, 10], [0, 10, 10.01]]},
-        r"points\[1\] lies within an element of another; move it",
+    "a short field": (FIELD | {"length": 10.0}, r"length: 10 mm is less than 4 elements"),
+    "twice in one place": (FIELD | {"points": [[0, 10, 10], [0, 10, 10.01]]}, r"points\[1\] lies within an element of"),
+    "too many points": (
+        FIELD | {"points": [[0, 0.1 * k, 0] for k in range(500)]},
+        "points: 500 are more than 400; give",
     ),
-    "too many control points": (
-        {"kind": "field", "sigma": 1.0, "length": 90.0, "points": [[0, 0.1 * k, 0] for k in range(500)]},
-        r"points: 500 are more than 400; give fewer",
-    ),
-    "shortened too much": (
-        {"kind": "field", "sigma": 1.0, "length": 60.0, "direction": [0, 1, 0], "stretch": 0.2},
-        r"length: 12 mm is less than 4 elements",
-    ),
-    "a long name": (
-        {"kind": "field", "sigma": 1.0, "length": 90.0, "name": "n" * 55},
-        r"name: it is too long to number",
-    ),
+    "shortened too much": (FIELD | {"direction": [0, 1, 0], "stretch": 0.1}, "length: 9 mm is less than 4 elements"),
+    "a long name": (FIELD | {"name": "n" * 55}, "name: it is too long to number"),
 }
 
 
@@ -473,37 +461,39 @@ def test_invalid_shapes_are_refused_with_the_remedy(case, angle, pieces):
     for name in ("q0.csv", "q1.csv"):
         write(folder, at, values[:, 0], name)
     with pytest.raises(SceneError, match=message):
-        expand_modes(scene_of(folder, **keys), {"a": angle}, {"a": None})
+        expanded(angle, scene_of(folder, **keys))
 
 
+MEASURED = {"kind": "measured", "files": "a.csv"}
+SHAPE = {"kind": "shape", "points": [[0, 0, 0]]}
 BAD_KEYS = [
     ({"kind": "shape", "points": [], "sigma": 1}, "points"),
     ({"kind": "shape", "points": [[0, 0]], "sigma": 1}, "points"),
-    ({"kind": "shape", "points": [[0, 0, 0]], "values": [1, 2], "sigma": 1}, "there are 1 points and 2 values"),
-    ({"kind": "shape", "points": [[0, 0, 0]], "loose": True, "sigma": 1}, "loose takes more than six points"),
-    ({"kind": "shape", "points": [[0, 0, 0]], "noise": -1, "sigma": 1}, "noise"),
+    (SHAPE | {"values": [1, 2], "sigma": 1}, "there are 1 points and 2 values"),
+    (SHAPE | {"loose": True, "sigma": 1}, "loose takes more than six points"),
+    (SHAPE | {"noise": -1, "sigma": 1}, "noise"),
     ({"kind": "shape", "points": [[0, 0, 0]]}, "sigma"),
-    ({"kind": "measured", "files": "a.csv", "share": 0}, "share"),
-    ({"kind": "measured", "files": "a.csv", "skin": 2}, "skin"),
-    ({"kind": "measured", "files": "a.csv", "unit": "miles"}, "unit"),
-    ({"kind": "measured", "files": "a.csv", "within": 0}, "within"),
-    ({"kind": "measured", "files": "a.csv", "distribution": "gama"}, "did you mean 'gamma'"),
-    ({"kind": "measured", "files": "a.csv", "truncated": [-1, 1]}, "truncated: not possible for several modes"),
+    (MEASURED | {"share": 0}, "share"),
+    (MEASURED | {"skin": 2}, "skin"),
+    (MEASURED | {"unit": "miles"}, "unit"),
+    (MEASURED | {"within": 0}, "within"),
+    (MEASURED | {"distribution": "gama"}, "did you mean 'gamma'"),
+    (MEASURED | {"truncated": [-1, 1]}, "truncated: not possible for several modes"),
     ({"kind": "measured"}, "files"),
     ({"kind": "field", "sigma": 0, "length": 9}, "sigma"),
     ({"kind": "field", "sigma": 1}, "length"),
-    ({"kind": "field", "sigma": 1, "length": 9, "mean": 1}, "mean"),
-    ({"kind": "field", "sigma": 1, "length": 9, "share": 1}, "share"),
-    ({"kind": "field", "sigma": 1, "length": 9, "direction": [1, 0, 0]}, "direction and stretch belong together"),
-    ({"kind": "field", "sigma": 1, "length": 9, "stretch": 2}, "direction and stretch belong together"),
-    ({"kind": "field", "sigma": 1, "length": 9, "direction": [0, 0, 0], "stretch": 2}, "must not be zero"),
-    ({"kind": "field", "sigma": 1, "length": 9, "direction": [1, 0, 0], "stretch": 50}, "stretch"),
-    ({"kind": "field", "sigma": 1, "length": 9, "direction": "x", "stretch": 2}, "direction"),
-    ({"kind": "field", "sigma": 1, "length": 9, "points": []}, "points"),
-    ({"kind": "field", "sigma": 1, "length": 9, "values": [1]}, "values need points"),
-    ({"kind": "field", "sigma": 1, "length": 9, "points": [[0, 0, 0]], "values": [1, 2]}, "1 points and 2 values"),
-    ({"kind": "field", "sigma": 1, "length": 9, "points": [[0, 0, 0]], "values": [0]}, "values"),
-    ({"kind": "field", "sigma": 1, "length": 9, "points": [[0, 0]], "values": [1]}, "points"),
+    (FIELD | {"mean": 1}, "mean"),
+    (FIELD | {"share": 1}, "share"),
+    (FIELD | {"direction": [1, 0, 0]}, "direction and stretch belong together"),
+    (FIELD | {"stretch": 2}, "direction and stretch belong together"),
+    (FIELD | {"direction": [0, 0, 0], "stretch": 2}, "must not be zero"),
+    (FIELD | {"direction": [1, 0, 0], "stretch": 50}, "stretch"),
+    (FIELD | {"direction": "x", "stretch": 2}, "direction"),
+    (FIELD | {"points": []}, "points"),
+    (FIELD | {"values": [1]}, "values need points"),
+    (FIELD | {"points": [[0, 0, 0]], "values": [1, 2]}, "1 points and 2 values"),
+    (FIELD | {"points": [[0, 0, 0]], "values": [0]}, "values"),
+    (FIELD | {"points": [[0, 0]], "values": [1]}, "points"),
 ]
 
 
