@@ -132,7 +132,7 @@ def test_a_reader_that_hangs_is_stopped(tmp_path, monkeypatch):
             pass
 
     monkeypatch.setitem(READERS, ".new", hang)
-    monkeypatch.setattr(readers, "LIMIT", 0.3)
+    monkeypatch.setattr(readers, "LIMIT", 0.1)
     with pytest.raises(FormatError, match=r"a\.new: this mesh file was not read in 0 s: it is damaged"):
         read_mesh(written(tmp_path, "", "a.new"))
 

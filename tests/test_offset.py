@@ -186,6 +186,7 @@ def test_a_part_in_two_pieces_is_refused(tmp_path, cache):
         load_part(part, tmp_path, cache)
 
 
+@pytest.mark.slow
 def test_check_reports_the_source_of_values_and_repairs(tmp_path, cache, monkeypatch):
     monkeypatch.setenv("MIC_CACHE", str(cache))
     section = STEEL + "*Shell Section, elset=all, material=S, offset=-0.5\n0.7,\n"

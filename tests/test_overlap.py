@@ -61,6 +61,7 @@ def test_a_weld_where_no_pair_lies_has_the_same_limit(cache):
         assemble(scene, cache)
 
 
+@pytest.mark.slow
 def test_check_reports_and_draws_the_overlap(tmp_path, monkeypatch):
     monkeypatch.setenv("COLUMNS", "200")
     monkeypatch.setenv("MIC_CACHE", str(tmp_path / "cache"))
