@@ -218,6 +218,11 @@ def __getattr__(name: str) -> Table:
     return _TABLES[name]
 
 
+def __dir__() -> list[str]:
+    """Public names, tables included: for tab completion and the documentation."""
+    return __all__
+
+
 def _of_kind(kind: str) -> tuple[Table, ...]:
     """The tables of a kind, in the order of ``schema.toml``."""
     return tuple(_TABLES[key.upper()] for key, entry in _DECLARED.items() if entry.get("kind") == kind)
