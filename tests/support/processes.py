@@ -18,13 +18,13 @@ def start_processes(count: int, *program, stderr=subprocess.STDOUT, cwd=None, **
     settings = {
         "OMPI_ALLOW_RUN_AS_ROOT": "1",
         "OMPI_ALLOW_RUN_AS_ROOT_CONFIRM": "1",
-        "OMPI_MCA_mpi_yield_when_idle": "1",  # waiting processes leave the core to the others
+        "OMPI_MCA_mpi_yield_when_idle": "1",  # waiting processes release their core; bound ones would wait for it
         "OMP_NUM_THREADS": "1",
         "OPENBLAS_NUM_THREADS": "1",
         "PYTHONPATH": os.pathsep.join([str(ROOT), str(ROOT / "tests")]),
     }
     return subprocess.Popen(
-        ["mpirun", "--oversubscribe", "-n", str(count), sys.executable, *map(str, program)],
+        ["mpirun", "--oversubscribe", "--bind-to", "none", "-n", str(count), sys.executable, *map(str, program)],
         env=os.environ | settings | {name: str(value) for name, value in environment.items()},
         stdout=subprocess.PIPE,
         stderr=stderr,
