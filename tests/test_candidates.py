@@ -80,6 +80,7 @@ def test_candidates_finer_than_the_elements_are_refused(scene, cache):
         assemble(with_zone(scene, spacing=0.5), cache)
 
 
+@pytest.mark.slow
 def test_undetected_penetration_has_a_place_and_is_larger_with_few_pairs(model, lap_model):
     few, many = (one.evaluate(one.deviations({})).resolutions["clamp"] for one in (lap_model, model))
     assert few.unseen[0] > 2 * many.unseen[0] > 0

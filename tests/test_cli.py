@@ -153,6 +153,7 @@ def test_check_prints_the_process_step_by_step_with_notes(output, tmp_path, lap_
     assert "note: stage clamp: friction changes the tangential motion of the closed contacts by at most 5 %" in printed
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("order", ["check", "run", "order"])
 def test_a_process_that_frees_a_part_is_refused_before_long_work(call, order, tmp_path, monkeypatch):
     scene = lap_with(tmp_path, ('keep = ["lower-A1", "lower-A2",', "keep = ["), COARSE, COARSE)
@@ -175,6 +176,7 @@ def test_an_error_is_one_line_and_the_exit_status_is_two(tmp_path):
     assert "nowhere" in line and "no such file" in line
 
 
+@pytest.mark.slow
 def test_a_folder_without_a_run_and_an_unknown_element_are_refused(call, tmp_path):
     assert "holds no run" in str(call("report", tmp_path).exception)
     lap_with(tmp_path, ("name = ", 'element = "springs"\nname = '), COARSE, COARSE)

@@ -209,6 +209,7 @@ def followed_sheets():
     return solver, b, solver.follow(b), solver.follow(b, path=Increments(512))
 
 
+@pytest.mark.slow
 def test_the_estimate_covers_the_error_of_nearly_every_sample(followed_sheets):
     _, _, found, fine = followed_sheets
     error = np.sqrt(((found.anchor - fine.anchor) ** 2).sum(-1).mean(1))

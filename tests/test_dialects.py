@@ -114,6 +114,7 @@ def test_decks_with_other_encodings_line_ends_and_cases_are_read(tmp_path):
     assert read_mesh(written(tmp_path, tabs, "tabs.nas"))[0].areas.sum() == pytest.approx(0.5)
 
 
+@pytest.mark.slow
 def test_a_mesher_that_hangs_is_stopped(tmp_path, monkeypatch):
     hanging = tmp_path / "gmsh"
     hanging.write_text(f"#!{sys.executable}\n# python\nimport time\ntime.sleep(60)\n")

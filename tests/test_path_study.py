@@ -161,6 +161,7 @@ def test_the_first_valid_samples_are_repeated_and_failed_ones_are_not(own):
     assert found.tolist() == [i for i in range(path_error.SAMPLES + 1) if i != 3]
 
 
+@pytest.mark.slow
 def test_a_study_is_the_same_whenever_it_is_made(folder):
     names = ("path.csv", "path_errors.csv")
     before = [(folder / "tables" / name).read_bytes() for name in names]

@@ -137,6 +137,7 @@ def test_every_change_of_inputs_changes_the_identity(scene, unchanged, cache, wh
     assert identity_of(scene, cache) != unchanged
 
 
+@pytest.mark.slow
 def test_texts_samples_and_laws_do_not_change_the_identity(scene, unchanged, cache):
     toml = scene / "scene.toml"
     text = toml.read_text().replace("samples = 200", "samples = 300").replace("Two flat strips", "Strips")
@@ -184,6 +185,7 @@ def test_an_extended_run_equals_a_run_of_all_samples(lap_model, tmp_path):
     np.testing.assert_array_equal(found.contact("coulomb", "clamp", "f_n"), whole.contact("coulomb", "clamp", "f_n"))
 
 
+@pytest.mark.slow
 def test_a_block_of_another_run_is_neither_used_nor_lost(lap_model, tmp_path):
     sample_into(tmp_path / "mine", lap_model, ["coulomb"], 10, 4)
     sample_into(tmp_path / "other", lap_model, ["coulomb"], 10, 5)
@@ -211,6 +213,7 @@ def test_an_edited_record_relabels_nothing(lap_model, tmp_path):
     assert sample_into(tmp_path, lap_model, ["coulomb"], 10, 4) == {"coulomb": 10}
 
 
+@pytest.mark.slow
 def test_a_model_of_another_run_is_not_used(lap_model, hat_model, tmp_path):
     sample_into(tmp_path, lap_model, ["coulomb"], 10, 4)
     hat_model.save(tmp_path / "model.npz")

@@ -50,6 +50,7 @@ def test_elements_at_a_nugget_are_no_larger_than_half_its_radius(assembly):
         assert len(part.surface.points) < len(drawn.points) + 2 * 250
 
 
+@pytest.mark.slow
 def test_functionals_read_the_same_places_after_refinement(assembly):
     """Each functional has the place, the size and the first moment that it has on the mesh as it is drawn."""
     scene = lap_joint(5.0, fused=True)

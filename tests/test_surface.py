@@ -12,6 +12,7 @@ def plane(n=10, z=0.0):
     return panels.plane(z, 10.0, n)
 
 
+@pytest.mark.slow
 def test_projection_finds_the_closest_of_all_triangles():
     rng = np.random.default_rng(1)
     points = rng.normal(size=(40, 3))

@@ -167,6 +167,7 @@ def test_an_ambiguous_drawing_side_is_called_a_guess(tmp_path):
     assert "guess" in proposal.sentences[0]
 
 
+@pytest.mark.slow
 def test_sheets_drawn_into_each_other_say_how_deep(proposed):
     folder = proposed("drawn into each other")[0]
     text = (folder / "scene.toml").read_text()
@@ -174,6 +175,7 @@ def test_sheets_drawn_into_each_other_say_how_deep(proposed):
     assert load_scene(folder).zones[0].nominal_overlap == pytest.approx(0.45)
 
 
+@pytest.mark.slow
 def test_a_flat_sheet_is_held_by_three_two_and_one(proposed):
     """Three across the sheet, two across its length, far apart, one along it."""
     own = [one for one in proposed("in metres")[2].scene.locators if one.part == "a"]
@@ -185,6 +187,7 @@ def test_a_flat_sheet_is_held_by_three_two_and_one(proposed):
     assert all(one.stage == "clamp" and np.abs(one.direction) == pytest.approx([0, 0, 1]) for one in own[6:])
 
 
+@pytest.mark.slow
 def test_pins_go_through_holes(proposed):
     """One both ways, the other across the line between them; they read the rims."""
     pins = [one for one in proposed("holes")[2].scene.locators if one.hole is not None]
@@ -195,6 +198,7 @@ def test_pins_go_through_holes(proposed):
     assert len(across) == 2
 
 
+@pytest.mark.slow
 def test_sets_of_one_deck_are_parts_with_the_thickness_of_the_deck(proposed):
     folder = proposed("three in one deck")[0]
     written = tomllib.loads((folder / "scene.toml").read_text())["parts"]
@@ -209,6 +213,7 @@ def test_metres_are_detected_and_written_into_the_scene(proposed):
     assert scene.measurements[0].point != (0, 0, 0) and np.abs(scene.measurements[0].point).max() > 10
 
 
+@pytest.mark.slow
 def test_a_part_that_touches_nothing_is_reported_and_stays_located(proposed):
     folder, proposal, _ = proposed("one that touches nothing")
     assert [sentence for sentence in proposal.sentences if "far" in sentence] == [

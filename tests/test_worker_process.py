@@ -34,6 +34,7 @@ def test_results_come_in_order_and_two_processes_did_them():
     assert [who for _, who in run_on_two_cores([partial(done, 0)])] == [os.getpid()]
 
 
+@pytest.mark.slow
 def test_a_worker_starts_at_once_and_ends_when_stopped():
     copy = WorkerProcess([partial(done, number) for number in range(6)])
     time.sleep(0.5)

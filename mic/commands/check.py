@@ -34,6 +34,7 @@ from mic.results.run_identity import identity
 from mic.results.schema import DENSITY
 from mic.scene import load_scene
 from mic.studies import pair_convergence
+from mic.studies.exploration import deviation_unit
 from mic.studies.optimisation.description import describe as optimisation_sentences
 from mic.studies.optimisation.design import Space
 from mic.studies.optimisation.moved_items import check_places
@@ -164,10 +165,17 @@ def _print_sources(console, assembly, model):
             console.warn("no shapes", problem)
     largest = {shape.name: shape.largest for shape in shapes}
     rows = [
-        (item.name, item.kind, f"{item.mean:g}", f"{item.sigma:g}", _one_sigma(assembly, item, largest))
+        (
+            item.name,
+            item.kind,
+            deviation_unit(item, assembly.scene),
+            f"{item.mean:g}",
+            f"{item.sigma:g}",
+            _one_sigma(assembly, item, largest),
+        )
         for item in items[:MAX_SOURCES]
     ]
-    console.table("Sources", ("source", "kind", "mean", "σ", "largest displacement under 1 σ"), rows)
+    console.table("Sources", ("source", "kind", "unit", "mean", "σ", "largest displacement under 1 σ"), rows)
     if len(items) > MAX_SOURCES:
         console.print(f"… and {len(items) - MAX_SOURCES} more")
     if model is None:
@@ -248,7 +256,7 @@ def _print_normals(console, assembly):
         counts = np.bincount(assembly.surfaces[part.name].curvature.rule.ravel(), minlength=len(Rule))
         origin = "the geometry" if scene_part.geometry is not None else "the deck"
         rows.append((part.name, origin if counts[Rule.GIVEN] else "none", *(counts[rule] for rule in Rule)))
-    heads = ("part", "given by", "given", "estimated", "flat", "refused")
+    heads = ("part", "given by", "given", "estimated", "flat", "flat, since implausible")
     console.table("Normals at the corners of triangles", heads, rows)
     coarse = f"with a bend of more than {COARSE:g}°, too coarse for its curvature: refine the mesh"
     single = (
@@ -340,10 +348,10 @@ def _cost(assembly, plans) -> list[str]:
     if scene.stiffness != "nominal":
         lines.append(_stiffness(assembly))
     resolved = [plan for plan in plans if plan.resolves and len(contacts)]
+    followed = any(LAWS[law].followed for law in laws) and any(plan.path == "followed" for plan in resolved)
     if resolved:
         solves = [sum(plan.solves(LAWS[law]) for plan in resolved) for law in laws]
         each = f"({' + '.join(map(str, solves))})" if len(solves) > 1 else str(solves[0])
-        followed = any(LAWS[law].followed for law in laws) and any(plan.path == "followed" for plan in resolved)
         lines.append(
             f"{samples} samples × {each} contact solves ({', '.join(laws)}) = {samples * sum(solves)} solves of "
             f"{contacts.dimension * len(contacts)} unknowns" + ", and more along followed load paths" * followed
@@ -352,7 +360,8 @@ def _cost(assembly, plans) -> list[str]:
         lines.append(f"{samples} samples × {len(laws)} laws, no contact to resolve")
     if any(item.kind in ("friction", "thickness") and item.sigma for item in scene.deviations):
         lines.append("friction or thickness varies: each sample needs its own model, which takes many times as long")
-    lines.append(str(forecast(assembly, laws, samples, available_cores())))
+    expected = str(forecast(assembly, laws, samples, available_cores()))
+    lines.append(expected + "; followed load paths take many times as long" * followed)
     fields = "mean and 6σ fields: a few more solves for each part and law"
     return [*lines, fields if scene.report.fields else "no fields are requested: no field solves"]
 

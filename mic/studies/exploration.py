@@ -33,7 +33,7 @@ from mic.statistics.draw import draw
 from mic.studies.adjustment import FACTOR, SHIM, Adjustment, adjustments, deviation_tables, new_names, with_adjustments
 from mic.studies.samples import half_tolerances, valid
 
-__all__ = ["COARSE", "GROUPS", "ExploredAssembly", "Control", "Exploration", "explore"]
+__all__ = ["COARSE", "GROUPS", "ExploredAssembly", "Control", "Exploration", "deviation_unit", "explore"]
 
 #: Factor on the path tolerance of a preliminary evaluation. On the wheelhouse its error is a hundredth to a thirtieth
 #: of a standard deviation, and it takes less than half the time.
@@ -355,7 +355,7 @@ def _source_controls(scene) -> Iterator[Control]:
     for item in scene.deviations:
         if item.sigma > 0:
             low, high = quantile(item, ndtr([-REACH, REACH])).tolist()
-            yield Control(item.name, "sources", _unit(item, scene), item.mean, low, high)
+            yield Control(item.name, "sources", deviation_unit(item, scene), item.mean, low, high)
 
 
 def _fixture_control(item: Adjustment) -> Control:
@@ -384,8 +384,8 @@ def _side(parts: Sequence[str], name: str) -> int:
     return [-1, 1][list(parts).index(name)] if list(parts).count(name) == 1 else 0
 
 
-def _unit(item, scene) -> str:
-    """Unit of a deviation; empty if it depends on the kind."""
+def deviation_unit(item, scene) -> str:
+    """Unit of the amplitude of a deviation, as N or mm; empty for factors and shapes."""
     if item.kind == "clamp":
         first = item.target if isinstance(item.target, str) else item.target[0]
         return "N" if next(clamp for clamp in scene.clamps if clamp.name == first).force is not None else "mm"
