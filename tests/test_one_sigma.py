@@ -93,6 +93,6 @@ def test_check_shows_shapes_once_coefficients_are_cached(table, found, cache, tm
     assert "available once the influence coefficients are computed" in output and "Shapes of the sources" not in page
     mic.reduce(mic.load_scene(tmp_path), tmp_path / "cache")
     output, page = checked()
-    row = re.search(r"F1 +│ force +│ -5 +│ 1.5 +│ ([\d.]+) mm, upper at", output)
+    row = re.search(r"F1 +│ force +│ N +│ -5 +│ 1.5 +│ ([\d.]+) mm, upper at", output)
     assert row and float(row[1]) > 0.01
     assert "Shapes of the sources" in page and "data:image/png;base64,iVBOR" in page and f"{float(row[1]):.3g}" in page

@@ -16,8 +16,8 @@ scene = mic.load_scene(examples.folder("hat_on_plate"))
 model = mic.reduce(scene)
 
 # %%
-# The first twenty samples of a Monte Carlo with seed 1.
-evaluation = model.evaluate(draw(scene, seed=1, first=0, count=20), "coulomb")
+# The first eight samples of a Monte Carlo with seed 1.
+evaluation = model.evaluate(draw(scene, seed=1, first=0, count=8), "coulomb")
 
 # %%
 # RMS slip of each contact pair, by stage.

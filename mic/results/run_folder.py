@@ -342,8 +342,8 @@ class RunFolder:
         tables : dict of str to DataFrame
             The datasets of :data:`mic.results.schema.DATASETS`.
         arrays : dict of Table, optional
-            By :data:`mic.results.schema.FORCES`: arrays as declared. By ``SUMS``: the :class:`ContactSums` that replace
-            the contact pairs. By ``CONDENSED``: the :class:`CompressedForces` that replace the forces, by part.
+            By :data:`mic.results.schema.FORCES`: arrays as declared. By ``SUMS``: the `ContactSums` that replace
+            the contact pairs. By ``CONDENSED``: the `CompressedForces` that replace the forces, by part.
         """
         with together() as group:
             for table, content in (arrays or {}).items():
