@@ -86,6 +86,13 @@ def test_measurements_outside_the_model_are_not_explained(model):
     assert likely.likely > 0.5 and "No source is unusual" in sentences(likely)[0]
 
 
+def test_a_deviation_with_the_name_of_an_unknown_friction_is_refused(model):
+    items = [item.model_copy(update={"name": "friction_of_z"}) for item in model.scene.deviations[:1]]
+    scene = model.scene.model_copy(update={"deviations": [*items, *model.scene.deviations[1:]]})
+    with pytest.raises(SceneError, match="'friction_of_z' is needed by --friction; rename the deviation"):
+        explain(replace(model, scene=scene), {"M": 0.0}, GAUGE, friction=0.1)
+
+
 def test_friction_may_be_among_the_unknown(model):
     """N and P are known well by what is measured at them; then M tells μ."""
     still = [

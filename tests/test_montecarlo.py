@@ -89,6 +89,13 @@ def test_correlated_deviations_have_the_copulas_rank_correlation_and_their_own_d
         assert stats.kstest(frozen.mean() + frozen.std() * standard, frozen.cdf).pvalue > 1e-3
 
 
+def test_a_design_without_points_is_an_error_and_no_other_design(lap_scene, monkeypatch):
+    monkeypatch.setitem(DESIGNS, "halton", 4)
+    carlo = lap_scene.monte_carlo.model_copy(update={"design": "halton"})
+    with pytest.raises(NotImplementedError, match="sampling design 'halton'"):
+        draw(lap_scene.model_copy(update={"monte_carlo": carlo}), 1, 0, 4)
+
+
 @pytest.mark.parametrize("design", DESIGNS)
 def test_samples_of_a_design_do_not_depend_on_how_they_are_batched(lap_scene, design):
     names = [item.name for item in lap_scene.deviations]

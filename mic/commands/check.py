@@ -119,6 +119,8 @@ def _write_page(console, page, scene, surfaces, warnings, contacts=None, plans=(
 
 def _write_pictures(console, assembly, normals, overlap):
     """Write the pictures of --normals and --overlap."""
+    if normals is None and overlap is None:
+        return
     from mic.report.space_pictures import draw_normals, draw_overlap  # drawing libraries are slow to import
 
     for name, file, draw, shown in (

@@ -15,7 +15,7 @@ import struct
 from collections.abc import Iterator
 
 import numpy as np
-from scipy.sparse import csr_matrix, lil_matrix
+from scipy.sparse import coo_matrix, csr_matrix
 
 from mic.errors import FormatError
 
@@ -42,10 +42,13 @@ def matrices(data: bytes) -> dict[str, csr_matrix]:
             columns, rows, kind, name = source.header()
             if kind not in (1, 2):
                 raise FormatError(f"{name} is complex; a stiffness is real")
-            transposed = lil_matrix((columns, abs(rows)))
-            for column, first, values in _strings(source, columns, rows, kind):
-                transposed[column - 1, first - 1 + np.arange(len(values))] = values
-            by_name[name] = transposed.T.tocsr()
+            row, column, value = [np.zeros(0, int)], [np.zeros(0, int)], [np.zeros(0)]
+            for number, first, values in _strings(source, columns, rows, kind):
+                row.append(first - 1 + np.arange(len(values)))
+                column.append(np.full(len(values), number - 1))
+                value.append(values)
+            entries = np.concatenate(value), (np.concatenate(row), np.concatenate(column))
+            by_name[name] = coo_matrix(entries, shape=(abs(rows), columns)).tocsr()
     except FormatError:
         raise
     except (ValueError, IndexError, struct.error):

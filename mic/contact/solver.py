@@ -175,8 +175,12 @@ class ContactSolver:
                 raise ValueError(f"guess must have the shape of b, {b.shape}; got {guess.shape}")
             guess = np.atleast_2d(guess)
         scaled = out_of_range(rows) | self._scaled
-        solution = self._solve(np.where(scaled[:, None], 0.0, rows), guess)
-        if scaled.any():
+        if not scaled.any():
+            solution = self._solve(rows, guess)
+        elif scaled.all():
+            solution = self._solve_scaled(rows, guess)
+        else:
+            solution = self._solve(np.where(scaled[:, None], 0.0, rows), guess)
             own = self._solve_scaled(rows[scaled], None if guess is None else guess[scaled])
             solution = with_samples(solution, scaled, own)
         return solution if b.ndim == 2 else _only(solution)

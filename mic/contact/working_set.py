@@ -192,7 +192,8 @@ class WorkingSetSolver:
         stepwise = (single if self.law.frictional else self._d == 3) and not path.recorded  # only the end matters
         large = self._screening or self._start.sum() > MAX_INITIAL
         if not stepwise or large or not self._native:
-            found = self._solve_growing(b, force.copy(), anchor, path)  # screening modifies its force
+            before = force.copy() if self._screening else force  # screening modifies it
+            found = self._solve_growing(b, before, anchor, path)
             if self._screening:
                 converged, known = found.converged, self._screened
                 load = np.concatenate([known.load, b[converged, -1, :: self._d]])

@@ -145,7 +145,7 @@ def run_on_two_cores(tasks: Sequence[Callable[[], T]]) -> list[T]:
 
 def has_spare_core() -> bool:
     """Whether a worker may run beside this process: a second core, and no other MPI ranks."""
-    if len(os.sched_getaffinity(0)) < 2:
+    if sys.platform != "linux" or len(os.sched_getaffinity(0)) < 2:
         return False
     try:
         return communicator() is None

@@ -147,7 +147,8 @@ class Linear:
 
 def _record(process, deviations: int, rows: int, shape: tuple[int, int]) -> Linear:
     """The maps of a process: as many unit vectors as `rows`, one for each sample, are taken through all stages."""
-    (m, d), edges, steps = shape, [1 + deviations], list[SolvedStep]()
+    (m, d), edges = shape, [1 + deviations]
+    steps: list[SolvedStep] = []
 
     def resolve(number, stage, anchors_follow_parts, batch):
         """Record the start of a step; its solution has the unit vectors of its forces."""

@@ -250,7 +250,8 @@ def plan_stages(scene, weld_size, limited: bool = True) -> list[StagePlan]:
     waiting = (i for i, item in enumerate(scene.locators) if item.stage == placed_in[item.part] != first_stage)
     fixture = Fixture(waiting=tuple(waiting))
     away = tuple(range(len(scene.zones)))
-    pending, first, fixtures = False, True, set[str]()
+    pending, first = False, True
+    fixtures: set[str] = set()
     for stage, moves in stage_moves(scene):
         path = stage.path or ("increments" if stage.increments else "followed")
         if path == "one-step":

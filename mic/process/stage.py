@@ -275,7 +275,8 @@ class PreparedStage:
         if not self.resolves:
             return state, None
         last = next(each for each in reversed(self.steps) if self.solves_contact(each))
-        bound, loose = self._bound(last, state.force), dict[int, str]()
+        bound = self._bound(last, state.force)
+        loose: dict[int, str] = {}
         contacts = classify(state.force, bound)
         if self.plan.kind != "locate" and last.rest.soft.any():
             held_back = self.stop_forces(last.step, state)

@@ -228,7 +228,8 @@ def _measured(scene, settings) -> Iterator[str]:
 
 
 def _forces(scene, settings) -> Iterator[str]:
-    names, seen = [clamp.name for clamp in scene.clamps], set[str]()
+    names = [clamp.name for clamp in scene.clamps]
+    seen: set[str] = set()
     for i, choice in enumerate(settings.forces):
         at, clamps = f"optimise.forces[{i}]", []
         for name in choice.clamps:

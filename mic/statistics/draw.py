@@ -120,8 +120,10 @@ def _design_probabilities(design: str, seed: int, first: int, count: int, d: int
             points = np.concatenate([u, 1 - u])
         elif design == "sobol":
             points = qmc.Sobol(d, scramble=True, seed=stream).random(size) if d else np.empty((size, 0))
-        else:
+        elif design == "latin-hypercube":
             points = qmc.LatinHypercube(d, seed=stream).random(size) if d else np.empty((size, 0))
+        else:
+            raise NotImplementedError(f"sampling design {design!r}")
         groups.append(points)
     start = first % size
     return np.concatenate([np.empty((0, d)), *groups])[start : start + count]

@@ -261,6 +261,9 @@ def with_friction(model: ReducedModel, sigma: float) -> ReducedModel:
             items.append(FrictionDeviation(name=name, kind="friction", target=zone.name, sigma=sigma, truncated=range_))
     if not items:
         raise SceneError(f"scene {scene.name!r}: no zone has constant friction; omit --friction")
+    taken = {item.name for item in scene.deviations} & {item.name for item in items}
+    if taken:
+        raise SceneError(f"deviations: the name {min(taken)!r} is needed by --friction; rename the deviation")
     return model.varied(scene.model_copy(update={"deviations": [*scene.deviations, *items]}))
 
 

@@ -125,7 +125,7 @@ class Cache:
         for directory in (folder, folder / self.section):
             try:
                 status = directory.stat()
-                if status.st_uid != os.geteuid() or not stat.S_IMODE(status.st_mode) & 0o077:
+                if not _is_own(status) or not stat.S_IMODE(status.st_mode) & 0o077:
                     continue
                 if directory != folder or all(entry in SECTIONS for entry in os.listdir(directory)):
                     directory.chmod(0o700)
@@ -151,6 +151,10 @@ def cache_folder() -> Path:
     return folder
 
 
+def _is_own(status: os.stat_result) -> bool:
+    return not hasattr(os, "geteuid") or status.st_uid == os.geteuid()  # True on systems without owners
+
+
 def _untrusted(path: Path) -> str | None:
     """Why another user may have written a file or folder; None if that is excluded.
 
@@ -159,8 +163,8 @@ def _untrusted(path: Path) -> str | None:
     FileNotFoundError
     """
     status = path.stat()
-    if status.st_uid != os.geteuid():
+    if not _is_own(status):
         return "belongs to another user"
-    if stat.S_IMODE(status.st_mode) & 0o022:
+    if hasattr(os, "geteuid") and stat.S_IMODE(status.st_mode) & 0o022:
         return "can be written by other users"
     return None

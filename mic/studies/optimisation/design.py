@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -203,13 +204,10 @@ def _groups(scene, choice) -> tuple[tuple[str, ...], ...]:
         expand = lambda name: [item.name for item in jaws(scene, name)] or [name]
         return tuple(tuple(item for name in group for item in expand(name)) for group in choice.groups)
     groups = [names for move in moves if (names := moved_names(scene, move))]
-    if (
-        stage.order is None and stage.kind != "release"
-    ):  # items that close together, but for tongs, may close one by one
+    if stage.order is None and stage.kind != "release":  # all but the jaws of a tong may close one by one
         clamps = {clamp.name for clamp in scene.clamps}
-        groups = [
-            own for names in groups for own in ([names] if clamps.issuperset(names) else [[name] for name in names])
-        ]
+        split = ([names] if clamps.issuperset(names) else [[name] for name in names] for names in groups)
+        groups = list(chain.from_iterable(split))
     return tuple(map(tuple, groups))
 
 

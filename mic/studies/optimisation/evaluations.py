@@ -52,7 +52,8 @@ class EvaluationLog:
     """
 
     def __init__(self, path: Path | None, stamp: str):
-        self.path, self.stamp, self.used = path, stamp, set[str]()
+        self.path, self.stamp = path, stamp
+        self.used: set[str] = set()
         self._known: dict[str, dict[str, np.ndarray]] = {}
         if path is not None and path.is_file():
             for line in path.read_text(encoding="utf-8").splitlines():
