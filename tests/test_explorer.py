@@ -2,17 +2,14 @@
 
 import http.client
 import json
-import os
 import shutil
-import signal
-import subprocess
 import sys
 import time
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from support.attack_explorer import ATTACKS, Served, Socket, bombard
 from support.springs import dragged
 from typer.testing import CliRunner
 
@@ -30,8 +27,6 @@ ARGUMENTS = (
     "--headless --no-sandbox --disable-gpu --disable-quic --no-first-run --disable-background-networking "
     "--disable-component-update --disable-sync --enable-unsafe-swiftshader --window-size=1280,800"
 )
-# As on a machine without finite elements.
-WITHOUT = "import sys; sys.modules.update(dolfinx=None, fem_reference=None); from mic.cli import main; main()"
 
 
 # ------------------------------------------------------------------------------------------------ what is drawn
@@ -128,35 +123,16 @@ def test_a_library_that_is_missing_is_named_with_its_remedy(tmp_path, monkeypatc
     assert done.exit_code != 0 and "pip install 'mic-contact[explore]'" in str(done.exception)
 
 
-def started(folder, *more):
-    program = subprocess.Popen(
-        [sys.executable, "-c", WITHOUT, "explore", str(folder / "model.npz"), "--no-browser", *more],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        cwd=folder,
-        env=os.environ | {"COLUMNS": "300"},
-    )
-    lines = []
-    for line in program.stdout:
-        lines.append(line)
-        if "http://" in line:
-            return program, line.split()[-1]
-    raise AssertionError("".join(lines) + program.stderr.read())
-
-
 @pytest.fixture(scope="module")
 def served(lap_model, tmp_path_factory):
     """The lap joint's page, where there are no finite elements; at the end the program was ended by Ctrl-C."""
     pytest.importorskip("trame_vtk")
     folder = tmp_path_factory.mktemp("explored")
     lap_model.save(folder / "model.npz")
-    program, address = started(folder, "--keep", "kept.npz")
-    host, _, query = address.removeprefix("http://").partition("/")
-    yield SimpleNamespace(address=address, host=host, path=f"/{query}", folder=folder)
-    program.send_signal(signal.SIGINT)
-    said, wrong = program.communicate(timeout=60)
-    assert program.returncode == 0 and "Stopped." in said and wrong == ""
+    served = Served(folder / "model.npz", "--keep", "kept.npz")
+    yield served
+    code, said, wrong = served.stop()
+    assert code == 0 and said == "Stopped.\n" and wrong == ""
 
 
 def status(served, path=None, **headers):
@@ -192,6 +168,46 @@ def test_the_page_is_served_to_nobody_else(served):
     ]
     assert [code for code, _, _ in refused] == [403] * len(refused)
     assert all(text.startswith("refused: ") and headers["Set-Cookie"] is None for _, text, headers in refused)
+
+
+@pytest.mark.slow
+def test_no_client_disturbs_the_page(served):
+    """Requests, sockets and messages that the page does not send: nothing is printed, changed or delayed."""
+    assert bombard(np.random.default_rng(40), served, list(ATTACKS)) == []
+
+
+@pytest.mark.slow
+def test_a_request_for_the_socket_without_upgrade_is_answered_with_426(served):
+    code, text = served.request(f"/ws?token={served.token}")
+    assert code == 426 and "upgrade: websocket" in text.lower() and "refused: this address is a web socket" in text
+
+
+@pytest.mark.slow
+def test_a_value_out_of_range_is_refused_in_one_sentence_and_changes_nothing(served, lap_model):
+    exploration = mic.explore(lap_model)
+    control = exploration.controls[0]
+    values = [one.now for one in exploration.controls]
+    with Socket(served) as client:
+        client.call("trame.trigger", "reset", [], {})
+        for value, words in [
+            (control.high + 1, f"{control.name}: {control.high + 1:g} is outside {control.low:g} … {control.high:g}"),
+            (float("nan"), f"{control.name}: nan is outside"),
+            (control.now, ""),
+        ]:
+            client.call("trame.state.update", [{"key": "entries", "value": [value, *values[1:]]}])
+            state = client.state()
+            assert (
+                state["entries"] == values
+                and state["refused"].startswith(words)
+                and bool(state["refused"]) == bool(words)
+            )
+        client.call("trame.state.update", [{"key": "magnification", "value": -1}])
+        state = client.state()
+        assert state["magnification"] >= 1 and state["refused"] == "The magnification -1 is outside 0 … 1e+09."
+        slightly = control.high + 1e-4 * (control.high - control.low)  # as a slider rounds its end
+        client.call("trame.state.update", [{"key": "entries", "value": [slightly, *values[1:]]}])
+        assert client.state()["entries"] == [control.high, *values[1:]]
+        client.call("trame.trigger", "reset", [], {})
 
 
 @pytest.mark.slow
@@ -292,6 +308,11 @@ def test_numbers_on_the_page_are_those_of_the_model(served, browser, lap_model):
     told = page.final(lambda: box.send_keys("0.1", Keys.TAB))
     moved = exploration.sample(drawn) | {"zones.lap.friction": 0.1}
     assert told == pytest.approx(exploration.answer(moved).table["value"][0], abs=1e-9)
+
+    box.send_keys(Keys.CONTROL, "a")
+    box.send_keys("99", Keys.TAB)
+    page.until(lambda: page("refused").text.startswith("zones.lap.friction: 99 is outside 0 … "), "the refusal")
+    assert page.input(friction) == 0.1 and exploration.answer(moved).table["value"][0] == pytest.approx(told, abs=1e-9)
 
     page("save-sample").click()
     page.until(lambda: page("saved").text.startswith("Saved: "), "the file")

@@ -26,6 +26,7 @@ from trame_vtk.widgets import vtk
 
 from mic.contact.states import ContactState
 from mic.errors import MicError
+from mic.explorer.guard import LARGEST
 from mic.explorer.positions import AssemblyPositions
 from mic.explorer.shapes import Shapes
 from mic.report.style import INSIDE, OUTSIDE, STATE_DOTS, STATE_WORDS, number, part_colour
@@ -41,6 +42,8 @@ BARS = 25  # bars of the histogram
 MAX_SAMPLES = 100  # samples that are drawn for a model without a run
 SAMPLING_TIME = 0.03  # s of sampling between two checks for changes
 THICKNESS_NOTE = "The view shows the bending of sheets with nominal thickness; all numbers use the actual thickness."
+LARGEST_MAGNIFICATION = 1e9
+MAX_FILES = 1000  # files of one kind that the page writes into a folder
 TITLES = {"sources": "Sources", "locators": "Locators (shims)", "clamps": "Clamps", "friction": "Friction"}
 
 
@@ -106,7 +109,7 @@ class Page:
             exploration.answer(coarse=True)
         self._bins: list[np.ndarray] = []
         self._clicks, self._picked = 0, self._answer.values
-        self.server = get_server(f"mic-{id(self)}", client_type="vue3")
+        self.server = get_server(f"mic-{id(self)}", client_type="vue3", ws_max_msg_size=LARGEST)
         self._state = self.server.state
         self._initialise_state()
         self._build(shapes)
@@ -138,7 +141,8 @@ class Page:
         state.stage, state.stages = self._answer.stage, self.exploration.stages
         state.magnification = self.positions.default_magnification(self._answer)
         varies = any(one.kind == "thickness" for one in scene.deviations)
-        state.note, state.saved, state.picked = self.positions.shapes.note or THICKNESS_NOTE * varies, "", ""
+        state.note = self.positions.shapes.note or THICKNESS_NOTE * varies
+        state.saved = state.picked = state.refused = ""
         state.characteristics = [one.name for one in scene.measurements]
         state.characteristic = next(iter(state.characteristics), "")
         state.all, state.answered, state.ends, state.counted = {group: False for group in GROUPS}, 0, [], ""
@@ -166,7 +170,7 @@ class Page:
 
     def _send_positions(self) -> None:
         state, answer = self._state, self._answer
-        positions = self.positions.of(answer, _non_negative(state.magnification))
+        positions = self.positions.of(answer, state.magnification)
         for p, points in enumerate(positions.parts):
             state[f"points_{p}"] = _packed(points, "float32")
         state.contact_points = _packed(positions.contacts, "float32")
@@ -210,12 +214,53 @@ class Page:
         self._changed.set()
 
     def values(self) -> dict[str, float]:
-        """Values of the controls on the page; an invalid entry counts as its last valid value."""
-        valid = lambda value: isinstance(value, int | float) and np.isfinite(value)
-        return {
-            one.name: float(value) if valid(value) else self._answer.values[one.name]
-            for one, value in zip(self.exploration.controls, self._state.entries)
-        }
+        """Values of the controls on the page."""
+        return {one.name: float(value) for one, value in zip(self.exploration.controls, self._state.entries)}
+
+    # ------------------------------------------------------------------------------------------- what clients may send
+
+    def permitted_value(self, key: str, value: Any) -> Any:
+        """The value that a variable of the page gets for a client's value; None if the client may not set it.
+
+        A number outside its range is answered with a sentence on the page.
+        """
+        match key, value:
+            case "entries", list() if len(value) == len(self.exploration.controls) and all(map(_is_number, value)):
+                return self._permitted_entries(value)
+            case "magnification", _ if _is_number(value):
+                reason = f"The magnification {value:g} is outside 0 … {LARGEST_MAGNIFICATION:g}."
+                return self._answered(key, value, None if 0 <= value <= LARGEST_MAGNIFICATION else reason)
+            case ("stage", str()) | ("characteristic", str()) if value in self._state[f"{key}s"]:
+                return value
+            case "all", dict() if value.keys() == set(GROUPS) and all(isinstance(one, bool) for one in value.values()):
+                return value
+        return None
+
+    def permits_action(self, name: str, arguments: list[Any]) -> bool:
+        """Whether a client may call an action with these arguments."""
+        if name == "pick":
+            return len(arguments) == 1 and type(arguments[0]) is int and 0 <= arguments[0] < BARS
+        return name in self._actions and not arguments
+
+    def _permitted_entries(self, entries: list[float]) -> list[float] | None:
+        state, permitted, reason = self._state, [], None
+        for control, shown, value, low, high in zip(
+            self.exploration.controls, state.controls, entries, state.lows, state.highs
+        ):
+            permitted.append(min(max(value, low), high))
+            if not abs(permitted[-1] - value) < shown["step"]:  # a slider may round its ends by less than a step
+                limits = f"{low:g} … {high:g} {control.unit}".rstrip()
+                reason = f"{control.name}: {value:g} is outside {limits}."
+        return self._answered("entries", permitted, reason)
+
+    def _answered(self, key: str, value: Any, reason: str | None) -> Any:
+        """The value, or None after a sentence why not; the page then shows the former value again."""
+        with self._state as state:
+            state.refused = reason or ""
+            if reason:
+                self.server.clear_state_client_cache(key)
+                state.dirty(key)
+        return None if reason else value
 
     async def answer_changes(self) -> None:
         """Evaluate the latest change, again and again, and draw samples in between; runs until cancelled."""
@@ -280,7 +325,7 @@ class Page:
 
     def pick(self, bar: int) -> None:
         """Show the next sample of a bar of the histogram."""
-        own = self._bins[bar] if bar < len(self._bins) else np.zeros(0, dtype=int)
+        own = self._bins[bar] if 0 <= bar < len(self._bins) else np.zeros(0, dtype=int)
         if not len(own):
             return
         i = int(own[self._clicks % len(own)])
@@ -311,7 +356,11 @@ class Page:
         self._write("sample", ".csv", self.exploration.sample_table(self.values()), "")
 
     def _write(self, stem: str, suffix: str, text: str, said: str) -> None:
-        path = next(one for i in range(1, 10**6) if not (one := self._folder / f"explored-{stem}-{i}{suffix}").exists())
+        free = (self._folder / f"explored-{stem}-{i}{suffix}" for i in range(1, MAX_FILES + 1))
+        path = next((one for one in free if not one.exists()), None)
+        if path is None:
+            self._state.saved = f"Not saved: {self._folder} holds {MAX_FILES} saved files; move some away."
+            return
         try:
             write_text(path, text)
             self._state.saved = f"Saved: {path}{said}"
@@ -321,7 +370,9 @@ class Page:
     # -------------------------------------------------------------------------------------------------------- layout
 
     def _build(self, shapes: Shapes) -> None:
-        for action in (self.pick, self.reset, self.save_scene, self.save_sample, self.reset_view):
+        actions = self.pick, self.reset, self.save_scene, self.save_sample, self.reset_view
+        self._actions = {action.__name__ for action in actions}
+        for action in actions:
             self.server.controller.trigger(action.__name__)(action)
         template, style = (
             Path(__file__).with_name(f"page.{end}").read_text(encoding="utf-8") for end in ("html", "css")
@@ -382,8 +433,8 @@ def _row(one: Mapping[Any, Any]) -> dict[str, Any]:
     }
 
 
-def _non_negative(value: Any) -> float:
-    return float(value) if isinstance(value, int | float) and np.isfinite(value) and value >= 0 else 1.0
+def _is_number(value: Any) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool)
 
 
 def _packed(array: np.ndarray, dtype: str) -> dict[str, Any]:

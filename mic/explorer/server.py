@@ -30,7 +30,7 @@ def serve(page: Page, port: int, browser: bool = True, ready: Callable[[str], No
     ready : callable
         Called with the address when the page can be opened.
     """
-    asyncio.run(_serve(page, Guard(port), port, browser, ready))
+    asyncio.run(_serve(page, Guard(port, page), port, browser, ready))
 
 
 def check_port(port: int) -> int:
@@ -59,7 +59,7 @@ async def _serve(page: Page, guard: Guard, port: int, browser: bool, ready: Call
         loop.add_signal_handler(number, interrupted.set)
     # Override what trame would read from the command line and the environment: no other host.
     os.environ |= {"TRAME_ARGS": f"--server --host {HOST}", "WSLINK_READY_MSG": ""}
-    page.server.controller.on_server_bind.add(lambda server: server.app.middlewares.append(guard.middleware))
+    page.server.controller.on_server_bind.add(guard.protect)
 
     def on_ready(**_) -> None:
         ready(guard.address)
