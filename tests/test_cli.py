@@ -15,7 +15,9 @@ from typer.testing import CliRunner
 import mic
 from mic.contact.laws import LAWS
 from mic.options import app
+from mic.results.run_folder import RunFolder
 from mic.scene.schema import MonteCarlo
+from mic.system.files import Format, save_json
 from verification.scenes import FEW
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -68,8 +70,8 @@ def test_run_check_report(call, output, tmp_path, no_pictures):
     (folder / "report.html").unlink()
     assert "reused" in output("run", scene, "--samples", 12)
     assert (folder / "report.html").is_file()
-    record = json.loads((folder / "run.json").read_text())
-    (folder / "run.json").write_text(json.dumps(record | {"format": record["format"] - 1}))
+    record = RunFolder(folder).record()
+    save_json(folder / "run.json", Format("record of a run", 4, ""), record)
     assert "an older version" in str(call("report", folder).exception)
 
 

@@ -21,8 +21,8 @@ LAWS = ["coulomb", "frictionless"]
 @pytest.fixture(scope="module")
 def folder(lap_model, lap_scene, cache, tmp_path_factory):
     folder = tmp_path_factory.mktemp("run")
-    RunFolder(folder).store_inputs(assemble(lap_scene, cache))
     sample_into(folder, lap_model, LAWS, SAMPLES, SEED)
+    RunFolder(folder).store_inputs(assemble(lap_scene, cache))
     return folder
 
 

@@ -215,8 +215,7 @@ def test_an_interrupted_or_damaged_run_is_read_with_its_missing_samples(folder, 
 
 @pytest.mark.slow
 def test_summary_and_tables_on_disk(folder):
-    record = json.loads((folder / "run.json").read_text()) | {"wall_time": {"Monte Carlo": 1.5}}
-    (folder / "run.json").write_text(json.dumps(record))
+    RunFolder(folder).write_record(RunFolder(folder).record() | {"wall_time": {"Monte Carlo": 1.5}})
     outcome = read_outcome(folder)
     write_tables(outcome)
 
@@ -253,7 +252,12 @@ def test_an_unreadable_record_is_one_sentence(folder):
     text = (folder / "run.json").read_text()
     for content, error, words in (
         (text[:100], FormatError, "run.json.*damaged.*run the scene again"),
-        (json.dumps(json.loads(text) | {"format": 3}), FormatError, "run.json.*an older version.*run the scene again"),
+        (text.replace('"samples"', '"sample"'), FormatError, "run.json.*damaged.*run the scene again"),
+        (
+            json.dumps({"kind": "record of a run", "format": 3}),
+            FormatError,
+            "run.json.*an older version.*run the scene",
+        ),
         (None, RunError, "run.json"),
     ):
         (folder / "run.json").unlink()

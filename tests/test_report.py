@@ -15,7 +15,7 @@ from xml.etree import ElementTree
 import matplotlib
 import numpy as np
 import pytest
-from support.pages import unpacked
+from support.pages import elements, make_texts_hostile, unpacked
 from support.runs import all_fail, edit, fail
 from support.studies import left_by_studies
 
@@ -34,8 +34,8 @@ from mic.report.style import LAWS, LIMIT_COLOUR, RC, change, number, percent
 from mic.report.viewer_data import packed
 from mic.results.fields import write_fields
 from mic.results.outcome import read_outcome
-from mic.results.run_folder import PUBLISHED
-from mic.results.schema import CONTRIBUTORS, LINEARITY, PATH, PATH_ERRORS, RESOLUTIONS
+from mic.results.run_folder import PUBLISHED, RunFolder
+from mic.results.schema import CONTRIBUTORS, FRICTION, LINEARITY, PATH, PATH_ERRORS, RESOLUTIONS, checksum_path
 from mic.runs import conclude, run
 from mic.scene import Scene
 from mic.studies.contributors import Contributors, contributors
@@ -142,6 +142,14 @@ def test_the_page_loads_nothing_and_escapes_the_text_of_the_scene(page):
 
 
 @pytest.mark.slow
+def test_hostile_texts_change_no_element_of_the_page(copied, given_pictures, monkeypatch):
+    monkeypatch.setattr("mic.report.page.get_plotlyjs", str)
+    plain = elements(write_report(copied))
+    make_texts_hostile(monkeypatch)
+    assert elements(write_report(copied)) == plain
+
+
+@pytest.mark.slow
 @pytest.mark.fem
 def test_every_picture_stands_once_in_the_page_of_a_full_run(page, outcome, every_picture, monkeypatch):
     assert list(every_picture) == [entry.name for entry in PICTURES]
@@ -237,9 +245,9 @@ def test_the_page_shows_path_errors_and_rescued_samples(copied, outcome, given_p
     pairs, errors = outcome.path_study.pairs.copy(), outcome.path_study.errors.copy()
     moved = (pairs["law"] == "coulomb") & (pairs["quantity"] == "measurement") & (pairs["name"] == "M1")
     pairs.loc[moved, "tighter"] = pairs.loc[moved, "value"] + 0.0123
-    pairs.to_csv(copied / PATH.place, index=False)
+    PATH.write(copied, pairs, exact=True)
     errors.loc[errors["law"] == "coulomb", ["estimate", "measured"]] = [0.006, 0.002]
-    errors.to_csv(copied / PATH_ERRORS.place, index=False)
+    PATH_ERRORS.write(copied, errors, exact=True)
     changed = read_outcome(copied)
     picture = given_pictures["path-error"] = draw("path-error", changed, read_context(changed))
     words = _Page(write_report(copied)).words
@@ -307,7 +315,7 @@ def test_of_many_samples_the_first_are_drawn_and_the_captions_say_so(outcome, co
 def test_laws_under_scaled_friction_are_drawn_from_the_stored_study(copied, context):
     path, study = copied / "tables" / "friction.csv", read_outcome(copied).friction_study
     study.loc[study["law"] == "associated", "gap_at_load"] = 0.0123
-    study.to_csv(path, index=False)
+    FRICTION.write(copied, study, exact=True)
     changed = draw("friction", read_outcome(copied), context)
     path.unlink()
     assert "averages 12.3 µm at μ" in changed.caption and "12 samples" in changed.caption
@@ -347,7 +355,8 @@ def test_pictures_begun_before_tables_and_fields_are_written_are_those_of_the_pa
     early = shutil.copytree(folder, tmp_path / "early", ignore=shutil.ignore_patterns("fields", "tables"))
     (early / "tables").mkdir()
     for table in (PATH, PATH_ERRORS):  # are written before
-        shutil.copy(folder / table.place, early / table.place)
+        for path in (folder / table.place, checksum_path(folder / table.place)):
+            shutil.copy(path, early / "tables" / path.name)
     ahead = BackgroundPictures(read_outcome(early))
     try:
         found = ahead.pictures()
@@ -373,8 +382,8 @@ def test_published_figures_wall_time_and_failed_samples_stand_in_the_page(copied
     published = (WHEELHOUSE / PUBLISHED).read_text(encoding="utf-8").replace("zones.CZ1", "zones.lap")
     (copied / PUBLISHED).write_text(published, encoding="utf-8")
     fail(copied, "frictionless", {7: ("clamp", "not converged"), 11: ("release", "overflow in a product")})
-    record = json.loads((copied / "run.json").read_text())
-    (copied / "run.json").write_text(json.dumps(record | {"samples": 100, "wall_time": {"Monte Carlo": 12.34}}))
+    record = RunFolder(copied).record()
+    RunFolder(copied).write_record(record | {"samples": 100, "wall_time": {"Monte Carlo": 12.34}})
     outcome = read_outcome(copied)
     given_pictures["slip-force"] = draw("slip-force", outcome, read_context(outcome))  # shows a published range
     words = _Page(write_report(copied)).words

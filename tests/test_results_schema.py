@@ -1,6 +1,7 @@
 """Results are what their declaration says: names, types, units, formats."""
 
 import hashlib
+import io
 from dataclasses import replace
 
 import numpy as np
@@ -12,7 +13,7 @@ from mic.contact import ladder
 from mic.contact.laws import COULOMB
 from mic.errors import FormatError
 from mic.results import schema
-from mic.results.parquet import read_table, write_table
+from mic.results.parquet import read_table, with_digest, write_table
 from mic.results.sample_tables import tables
 from mic.statistics.draw import draw
 
@@ -177,7 +178,9 @@ def test_blocks_keep_every_bit_and_carry_units_and_identity(found, table, tmp_pa
 def _header(path, **changes):
     content = pq.read_table(path)
     header = {**content.schema.metadata, **{key.encode(): value.encode() for key, value in changes.items()}}
-    pq.write_table(content.replace_schema_metadata(header), path)
+    altered = io.BytesIO()
+    pq.write_table(content.replace_schema_metadata(header), altered)
+    path.write_bytes(with_digest(altered.getvalue()))
 
 
 @pytest.mark.parametrize(
@@ -189,7 +192,7 @@ def _header(path, **changes):
         (lambda path: _header(path, format="99"), "a newer version"),
         (lambda path: _header(path, format="new"), "is no block of slips"),
         (lambda path: _header(path, kind="block of measurements"), "is no block of slips"),
-        (lambda path: pd.DataFrame({"x": [1.0]}).to_parquet(path), "is no block of slips"),
+        (lambda path: pd.DataFrame({"x": [1.0]}).to_parquet(path), "cut short or damaged"),  # without our checksum
     ],
 )
 def test_a_block_that_cannot_be_read_is_one_sentence(found, spoil, words, tmp_path):

@@ -20,7 +20,8 @@ from mic.studies.emulator_training import tolerance
 from mic.studies.prediction import Predictor
 from mic.system.console import plain
 from mic.system.disk_cache import cache_folder
-from mic.system.files import append_text, write_text
+from mic.system.files import Format, append_text, reading, write_text
+from mic.system.regular_files import read_regular
 
 __all__ = ["PredictionLog", "predict", "read_parts"]
 
@@ -133,7 +134,7 @@ def read_parts(path: Path, names: list[str]) -> Iterator[tuple[int, dict[str, fl
     SceneError
         If the file is invalid; the message names file, row and column.
     """
-    cells, separator = read_cells(path, "the folder that you are in")
+    cells, separator = read_cells(path)
     unknown = [str(name) for name in cells.columns if name not in names]
     if unknown:
         raise SceneError(f"{path}: row 1: unknown deviation {unknown[0]!r}; the scene has: {', '.join(names)}")
@@ -191,15 +192,20 @@ class PredictionLog:
         self._known.add((str(path), row))
 
     def _read(self) -> None:
-        """Read the predicted rows; remove an incomplete assembly at the end, left by an interrupt.
+        """Read the predicted rows."""
+        remedy = "give another file with --log, or move this one away"
+        with reading(self.path, Format("log of predictions", 1, remedy)):
+            lines = read_regular(self.path).decode().splitlines(keepends=True)
+            rows = list(csv.reader(lines))
+            if not rows or rows[0] != PREDICTIONS.names:
+                raise FormatError(f"{self.path}: not a log of predictions; {remedy}")
+            self._take(lines, rows)
+
+    def _take(self, lines: list[str], rows: list[list[str]]) -> None:
+        """Note the predicted rows; remove an incomplete assembly at the end, left by an interrupt.
 
         The last row of a complete assembly is the one without a measurement.
         """
-        remedy = "give another file with --log, or move this one away"
-        lines = self.path.read_text(encoding="utf-8").splitlines(keepends=True)
-        rows = list(csv.reader(lines))
-        if not rows or rows[0] != PREDICTIONS.names:
-            raise FormatError(f"{self.path}: not a log of predictions; {remedy}")
         column = PREDICTIONS.names.index
         ends = [
             i

@@ -20,7 +20,7 @@ from mic.errors import FormatError, MissingProvider
 from mic.report.mesh_decimation import thinned
 from mic.results.run_identity import identity
 from mic.system.disk_cache import ABSENT, Cache
-from mic.system.files import Format, fingerprint, load_arrays, save_arrays
+from mic.system.files import Format, fingerprint, load_arrays, reading, save_arrays
 
 __all__ = ["PartShape", "Shapes", "shapes_path"]
 
@@ -124,10 +124,13 @@ class Shapes:
         FormatError
             If the file is of another kind, damaged, or of another model.
         """
-        header, arrays = load_arrays(Path(path), FORMAT)
-        if header["identity"] != _identity(model):
-            raise FormatError(f"{path}: these shapes belong to another model; {FORMAT.remedy}, or move the file away")
-        return cls._from(header, arrays)
+        with reading(Path(path), FORMAT):
+            header, arrays = load_arrays(Path(path), FORMAT)
+            if header["identity"] != _identity(model):
+                raise FormatError(
+                    f"{path}: these shapes belong to another model; {FORMAT.remedy}, or move the file away"
+                )
+            return cls._from(header, arrays)
 
     def _contents(self) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
         arrays = {f"{i}_{name}": getattr(part, name) for i, part in enumerate(self.parts) for name in _ARRAYS}

@@ -196,6 +196,7 @@ class Reduction:
         FormatError
             If the file was written by an incompatible version, is something else, or is damaged.
         """
-        header, arrays = files.load_arrays(Path(path), FORMAT)
-        known = {"scene": Scene(**header["scene"]), **arrays}
-        return cls(**unpack(header["content"], arrays, CLASSES, known))
+        with files.reading(Path(path), FORMAT):
+            header, arrays = files.load_arrays(Path(path), FORMAT)
+            known = {"scene": Scene(**header["scene"]), **arrays}
+            return cls(**unpack(header["content"], arrays, CLASSES, known))

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields
-from functools import cached_property
+from functools import cached_property, partial
+from typing import Any
 
 import numpy as np
 
@@ -188,6 +189,11 @@ class Evaluation:
     @cached_property
     def _equilibrium(self) -> tuple[np.ndarray, np.ndarray]:
         return self.equilibrium()
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Everything computed, so that a pickled evaluation does not carry its process along."""
+        known = {"resolutions": dict(self.resolutions), "equilibrium": partial(tuple, self._equilibrium)}
+        return vars(self) | known
 
     @property
     def built(self) -> np.ndarray:

@@ -92,6 +92,10 @@ class ReducedModel(Reduction):
     def _processes(self) -> dict[tuple, Process]:
         return {}
 
+    def __getstate__(self) -> dict[str, Any]:
+        """What a copy or another process needs; it prepares the laws that it uses itself."""
+        return {name: value for name, value in vars(self).items() if name != "_processes"}
+
     def process(
         self, law: str | None = None, tol: float = TOLERANCE, backend: str = "native", threads: int = 1
     ) -> Process:

@@ -23,7 +23,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cache, cached_property, partial
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
@@ -214,8 +214,6 @@ class PreparedStage:
 
     Attributes
     ----------
-    solver : function of a step
-        As given, cached.
     output : dict of str to slice
         Output rows of a response, by kind.
     """
@@ -228,13 +226,20 @@ class PreparedStage:
         solver: Callable[[EliminatedStep], ContactSolver | WorkingSetSolver],
         path: Path,
     ):
-        self.plan, self.steps, self.path, self.solver = plan, steps, path, cache(solver)
+        self.plan, self.steps, self.path = plan, steps, path
+        self._make_solver, self._solvers = solver, dict[EliminatedStep, ContactSolver | WorkingSetSolver]()
         self._ramp_column_cache: dict[tuple, RampColumns] = {}
         self._contacts, self._between, self._joints = model.contacts, model.between, model.joints
         self._dimension = model.contacts.dimension
         count = [*(model.rows[kind].shape[0] for kind in OUTPUTS), len(model.rest)]
         edges = np.concatenate([[0], np.cumsum(count)])
         self.output = {kind: slice(a, b) for kind, a, b in zip((*OUTPUTS, "rest"), edges, edges[1:])}
+
+    def solver(self, eliminated: EliminatedStep) -> ContactSolver | WorkingSetSolver:
+        """The contact solver of a step; made once."""
+        if eliminated not in self._solvers:
+            self._solvers[eliminated] = self._make_solver(eliminated)
+        return self._solvers[eliminated]
 
     def stops(self, eliminated: EliminatedStep) -> Stops:
         return stops_of(self._contacts, eliminated.step)

@@ -15,6 +15,8 @@ from mic.results.fields import PartField, read_fields
 from mic.results.outcome import Outcome
 from mic.results.run_folder import PUBLISHED
 from mic.results.schema import Table
+from mic.system.files import JSON_LIMIT, Format, reading
+from mic.system.regular_files import read_regular
 
 __all__ = ["SHOWN", "Context", "read_context", "study_tables"]
 
@@ -65,7 +67,10 @@ def study_tables(outcome: Outcome, *tables: Table) -> list[pd.DataFrame] | None:
 def read_context(outcome: Outcome) -> Context:
     """Read these data from the outcome's folder."""
     fields, no_fields = read_fields(outcome.folder)
-    published = outcome.folder / PUBLISHED
+    path, published = outcome.folder / PUBLISHED, dict[str, Any]()
+    if path.is_file():
+        with reading(path, Format("table of published values", 1, "correct it or remove it")):
+            published = tomllib.loads(read_regular(path, JSON_LIMIT).decode())
     return Context(
         stage=outcome.stages[0] if outcome.stages else None,
         laws=tuple(law for law in outcome.laws if len(outcome.sample_numbers(law))),
@@ -74,5 +79,5 @@ def read_context(outcome: Outcome) -> Context:
         surfaces={part.name: part.surface for part in outcome.parts},
         fields=tuple(fields),
         no_fields=no_fields,
-        published=tomllib.loads(published.read_text(encoding="utf-8")) if published.is_file() else {},
+        published=published,
     )

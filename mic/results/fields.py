@@ -14,8 +14,10 @@ solve and are not truncated. With the r fields ``c(x)``
 
 from __future__ import annotations
 
+import logging
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -26,7 +28,7 @@ from mic.results.low_rank_forces import CentredForces, ForceAccumulator
 from mic.results.outcome import Outcome, read_outcome
 from mic.results.run_folder import RunFolder
 from mic.results.schema import CONDENSED, FIELDS, FORCES
-from mic.system.files import Format, load_arrays, save_arrays, together
+from mic.system.files import Format, load_arrays, reading, save_arrays, set_aside, together
 from mic.system.memoise import pack, unpack
 
 __all__ = [
@@ -39,8 +41,10 @@ __all__ = [
     "write_fields",
 ]
 
+_log = logging.getLogger(__name__)
+
 STORE = "fields.npz"
-_FORMAT = Format("set of displacement fields", 2, "call `mic report` on the run folder")
+_FORMAT = Format("set of displacement fields", 3, "call `mic report` on the run folder")
 DISCARDED_ENERGY = 1e-8  # share of the centred forces' elastic energy that the low-rank factor may discard
 
 
@@ -209,10 +213,14 @@ def write_fields(folder, outcome: Outcome | None = None, cache: Path | None = No
         {law: len(outcome.sample_numbers(law)) for law in outcome.laws},
         DISCARDED_ENERGY,
     ]
+    header: dict[str, Any] = {"basis": None, "files": []}
     try:
         header, _ = load_arrays(folder / STORE, _FORMAT)
-    except (FileNotFoundError, FormatError):
-        header = {"basis": None, "files": []}
+    except FileNotFoundError:
+        pass
+    except FormatError as problem:
+        set_aside(folder / STORE)
+        _log.warning("%s. It is set aside and written again.", problem)
     if header["basis"] == basis:
         return read_fields(outcome.folder)[0]
     fields, skipped = [], None
@@ -243,6 +251,7 @@ def write_fields(folder, outcome: Outcome | None = None, cache: Path | None = No
             write_vtu(folder / name, surface.points, surface.triangles, data, group)
     content, arrays = pack(fields, {})
     header = {
+        "identity": outcome.record["identity"],
         "basis": basis if fields else None,  # without fields, the next call tries again
         "skipped": skipped,
         "files": list(files),
@@ -258,13 +267,17 @@ def read_fields(folder) -> tuple[list[PartField], str | None]:
     Raises
     ------
     FormatError
-        If the file cannot be read.
+        If the file cannot be read, or belongs to another run.
     """
+    path = Path(folder) / "fields" / STORE
     try:
-        header, arrays = load_arrays(Path(folder) / "fields" / STORE, _FORMAT)
+        with reading(path, _FORMAT):
+            header, arrays = load_arrays(path, _FORMAT)
+            if header["identity"] != RunFolder(Path(folder)).record()["identity"]:
+                raise FormatError(f"{path}: belongs to another run; {_FORMAT.remedy}")
+            return unpack(header["fields"], arrays, (PartField,), {}), header["skipped"]
     except FileNotFoundError:
         return [], "No fields were computed for this run."
-    return unpack(header["fields"], arrays, (PartField,), {}), header["skipped"]
 
 
 def _centred_forces(outcome, law) -> list[CentredForces] | None:

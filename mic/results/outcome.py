@@ -24,6 +24,7 @@ from mic.results.run_identity import differences, inputs
 from mic.results.run_samples import RunSamples
 from mic.results.schema import CONTACTS, SAMPLES, SUMS
 from mic.results.summary import summary
+from mic.system.files import Format, reading
 
 __all__ = ["Outcome", "TableCache", "read_outcome"]
 
@@ -114,8 +115,9 @@ def read_outcome(
             except FormatError as problem:
                 damaged.append(f"{problem}.")
                 continue
-            samples = BlockSamples(tables, len(model.contacts), record["samples"])
-            accumulators[law].add(samples, model, sums)
+            with reading(store.path, Format(f"block {block.law} {block.name}", 1, "run the scene again into this folder")):
+                samples = BlockSamples(tables, len(model.contacts), record["samples"])
+                accumulators[law].add(samples, model, sums)
             blocks[law].append(block)
             cached_tables[block] = {}
             for name, frame in tables.items():  # contact tables get half of the cache; the others are small

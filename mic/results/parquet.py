@@ -1,7 +1,14 @@
-"""One table of one block as a Parquet file, with units, format and identity in its metadata."""
+"""One table of one block as a Parquet file, with units, format and identity in its metadata.
+
+Between the columns and the footer stands the SHA-256 of all other bytes, a gap that other readers skip. It is verified
+before the file is parsed: Parquet's own checksums cover neither the footer nor the headers of pages, and altered ones
+can crash the process.
+"""
 
 from __future__ import annotations
 
+import hashlib
+import io
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -11,10 +18,12 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from mic.results.schema import DATASETS, Table
-from mic.system.files import Format, Group, replacing
+from mic.system.files import Format, Group, reading, replacing
+from mic.system.regular_files import read_regular
 
-__all__ = ["read_identity", "read_table", "write_table"]
+__all__ = ["read_identity", "read_table", "with_digest", "write_table"]
 
+MAGIC, LENGTH, DIGEST = b"PAR1", 4, 32  # end of a Parquet file; bytes of the length before it, and of a SHA-256
 _AGAIN = "run the scene again into this folder"
 _FORMATS = {table.name: Format(f"block of {table.name}", table.version, _AGAIN) for table in DATASETS}
 
@@ -41,8 +50,39 @@ def write_table(path: Path, table: Table, frame: pd.DataFrame, identity: str, gr
     header = {"kind": kind.kind, "format": str(kind.version), "identity": identity}
     content = pa.Table.from_arrays(arrays, schema=pa.schema(fields, header))
     repeating = [column.name for column in table.columns if column.dtype != "float64"]  # floats rarely repeat
+    buffer = io.BytesIO()
+    pq.write_table(content, buffer, use_dictionary=repeating)
     with replacing(path, group=group) as temporary:
-        pq.write_table(content, temporary, write_page_checksum=True, use_dictionary=repeating)
+        temporary.write_bytes(with_digest(buffer.getvalue()))
+
+
+def with_digest(content: bytes) -> bytes:
+    """The bytes of a Parquet file with their SHA-256 before the footer."""
+    footer = _footer(content)
+    return content[:footer] + hashlib.sha256(content).digest() + content[footer:]
+
+
+def _verified(content: bytes) -> bytes:
+    """The bytes of a file of :func:`write_table` if they are unaltered.
+
+    Raises
+    ------
+    ValueError
+    """
+    footer = _footer(content)
+    columns = max(footer - DIGEST, 0)
+    if content[columns:footer] != hashlib.sha256(content[:columns] + content[footer:]).digest():
+        raise ValueError("the checksum is wrong")
+    return content
+
+
+def _footer(content: bytes) -> int:
+    """Where the footer of a Parquet file begins."""
+    length, magic = content[-LENGTH - len(MAGIC) : -len(MAGIC)], content[-len(MAGIC) :]
+    footer = len(content) - len(MAGIC) - LENGTH - int.from_bytes(length, "little")
+    if magic != MAGIC or footer < 0:
+        raise ValueError("this is no Parquet file")
+    return footer
 
 
 def _arrow(values: Any) -> pa.Array:
@@ -68,13 +108,13 @@ def read_table(path: Path, table: Table) -> tuple[pd.DataFrame, str]:
 
 
 def read_identity(path: Path, table: Table) -> str:
-    """Identity of a table's run, from the metadata alone.
+    """Identity of a table's run.
 
     Raises
     ------
     FileNotFoundError
     FormatError
-        If the file is of another kind or truncated.
+        If the file is of another kind, truncated or altered.
     """
     return _read(path, table, lambda file: None)[0]
 
@@ -82,15 +122,10 @@ def read_identity(path: Path, table: Table) -> str:
 def _read(path: Path, table: Table, read: Callable[[pq.ParquetFile], Any]) -> tuple[str, Any]:
     """Identity in a file, and what `read` takes from it."""
     kind = _FORMATS[table.name]
-    try:
-        with pq.ParquetFile(path, page_checksum_verification=True) as file:
-            header, content = _header(file.schema_arrow), read(file)
-    except FileNotFoundError:
-        raise
-    except (pa.ArrowException, OSError, ValueError):
-        raise kind.damaged(path) from None
-    kind.check(path, header)
-    return str(header["identity"]), content
+    with reading(path, kind), pq.ParquetFile(pa.BufferReader(_verified(read_regular(path)))) as file:
+        header = _header(file.schema_arrow)
+        kind.check(path, header)
+        return str(header["identity"]), read(file)
 
 
 def _header(schema: pa.Schema) -> dict[str, object]:

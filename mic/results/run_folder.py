@@ -1,8 +1,9 @@
 """Read and write the folder of a run, and check that its files belong to it.
 
-The folder is readable at any moment, and the same command completes an interrupted run. Every block of samples stores
-the identity of its run (:mod:`mic.results.run_identity`). Unreadable blocks, and blocks of another run, count as
-missing. Results of another run are removed only with `--replace`, and only files that the program wrote.
+The folder is readable at any moment, and the same command completes an interrupted run. Every file of a block carries
+the identity of its run (:mod:`mic.results.run_identity`), its law and its samples. Unreadable blocks, and blocks of
+another run or of other samples, count as missing. Results of another run are removed only with `--replace`, and only
+files that the program wrote.
 
 ========================================= ==============================================================================
 ``.lock``                                 process that is writing to the folder
@@ -13,7 +14,7 @@ missing. Results of another run are removed only with `--replace`, and only file
 ``sums/law=LAW/FIRST-LAST.npz``           moments of a block without stored contact pairs
 ``forces/law=LAW/FIRST-LAST.npz``         forces and motions in the last stage, if fields are requested
 ``condensed/law=LAW/FIRST-LAST.npz``      low-rank factor of the forces of such a block
-``tables/*.csv``, ``summary.json``        statistics
+``tables/*.csv``, ``summary.json``        statistics; ``tables/.NAME.csv.sha256``: their checksums
 ``fields/``                               displacement fields
 ========================================= ==============================================================================
 
@@ -28,7 +29,6 @@ and checked here, because such a reader fails as a whole if one file is damaged 
 
 from __future__ import annotations
 
-import json
 import platform
 import re
 import shutil
@@ -68,8 +68,10 @@ from mic.system.files import (
     arrays_header,
     clean,
     fingerprint,
+    json_header,
     load_arrays,
     load_json,
+    reading,
     replacing,
     save_arrays,
     save_json,
@@ -86,9 +88,9 @@ FOREIGN = ".other-run"  # suffix of a block of another run that was set aside
 
 _AGAIN = "run the scene again into this folder"
 _REPLACE = "name another folder with --out, or remove the old results with --replace"
-_OTHER_BLOCK = f"this block belongs to another run; {_AGAIN}"
-_RUN = Format("record of a run", 4, _AGAIN)
-_PARTS = Format("set of parts", 3, _AGAIN)
+_OTHER_BLOCK = f"this block belongs to another run, or holds other samples; {_AGAIN}"
+_RUN = Format("record of a run", 5, _AGAIN)
+_PARTS = Format("set of parts", 4, _AGAIN)
 _FORMATS = {
     SUMS: Format("sums of a block", 2, _AGAIN),
     FORCES: Format("block of forces", 1, _AGAIN),
@@ -125,6 +127,10 @@ class Block:
     def name(self) -> str:
         """Stem of the block's files."""
         return f"{self.first:06d}-{self.end - 1:06d}"
+
+    def stamp(self, identity: str) -> str:
+        """What its files carry: the identity of their run, law and samples, so that exchanged files are noticed."""
+        return f"{identity} {self.law} {self.name}"
 
 
 @dataclass(frozen=True)
@@ -232,7 +238,7 @@ class RunFolder:
         try:
             return self.record(), []
         except FormatError as problem:
-            header = _json_header(path)
+            header = json_header(path)
             if header is not None and header.get("kind") != _RUN.kind:
                 raise RunError(f"{path}: is not the record of a run; name another folder with --out") from None
             if header is None or header.get("format") == _RUN.version:
@@ -244,12 +250,13 @@ class RunFolder:
     def _check_without_record(self, identity: str, replace: bool) -> list[str]:
         """Check a folder without a record: all its blocks must belong to the requested run; returns sentences."""
         blocks = self._blocks_with(SAMPLES)
-        identities = {self._identity(block) for block in blocks} - {None}
-        if identities - {identity}:
+        stamps = {block: self._stamp(block) for block in blocks}
+        own = [block for block, stamp in stamps.items() if stamp == block.stamp(identity)]
+        if any(stamp is not None and block not in own for block, stamp in stamps.items()):
             if not replace:
                 raise RunError(self._other_run(["run.json is missing, and its samples are not the requested ones"]))
             return self._clear()
-        if identities:
+        if own:
             return [f"{self.path}: run.json is missing and is written again: its samples are the requested ones."]
         existing = [name for name in (*_SINGLE, *_TABLES) if (self.path / name).exists()]
         written_by_run = any(arrays_header(self.path / name) for name in ("model.npz", "parts.npz"))
@@ -272,9 +279,9 @@ class RunFolder:
             if block.law not in record["laws"] or block.first >= record["samples"] or not path.is_file():
                 continue
             try:
-                if read_identity(path, SAMPLES) != record["identity"]:
+                if read_identity(path, SAMPLES) != block.stamp(record["identity"]):
                     self._set_block_aside(block, FOREIGN)
-                    sentences.append(f"{path}: belongs to another run; set aside ({FOREIGN}).")
+                    sentences.append(f"{path}: belongs to another run, or holds other samples; set aside ({FOREIGN}).")
                     continue
                 self._check_complete(block, record["identity"], report)
             except FormatError as problem:
@@ -315,7 +322,9 @@ class RunFolder:
                 (self.path / "fields" / name).unlink(missing_ok=True)
         for block in self._all_blocks():
             self._remove(block)
-        for name in (*_SINGLE, *_TABLES, _FIELDS, "run.json"):
+        for table in (*STATISTICS, *STUDIES):
+            table.remove(self.path)
+        for name in (*_SINGLE, _FIELDS, "run.json"):
             (self.path / name).unlink(missing_ok=True)
         for folder in sorted({*self._folders(), *(self.path / table.name for table in _BLOCK_TABLES)}, reverse=True):
             if folder != self.path:
@@ -348,14 +357,14 @@ class RunFolder:
         with together() as group:
             for table, content in (arrays or {}).items():
                 packed, stored = ({}, content) if table == FORCES else pack(content, {})
-                header = {"identity": identity, "content": packed}
+                header = {"identity": block.stamp(identity), "content": packed}
                 save_arrays(self._path(table, block), _FORMATS[table], header, stored, group=group)
             for table in DATASETS:  # samples last: they mark the block as finished
                 if table.name in tables:
-                    write_table(self._path(table, block), table, tables[table.name], identity, group=group)
+                    write_table(self._path(table, block), table, tables[table.name], block.stamp(identity), group=group)
         for other in self._blocks_with(SAMPLES, block.law):  # the last block of a shorter run is part of this one
             contained = block.first <= other.first and other.end <= block.end
-            if other != block and contained and self._identity(other) == identity:
+            if other != block and contained and self._stamp(other) == other.stamp(identity):
                 self._remove(other)
 
     def blocks(self, law: str, samples: int | None = None) -> list[Block]:
@@ -412,25 +421,27 @@ class RunFolder:
             frame, stored = read_table(path, table)
         except FileNotFoundError:
             raise FormatError(f"{self._missing(table, block)}; {_AGAIN}") from None
-        if stored != identity:
+        if stored != block.stamp(identity):
             raise FormatError(f"{path}: {_OTHER_BLOCK}")
         return frame
 
     def read_arrays(self, table: Table, block: Block, identity: str) -> Any:
         """What :meth:`write_block` got as `arrays` for a table; None if not stored. Errors as :meth:`read_block`."""
         path = self._path(table, block)
-        if not path.is_file():
+        try:
+            header, arrays = load_arrays(path, _FORMATS[table])
+        except FileNotFoundError:
             return None
-        header, arrays = load_arrays(path, _FORMATS[table])
-        if header["identity"] != identity:
-            raise FormatError(f"{path}: {_OTHER_BLOCK}")
-        types = (ContactSums, Moments, CompressedForces)
-        return arrays if table == FORCES else unpack(header["content"], arrays, types, {})
+        with reading(path, _FORMATS[table]):
+            if header["identity"] != block.stamp(identity):
+                raise FormatError(f"{path}: {_OTHER_BLOCK}")
+            types = (ContactSums, Moments, CompressedForces)
+            return arrays if table == FORCES else unpack(header["content"], arrays, types, {})
 
     # ---------------------------------------------------------------------------------------------- stored inputs
 
     def store_inputs(self, assembly) -> None:
-        """Copy further inputs of fields and report into the folder, so that it can be read on any machine.
+        """Copy further inputs of fields and report into a prepared folder, so that it can be read on any machine.
 
         These are the parts with their retained functionals (``parts.npz``) and, if the scene's folder has one, the
         published values (``paper.toml``).
@@ -447,7 +458,9 @@ class RunFolder:
             parts.append(replace(part, functionals=functionals, superelement=None, thickness_range=None))
             ends.append(np.cumsum([len(patch.weight) for patch in patches]))
         content, arrays = pack([parts, ends], {})
-        save_arrays(self.path / "parts.npz", _PARTS, {"content": content}, arrays)
+        save_arrays(
+            self.path / "parts.npz", _PARTS, {"identity": self.record()["identity"], "content": content}, arrays
+        )
         published = assembly.scene.folder / PUBLISHED
         if published.is_file():
             with replacing(self.path / PUBLISHED) as temporary:
@@ -459,18 +472,21 @@ class RunFolder:
         Raises
         ------
         FormatError
-            If the file cannot be read.
+            If the file cannot be read, or belongs to another run.
         """
+        path, parts = self.path / "parts.npz", []
         try:
-            header, arrays = load_arrays(self.path / "parts.npz", _PARTS)
+            header, arrays = load_arrays(path, _PARTS)
         except FileNotFoundError:
             return ()
-        parts = []
-        for part, ends in zip(*unpack(header["content"], arrays, (Part, Surface, Functionals, Patch), {})):
-            (joined,) = part.functionals.patches
-            pieces = (np.split(getattr(joined, name), ends[:-1]) for name in _PATCH)
-            patches = tuple(Patch(*arrays) for arrays in zip(*pieces))
-            parts.append(replace(part, functionals=replace(part.functionals, patches=patches)))
+        with reading(path, _PARTS):
+            if header["identity"] != self.record()["identity"]:
+                raise FormatError(f"{path}: belongs to another run; {_AGAIN}")
+            for part, ends in zip(*unpack(header["content"], arrays, (Part, Surface, Functionals, Patch), {})):
+                (joined,) = part.functionals.patches
+                pieces = (np.split(getattr(joined, name), ends[:-1]) for name in _PATCH)
+                patches = tuple(Patch(*arrays) for arrays in zip(*pieces))
+                parts.append(replace(part, functionals=replace(part.functionals, patches=patches)))
         return tuple(parts)
 
     # ---------------------------------------------------------------------------------------------- files of a block
@@ -491,8 +507,8 @@ class RunFolder:
         """All blocks with any file, finished or not."""
         return sorted({block for table in _BLOCK_TABLES for block in self._blocks_with(table)})
 
-    def _identity(self, block: Block) -> str | None:
-        """Identity of a block's run; None if the block is not finished or cannot be read."""
+    def _stamp(self, block: Block) -> str | None:
+        """What the files of a block carry; None if the block is not finished or cannot be read."""
         try:
             return read_identity(self._path(SAMPLES, block), SAMPLES)
         except (FileNotFoundError, FormatError):
@@ -526,12 +542,3 @@ def _set_aside(path: Path) -> str:
     """Set a damaged file aside; returns a sentence for the user."""
     aside = set_aside(path)
     return f"{path}: cut short or damaged; set aside as {aside.name if aside else path.name} and written again."
-
-
-def _json_header(path: Path) -> dict[str, Any] | None:
-    """Content of a JSON file, empty if it is no table; None if it cannot be read."""
-    try:
-        content = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError, RecursionError):
-        return None
-    return content if isinstance(content, dict) else {}

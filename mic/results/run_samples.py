@@ -6,7 +6,9 @@ and missing samples are excluded from all statistics, counted and listed.
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -16,7 +18,7 @@ import pandas as pd
 from numpy.typing import ArrayLike
 
 from mic.compliance.part import Part
-from mic.errors import RunError
+from mic.errors import FormatError, RunError, StorageError
 from mic.process.model import ReducedModel
 from mic.results.block_samples import BlockSamples
 from mic.results.block_statistics import Accumulator
@@ -25,8 +27,11 @@ from mic.results.run_folder import Block, RunFolder
 from mic.results.schema import FRICTION, PATH, PATH_ERRORS, Table
 from mic.scene.samples import DESIGNS
 from mic.statistics import estimates
+from mic.system.files import set_aside
 
 __all__ = ["RunSamples"]
+
+_log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -260,13 +265,16 @@ class RunSamples:
     def study(self, table: Table) -> pd.DataFrame | None:
         """A table of :data:`mic.results.schema.STUDIES`, or ``ACCURACY``; None if not stored.
 
-        Raises
-        ------
-        FormatError
-            If the file differs from the declaration.
+        A file that differs from the declaration, or is damaged, is set aside with a warning and counts as absent.
         """
         command = "`mic report`" if table in (PATH, PATH_ERRORS, FRICTION) else "the command that wrote it"
-        return table.read(self.folder, f"call {command} on the run folder")
+        try:
+            return table.read(self.folder, f"call {command} on the run folder")
+        except FormatError as problem:
+            with suppress(StorageError):  # in a folder that cannot be written it is not read either
+                set_aside(self.folder / table.place)
+            _log.warning("%s. It is set aside and counts as absent.", problem)
+            return None
 
 
 class _LazyTables(dict[str, pd.DataFrame]):

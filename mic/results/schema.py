@@ -1,12 +1,17 @@
 """Tables of a results folder: columns, types, units; ``python -m mic.results.schema`` prints the reference.
 
 ``schema.toml`` declares them; files are written, read and checked by this declaration. Keys (``stage``, ``zone``,
-``measurement``) are columns, not parts of column names, so that tables can be filtered and grouped by them.
+``measurement``) are columns, not parts of column names, so that tables can be filtered and grouped by them. Each CSV
+file has its SHA-256 in a hidden file beside it, which ``sha256sum --check`` reads too: an altered digit would otherwise
+be read as a number.
 """
 
 from __future__ import annotations
 
+import hashlib
+import io
 import tomllib
+from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -15,7 +20,8 @@ import pandas as pd
 from pandas.api import types
 
 from mic.errors import FormatError
-from mic.system.files import Group, replacing
+from mic.system.files import Format, Group, reading, replacing, together
+from mic.system.regular_files import read_regular
 
 
 @dataclass(frozen=True)
@@ -129,22 +135,30 @@ class Table:
         Raises
         ------
         FormatError
+            Also for a file that is not as :meth:`write` wrote it.
         """
-        path = folder / self.place
-        if not path.is_file():
+        path, format = folder / self.place, Format("table", 1, remedy)
+        try:
+            with reading(path, format):
+                content = read_regular(path)
+        except FileNotFoundError:
             return None
         floats = [column.name for column in self.columns if column.dtype == "float64"]
-        frame = pd.read_csv(
-            path,
-            float_precision="round_trip",
-            keep_default_na=False,  # a zone may be called NA
-            na_values={name: [""] for name in floats},
-            dtype={column.name: str for column in self.columns if column.dtype == "str"},
-        )
-        whole = [name for name in floats if name in frame and types.is_integer_dtype(frame[name])]
-        frame = frame.astype(dict.fromkeys(whole, "float64"))
-        self.check(frame, path, remedy)
-        return frame
+        with reading(path, format):
+            checksum = checksum_path(path)
+            if not checksum.is_file() or read_regular(checksum, 1000) != _checksum_line(path, content):
+                raise ValueError("the checksum is wrong")
+            frame = pd.read_csv(
+                io.BytesIO(content),
+                float_precision="round_trip",
+                keep_default_na=False,  # a zone may be called NA
+                na_values={name: [""] for name in floats},
+                dtype={column.name: str for column in self.columns if column.dtype == "str"},
+            )
+            whole = [name for name in floats if name in frame and types.is_integer_dtype(frame[name])]
+            frame = frame.astype(dict.fromkeys(whole, "float64"))
+            self.check(frame, path, remedy)
+            return frame
 
     def write(self, folder: Path, frame: pd.DataFrame, exact: bool = False, group: Group | None = None) -> None:
         """Write its CSV file into a run folder, with nine digits or, if `exact`, all.
@@ -158,8 +172,16 @@ class Table:
         """
         path = folder / self.place
         self.check(frame, path, "this is a fault of the program")
-        with replacing(path, group=group) as temporary:
-            frame.to_csv(temporary, index=False, float_format=None if exact else "%.9g")
+        content = frame.to_csv(index=False, float_format=None if exact else "%.9g").encode()
+        with together() if group is None else nullcontext(group) as files:
+            for file, text in ((checksum_path(path), _checksum_line(path, content)), (path, content)):
+                with replacing(file, group=files) as temporary:
+                    temporary.write_bytes(text)
+
+    def remove(self, folder: Path) -> None:
+        """Remove its CSV file from a run folder."""
+        for file in (folder / self.place, checksum_path(folder / self.place)):
+            file.unlink(missing_ok=True)
 
     def empty(self) -> pd.DataFrame:
         """An empty frame without the optional columns."""
@@ -167,6 +189,16 @@ class Table:
         return pd.DataFrame(
             {column.name: pd.Series([], dtype=dtypes[column.name]) for column in self.columns if not column.optional}
         )
+
+
+def checksum_path(path: Path) -> Path:
+    """The file with the checksum of a table."""
+    return path.with_name(f".{path.name}.sha256")
+
+
+def _checksum_line(path: Path, content: bytes) -> bytes:
+    """The line of ``sha256sum`` for a file."""
+    return f"{hashlib.sha256(content).hexdigest()}  {path.name}\n".encode()
 
 
 def _columns(declared: dict[str, Any]) -> list[Column]:
@@ -208,7 +240,7 @@ def _table(key: str, entry: dict[str, Any]) -> Table:
 
 _DECLARED = tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))
 _TABLES = {key.upper(): _table(key, entry) for key, entry in _DECLARED.items()}
-__all__ = ["DATASETS", "STATISTICS", "STUDIES", "Column", "Table", "reference", *_TABLES]
+__all__ = ["DATASETS", "STATISTICS", "STUDIES", "Column", "Table", "checksum_path", "reference", *_TABLES]
 
 
 def __getattr__(name: str) -> Table:

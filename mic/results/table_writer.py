@@ -55,7 +55,7 @@ def write_tables(outcome: Outcome) -> None:
 def _write(folder: Path, table: Table, frame: pd.DataFrame | None, group: Group | None = None) -> None:
     """Write a table, with full precision if it is read again; delete its file if it has no rows."""
     if frame is None or not len(frame):
-        (folder / table.place).unlink(missing_ok=True)
+        table.remove(folder)
         return
     table.write(folder, frame, exact=table in (FRICTION, PATH, PATH_ERRORS), group=group)
 

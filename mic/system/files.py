@@ -1,7 +1,8 @@
 """Atomic file writes, and readers that verify kind, version and checksum.
 
 All files that the program reads again are written and read by this module. A reader sees the old content or the new,
-never a part; a file of another format, or one that is truncated or altered, raises an error of one sentence.
+never a part; a file of another format, or one that is truncated or altered, raises an error of one sentence. Whatever
+goes wrong while reading, :func:`reading` says that the file is damaged: it keeps no list of exceptions.
 
 Not the library ``atomicwrites``, which is unmaintained: several files must be replaced as a group, with ``fsync``, and
 partial files of killed processes must be recognised and removed.
@@ -21,14 +22,18 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 
-from mic.errors import FormatError, StorageError
+from mic.errors import FormatError, MicError, StorageError
+from mic.system.array_archive import read_archive
+from mic.system.regular_files import open_regular, read_regular
 
 __all__ = [
     "DAMAGED",
+    "JSON_LIMIT",
     "PARTIAL",
     "Format",
     "Group",
@@ -37,11 +42,15 @@ __all__ = [
     "clean",
     "fingerprint",
     "load_arrays",
+    "json_header",
     "load_json",
+    "read_line",
+    "reading",
     "replacing",
     "save_arrays",
     "save_json",
     "set_aside",
+    "to_line",
     "together",
     "write_text",
 ]
@@ -49,8 +58,11 @@ __all__ = [
 PARTIAL = ".partial"  # part of the name of every file that is being written, and of no complete one
 DAMAGED = ".damaged"  # suffix of a file that could not be read and was renamed
 
+JSON_LIMIT = 1 << 25  # characters of a JSON document: a hundred times the largest header of the shipped scenes
+
 PARALLEL_SYNCS = 16  # files synchronised to disk at a time: hardly slower than one
 
+_DESCRIPTION = ("kind", "format", "checksum")
 _HOST = f"{zlib.crc32(socket.gethostname().encode()):08x}"
 _PARTIAL_NAME = re.compile(rf"\..+\.([0-9a-f]{{8}})-(\d+){re.escape(PARTIAL)}(\.\w+)?")
 
@@ -279,8 +291,9 @@ def append_text(path: Path, text: str) -> None:
 
 
 def save_json(path: Path, format: Format, content: Mapping[str, Any]) -> None:
-    """Write a dict; the keys ``kind`` and ``format`` are reserved."""
+    """Write a dict with its checksum; the keys ``kind``, ``format`` and ``checksum`` are reserved."""
     document = {"kind": format.kind, "format": format.version, **content}
+    document["checksum"] = _checksum(document)
     write_text(path, json.dumps(document, indent=2, allow_nan=False) + "\n")
 
 
@@ -292,10 +305,38 @@ def load_json(path: Path, format: Format) -> dict[str, Any]:
     FileNotFoundError
     FormatError
     """
-    with _reading(path, format):
-        document = json.loads(Path(path).read_text(encoding="utf-8"))
-    format.check(path, document)
-    return {key: value for key, value in document.items() if key not in ("kind", "format")}
+    with reading(path, format):
+        document, valid = _read_json(path)
+        return _content(path, format, document, valid)
+
+
+def json_header(path: Path) -> dict[str, Any] | None:
+    """Content of a JSON file of any kind and version, valid or not; empty if it is no table, None if not readable."""
+    try:
+        document, _ = _read_json(path)
+    except Exception:
+        return None
+    return document if isinstance(document, dict) else {}
+
+
+def _read_json(path: Path) -> tuple[Any, bool]:
+    """Document, and whether its checksum is right."""
+    document = json.loads(read_regular(path, JSON_LIMIT))
+    return document, isinstance(document, dict) and document.get("checksum") == _checksum(document)
+
+
+def to_line(record: Mapping[str, Any]) -> str:
+    """A record as one line of JSON with its checksum, for a file to which records are appended."""
+    return json.dumps({**record, "checksum": _checksum(record)}) + "\n"
+
+
+def read_line(line: str | bytes) -> dict[str, Any] | None:
+    """The record of :func:`to_line`; None if the line is truncated or altered."""
+    try:
+        record = json.loads(line)
+        return record if record.pop("checksum") == _checksum(record) else None
+    except Exception:
+        return None
 
 
 def save_arrays(
@@ -328,52 +369,69 @@ def load_arrays(path: Path, format: Format) -> tuple[dict[str, Any], dict[str, n
     FileNotFoundError
     FormatError
     """
-    with _reading(path, format):
+    with reading(path, format):
         document, arrays, valid = _read_arrays(path)
-    format.check(path, document)
-    if not valid:
-        raise format.damaged(path)
-    return {key: value for key, value in document.items() if key not in ("kind", "format", "checksum")}, arrays
+        return _content(path, format, document, valid), arrays
 
 
 def arrays_header(path: Path) -> dict[str, Any]:
     """Header of a file of :func:`save_arrays` of any kind and version; empty if it cannot be read or is invalid."""
     try:
         document, _, valid = _read_arrays(path)
-    except _UNREADABLE:
+    except Exception:
         return {}
     return document if valid else {}
 
 
-_UNREADABLE = (ValueError, KeyError, OSError, EOFError, TypeError, RuntimeError, zipfile.BadZipFile, zlib.error)
-
-
 @contextmanager
-def _reading(path: Path, format: Format) -> Iterator[None]:
-    """Turn errors of reading into those of one sentence, except that the file does not exist."""
+def reading(path: Path, format: Format) -> Iterator[None]:
+    """Everything that the program does with a file that it wrote, until it trusts the content.
+
+    Raises
+    ------
+    FileNotFoundError
+    StorageError
+        If the user may not read the file.
+    FormatError
+        For any other exception in the block, among them those of libraries.
+    """
     try:
         yield
-    except FileNotFoundError:
+    except (FileNotFoundError, MicError):
         raise
     except PermissionError as problem:
         raise StorageError(f"{path}: cannot be read ({_reason(problem)}); give permission") from problem
-    except _UNREADABLE:
-        raise format.damaged(path) from None
+    except Exception as problem:
+        raise format.damaged(path) from problem
+
+
+def _content(path: Path, format: Format, document: Any, valid: bool) -> dict[str, Any]:
+    """A document without what describes the file."""
+    if not valid and isinstance(document, dict) and "checksum" in document:
+        raise format.damaged(path)  # first: kind and version may be what was altered
+    format.check(path, document)
+    if not valid:
+        raise format.damaged(path)
+    return {key: value for key, value in document.items() if key not in _DESCRIPTION}
 
 
 def _read_arrays(path: Path) -> tuple[dict[str, Any], dict[str, np.ndarray], bool]:
     """Document, arrays, and whether the checksum is right; nothing is unpickled."""
-    with np.load(Path(path), allow_pickle=False) as data:
-        arrays = {name: data[name] for name in data.files}
-    document = json.loads(str(arrays.pop("header")))
+    with open_regular(path) as file:
+        arrays = read_archive(file)
+    header = arrays.pop("header")
+    if header.nbytes > 4 * JSON_LIMIT:  # numpy stores four bytes for each character
+        raise ValueError("the header is too large")
+    document = json.loads(str(header))
     if not isinstance(document, dict):
         raise ValueError("the header is no table")
+    return document, arrays, document.get("checksum") == _checksum(document, arrays)
+
+
+def _checksum(document: Mapping[str, Any], arrays: Mapping[str, np.ndarray] = MappingProxyType({})) -> str:
+    """SHA-256 of a document, except its own checksum, and of arrays."""
     checked = {key: value for key, value in document.items() if key != "checksum"}
-    return document, arrays, document.get("checksum") == _checksum(checked, arrays)
-
-
-def _checksum(document: Mapping[str, Any], arrays: Mapping[str, np.ndarray]) -> str:
-    digest = hashlib.sha256(json.dumps(document, sort_keys=True).encode())
+    digest = hashlib.sha256(json.dumps(checked, sort_keys=True).encode())
     for name in sorted(arrays):
         array = np.ascontiguousarray(arrays[name])
         digest.update(repr((name, array.shape, array.dtype.str)).encode())

@@ -115,7 +115,7 @@ def _is_current(descriptor: int, path: Path) -> bool:
 
 def _recorded_owner(descriptor: int) -> dict[str, Any] | None:
     """Owner in a lock file; None if there is none or the file is incomplete."""
-    with suppress(ValueError):
+    with suppress(Exception):
         owner = json.loads(os.pread(descriptor, 65536, 0))
         return owner if isinstance(owner, dict) else None
     return None

@@ -104,8 +104,8 @@ def unpack(header: Any, arrays: Mapping[str, np.ndarray], classes: Sequence[type
 
     Raises
     ------
-    KeyError
-        For another class or an unknown name.
+    Exception
+        Of any type, for another class, an unknown name, or content that :func:`pack` did not write.
     """
     by_name = {allowed.__name__: allowed for allowed in classes}
 
@@ -122,7 +122,9 @@ def unpack(header: Any, arrays: Mapping[str, np.ndarray], classes: Sequence[type
             return arrays[dtype][start : start + int(np.prod(shape))].reshape(shape)
         if kind == "matrix":
             *parts, shape = restore(value)
-            return csr_matrix(tuple(parts), shape=tuple(shape))
+            matrix = csr_matrix(tuple(parts), shape=tuple(shape))
+            matrix.check_format()  # compiled code does not check indices
+            return matrix
         if kind == "tuple":
             return tuple(restore(value))
         if kind == "dict":

@@ -62,7 +62,7 @@ def in_child(action) -> int:
 
 
 def content(folder: Path) -> dict[str, str]:
-    """Hash of each file of a results folder; of archives the arrays, of records all but wall times."""
+    """Hash of each file of a results folder; of archives the arrays, of records all but wall times and checksums."""
     found = {}
     for path in sorted(folder.rglob("*")):
         if path.is_file():
@@ -70,7 +70,7 @@ def content(folder: Path) -> dict[str, str]:
                 with np.load(path) as data:
                     body = b"".join(name.encode() + data[name].tobytes() for name in sorted(data.files))
             elif path.suffix == ".json":
-                body = json.dumps(json.loads(path.read_text()) | {"wall_time": {}}, sort_keys=True).encode()
+                body = json.dumps(json.loads(path.read_text()) | {"wall_time": {}, "checksum": ""}, sort_keys=True).encode()
             else:
                 body = path.read_bytes()
             found[str(path.relative_to(folder))] = hashlib.sha256(body).hexdigest()

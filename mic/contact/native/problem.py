@@ -17,7 +17,7 @@ from scipy.linalg import eigvalsh, inv
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import connected_components
 
-from mic.contact.certificate import contact_stiffness, measure
+from mic.contact.certificate import contact_stiffness, residual
 from mic.contact.ladder import SPLITTING
 from mic.contact.laws import COULOMB, Law
 from mic.contact.native.kernels import compiled, local_factors
@@ -38,8 +38,6 @@ class ScaledProblem:
     W : (3m, 3m) array, or (m, m) for a law without friction
     parameters : (m, p) array
         Of the law, contact by contact; scaled friction ``μ'`` first, as it is held.
-    equation : compiled function or None
-        The law's equation; None without friction.
     factors : (m, 7) array or None
         :func:`mic.contact.native.kernels.local_factors` of ``W``; None without friction.
     """
@@ -47,7 +45,6 @@ class ScaledProblem:
     law: Law
     W: np.ndarray
     parameters: np.ndarray
-    equation: Callable | None
     factors: np.ndarray | None
 
     @classmethod
@@ -55,8 +52,13 @@ class ScaledProblem:
         """The problem of scaled compliance ``W`` and scaled parameters (m, p) of the law."""
         parameters = np.ascontiguousarray(parameters, dtype=float)
         if not law.frictional:
-            return cls(law, W, parameters, None, None)
-        return cls(law, W, parameters, compiled(law.equation), local_factors(W))
+            return cls(law, W, parameters, None)
+        return cls(law, W, parameters, local_factors(W))
+
+    @property
+    def equation(self) -> Callable:
+        """The law's equation, compiled; for a law with friction only. It cannot be pickled, so it is no attribute."""
+        return compiled(self.law.equation)
 
     @property
     def friction(self) -> np.ndarray:
@@ -93,7 +95,7 @@ class ScaledProblem:
         """
         eigenvalues = eigvalsh(self.W, check_finite=False)
         smallest, largest = eigenvalues[0], eigenvalues[-1]
-        rho = np.sqrt(max(smallest, 1e-6 * largest) * largest)
+        rho = np.sqrt(max(smallest, 1e-6 * largest) * largest) or 1.0  # a contact that nothing moves
         invertible = SPLITTING["invertible"] * smallest > largest
         shifted = self.W.copy()
         shifted[np.diag_indices(len(shifted))] += rho
@@ -103,8 +105,7 @@ class ScaledProblem:
         """The certificate of one scaled force, :func:`mic.contact.certificate.certify`."""
         size = len(self.W) // len(self.parameters)
         stiffness = contact_stiffness(self.W, self.law, size)
-        known = self.parameters, y[None], self.law, stiffness, size, np.zeros(len(q))
-        return float(measure(self.W, q[None], *known)[0].residual[0])
+        return float(residual(self.W, q[None], self.parameters, y[None], self.law, stiffness, size)[0])
 
     def renewed(self, y: np.ndarray) -> ScaledProblem:
         """The same contacts, the friction held that belongs to the forces ``y``."""
@@ -119,7 +120,7 @@ class ScaledProblem:
     def held(self) -> ScaledProblem:
         """The same contacts under Coulomb's law with the friction that is held."""
         parameters = np.ascontiguousarray(self.parameters[:, :1])
-        return replace(self, law=COULOMB, parameters=parameters, equation=compiled(COULOMB.equation))
+        return replace(self, law=COULOMB, parameters=parameters)
 
     def proximal(self, alpha: float) -> ScaledProblem:
         """The same contacts with ``W + α I``."""

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import json
+import logging
 from collections.abc import Callable
-from contextlib import suppress
 from dataclasses import replace
 from functools import lru_cache, partial
 from pathlib import Path
@@ -21,9 +21,13 @@ from mic.studies.optimisation.design import Design, Space
 from mic.studies.optimisation.moved_items import RelocatedModels
 from mic.studies.optimisation.objective import Objective
 from mic.studies.samples import derivatives
-from mic.system.files import append_text
+from mic.system.files import Format, append_text, read_line, reading, to_line
+from mic.system.regular_files import open_regular
 
 __all__ = ["EvaluationLog", "BudgetExceeded", "DesignEvaluator"]
+
+FORMAT = Format("log of evaluations", 1, "move it away or name another")
+_log = logging.getLogger(__name__)
 
 BLOCK = 20  # samples that are evaluated and stored together
 MODELS = 6  # models held in memory
@@ -41,9 +45,10 @@ class EvaluationLog:
     Parameters
     ----------
     path : Path or None
-        File of JSON lines; None stores nothing.
+        File of JSON lines, each with its checksum; None stores nothing.
     stamp : str
-        Identifies model, seed and law; records with another stamp are ignored and stay in the file.
+        Identifies model, seed and law; records with another stamp are ignored and stay in the file. Truncated and
+        altered records stay too; they are counted in a warning and evaluated again.
 
     Attributes
     ----------
@@ -56,14 +61,21 @@ class EvaluationLog:
         self.used: set[str] = set()
         self._known: dict[str, dict[str, np.ndarray]] = {}
         if path is not None and path.is_file():
-            for line in path.read_text(encoding="utf-8").splitlines():
-                with suppress(ValueError, KeyError, TypeError):  # incomplete record of an interrupted run
-                    record = json.loads(line)
-                    if record["stamp"] == stamp:
-                        arrays = {name: np.array(value, dtype=float) for name, value in record["arrays"].items()}
-                        self._known[record["key"]] = arrays
-            if not path.read_bytes().endswith(b"\n"):
-                append_text(path, "\n")
+            self._read(path)
+
+    def _read(self, path: Path) -> None:
+        damaged, line = 0, b"\n"
+        with reading(path, FORMAT), open_regular(path) as file:
+            for line in file:
+                record = read_line(line)
+                damaged += record is None and line.endswith(b"\n") and bool(line.strip())  # else of a killed run
+                if record is not None and record["stamp"] == self.stamp:
+                    arrays = {name: np.array(value, dtype=float) for name, value in record["arrays"].items()}
+                    self._known[record["key"]] = arrays
+        if damaged:
+            _log.warning("%s: %d records are cut short or damaged; they are evaluated again", path, damaged)
+        if not line.endswith(b"\n"):
+            append_text(path, "\n")
 
     def arrays(self, key: str, evaluate: Callable[[], dict[str, np.ndarray]]) -> dict[str, np.ndarray]:
         """Arrays of a key: known ones, or evaluated and appended to the file; they are on disk on return."""
@@ -72,7 +84,7 @@ class EvaluationLog:
             self._known[key] = evaluate()
             if self.path is not None:
                 lists = {name: value.tolist() for name, value in self._known[key].items()}
-                append_text(self.path, json.dumps({"stamp": self.stamp, "key": key, "arrays": lists}) + "\n")
+                append_text(self.path, to_line({"stamp": self.stamp, "key": key, "arrays": lists}))
         return self._known[key]
 
 
