@@ -5,6 +5,7 @@ import zipfile
 from xml.etree import ElementTree
 
 import numpy as np
+import pandas as pd
 import pytest
 from support.runs import changed
 from typer.testing import CliRunner
@@ -13,7 +14,7 @@ from mic.errors import RunError
 from mic.options import app
 from mic.results.excel import write_excel
 from mic.results.outcome import read_outcome
-from mic.results.schema import MEASUREMENT_STATISTICS
+from mic.results.schema import CONTRIBUTORS, MEASUREMENT_STATISTICS
 from mic.runs import run
 
 SHEETS = "{http://schemas.openxmlformats.org/spreadsheetml/2006/main}"
@@ -59,6 +60,33 @@ def test_every_table_is_a_sheet_with_its_units_and_numbers(folder, tmp_path):
     assert len(found["contacts"]) == 2 + len(read_outcome(folder).contact_statistics)
     meanings = {(row[0], row[1]): row[-1] for row in found["columns"][1:]}
     assert meanings["measurements", "cpk"].startswith("Cpk = min(")
+
+
+TEXTS = ("=1+1", "+1", "-1", "@SUM(A1)", "\t=1", "{=1}", "=HYPERLINK(1)", "https://a.example", "1e5", "007", "NA")
+
+
+@pytest.mark.parametrize("text", [*TEXTS, "x" * 40_000])
+def test_a_text_stays_a_text(text, tmp_path):
+    """Excel would take a cell that begins like these for a formula, a link or a number."""
+    pytest.importorskip("xlsxwriter")
+    row = {column.name: 1.5 if column.dtype == "float64" else text for column in CONTRIBUTORS.columns}
+    frame = pd.DataFrame([row, row]).astype({column.name: column.dtype for column in CONTRIBUTORS.columns})
+    CONTRIBUTORS.write(tmp_path, frame)
+    path = write_excel(tmp_path, tmp_path / "tables.xlsx")
+    _, _, first, second = sheets(path)["contributors"]
+    assert first == second == [text[:32767] if value == text else value for value in row.values()]
+    with zipfile.ZipFile(path) as book:
+        sheet = book.read("xl/worksheets/sheet2.xml").decode()
+    assert "<f>" not in sheet and "hyperlink" not in sheet
+
+
+def test_a_table_with_more_rows_than_a_sheet_is_refused(tmp_path, monkeypatch):
+    pytest.importorskip("xlsxwriter")
+    monkeypatch.setattr("mic.results.excel.ROWS", 3)
+    row = {column.name: 1.5 if column.dtype == "float64" else "a" for column in CONTRIBUTORS.columns}
+    CONTRIBUTORS.write(tmp_path, pd.DataFrame([row, row]))
+    with pytest.raises(RunError, match="contributors.csv: has 2 rows, Excel takes 1; read the CSV file instead"):
+        write_excel(tmp_path, tmp_path / "tables.xlsx")
 
 
 @pytest.mark.slow

@@ -46,7 +46,7 @@ def write_excel(folder: Path, path: Path) -> Path:
     for table, frame in existing.items():
         if len(frame) > ROWS - 2:
             raise RunError(f"{table.place}: has {len(frame)} rows, Excel takes {ROWS - 2}; read the CSV file instead")
-    with replacing(Path(path)) as temporary, xlsxwriter.Workbook(str(temporary), {}) as book:
+    with replacing(Path(path)) as temporary, xlsxwriter.Workbook(str(temporary), TEXTS_STAY) as book:
         bold, grey = book.add_format({"bold": True}), book.add_format({"font_color": "#58626e", "bottom": 1})
         legend = book.add_worksheet("columns")
         legend.write_row(0, 0, ("table", "column", "unit", "meaning"), bold)
