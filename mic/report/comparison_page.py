@@ -120,11 +120,12 @@ def _densities(found: Comparison) -> Picture:
             ax.plot(x, y, color=colour, lw=1.3)
         draw_limits(ax, items[name].bounds)
         ax.set(yticks=[], ylim=(0, None))
-    lines = ((BEFORE, f"before: {found.a.name}"), (AFTER, f"after: {found.b.name}"), (LIMIT_COLOUR, "limits, after"))
+    lines = (BEFORE, "before"), (AFTER, "after"), (LIMIT_COLOUR, "limits, after")
     handles = [Line2D([], [], color=colour, lw=2, label=label) for colour, label in lines]
     fig.legend(handles=handles, loc="outside upper left", ncols=3)
     least = f"Shown are the {len(names)} least capable of {len(own)} after the change. " * (len(names) < len(own))
-    return svg(fig, "Key characteristics, before and after", f"{least}Densities of the common samples.")
+    caption = f"{least}Densities of the common samples; before: {found.a.name}, after: {found.b.name}."
+    return svg(fig, "Key characteristics, before and after", caption)
 
 
 def _maps(fields: Sequence[FieldChange]) -> Picture:
