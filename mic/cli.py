@@ -11,6 +11,7 @@ import os
 import signal
 import sys
 import traceback
+from pathlib import Path
 from typing import NoReturn
 
 from mic.errors import MicError, Stopped
@@ -28,11 +29,13 @@ def main() -> NoReturn:
     from mic import options  # slow to import, so after the signal handlers
     from mic.execution.ranks import communicator, exit_together, silence_other_ranks
     from mic.system.console import error_line
+    from mic.system.foreign_files import refuse_library_settings
 
     logging.basicConfig(format="%(message)s")  # warnings of the cache, for example
     world, status, message = None, 0, ""
     try:
         _on_signals(_raise_stopped)
+        refuse_library_settings(Path.cwd())
         world = communicator()
         with silence_other_ranks(world):
             options.app()

@@ -6,6 +6,7 @@ that ``mic --help`` appears at once.
 
 from __future__ import annotations
 
+import os
 import tomllib
 from collections.abc import Callable
 from enum import Enum
@@ -19,6 +20,7 @@ import typer
 
 from mic import examples
 from mic.contact.laws import LAWS
+from mic.system.foreign_files import ALSO_READ, NO_SCRIPTS
 
 __all__ = ["app"]
 
@@ -45,6 +47,12 @@ Backend = Enum("Backend", {name: name for name in ("native", "paper")}, type=str
 
 
 _ARGUMENTS = {"scene", "source", "folder", "before", "after", "meshes"}  # given without --NAME
+_SOURCES = {"scene", "source", "before", "meshes"}  # arguments of commands that read files of a user
+#: What a scene may reach: options of all these commands.
+_READING = [
+    Parameter("also_read", Parameter.KEYWORD_ONLY, default=None, annotation=list[Path] | None),
+    Parameter("no_scripts", Parameter.KEYWORD_ONLY, default=False, annotation=bool),
+]
 _OPTIONS = tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))
 _LISTS = {
     "laws": " ".join(f"`{law.name}`: {law.title}" for law in LAWS.values()),
@@ -60,17 +68,29 @@ def _command(module: str) -> Callable[[Callable[..., None]], Callable[..., None]
 
     def add(function: Callable[..., None]) -> Callable[..., None]:
         name, own = function.__name__, signature(function)
+        reads = _READING if _SOURCES & own.parameters.keys() else []
         declared = _OPTIONS["shared"] | _OPTIONS.get(name, {})
 
         @wraps(function)
         def command(**values: Any) -> None:
+            _set_access(values)
             getattr(import_module(f"mic.commands.{module}"), name)(**values)  # numerics and tables take a second
 
-        parameters = [one.replace(default=_parameter(one, **declared[one.name])) for one in own.parameters.values()]
+        every = [*own.parameters.values(), *reads]
+        parameters = [one.replace(default=_parameter(one, **declared[one.name])) for one in every]
         command.__signature__ = own.replace(parameters=parameters)  # type: ignore[attr-defined]
         return app.command()(command)
 
     return add
+
+
+def _set_access(values: dict[str, Any]) -> None:
+    """Take the options of what a scene may reach out of a command's values, and set their environment variables."""
+    if values.pop("no_scripts", False):
+        os.environ[NO_SCRIPTS] = "1"
+    if folders := values.pop("also_read", None):
+        given = [os.environ[ALSO_READ]] if os.environ.get(ALSO_READ) else []
+        os.environ[ALSO_READ] = os.pathsep.join([*given, *map(os.path.abspath, folders)])
 
 
 def _parameter(parameter: Parameter, help: str, **settings: Any) -> Any:
@@ -79,7 +99,7 @@ def _parameter(parameter: Parameter, help: str, **settings: Any) -> Any:
     settings |= {"help": help.format(**_LISTS), "show_default": default not in (None, ...)}
     if parameter.name in _ARGUMENTS:
         return typer.Argument(default, **settings)
-    names = (f"--{parameter.name}",) if default is False else ()  # no --no-NAME
+    names = (f"--{parameter.name.replace('_', '-')}",) if default is False else ()  # no --no-NAME
     return typer.Option(default, *names, **settings)
 
 
@@ -122,7 +142,7 @@ def check(
 
     Errors stop the command. A warning names the item, its unusual value, the usual range and the remedy.
 
-    No stiffness matrix is factorised unless --accuracy, --converge or `accuracy` of a part asks for it. If the
+    No stiffness matrix is factorised unless --accuracy, --converge or a part's key `accuracy` requests it. If the
     influence coefficients are cached, a few samples show whether friction matters in each stage and whether the
     result depends on how the parts are placed.
     """
@@ -289,7 +309,7 @@ def optimise(
     save: Path | None = None,
     out: Path | None = None,
 ):
-    """Optimise clamp forces, shims, orders, places and the matching of parts.
+    """Optimise clamp forces, shims, orders, positions and the matching of parts.
 
     The scene's table `[optimise]` states the objective, the allowed changes and the constraints. Designs are compared
     over the variation of the inputs; the best is evaluated on fresh samples, with the confidence interval of its

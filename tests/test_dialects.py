@@ -10,9 +10,9 @@ from support.gmsh_files import gmsh_model
 from support.mesh_texts import deck_text
 
 from mic.errors import FormatError
-from mic.geometry import readers
 from mic.geometry.readers import READERS, gmsh_program, read_mesh
 from mic.scene.part import Part
+from mic.system import foreign_files
 
 DYNA = deck_text("parts.k")
 UNIVERSAL = deck_text("parts.unv")
@@ -133,7 +133,7 @@ def test_a_reader_that_hangs_is_stopped(tmp_path, monkeypatch):
             pass
 
     monkeypatch.setitem(READERS, ".new", hang)
-    monkeypatch.setattr(readers, "LIMIT", 0.1)
+    monkeypatch.setattr(foreign_files, "LIMIT", 0.1)
     with pytest.raises(FormatError, match=r"a\.new: this mesh file was not read in 0 s: it is damaged"):
         read_mesh(written(tmp_path, "", "a.new"))
 

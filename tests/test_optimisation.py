@@ -32,6 +32,7 @@ from mic.studies.optimisation.moved_items import RelocatedModels
 from mic.studies.optimisation.objective import Objective
 from mic.studies.optimisation.scene_changes import scene_text_with_changes
 from mic.studies.optimisation.search import all_designs, local_search
+from mic.system.foreign_files import ALSO_READ
 from verification.scenes import with_stated_pairs
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -332,6 +333,12 @@ def test_places_take_the_meshes_of_the_scene(cache):
 
 
 # ------------------------------------------------------------------------------------------------------- matching
+
+
+@pytest.fixture(autouse=True)
+def tables_of_measured_parts(tmp_path, monkeypatch):
+    """A scene that is not read from a file has no folder: its tables are named by the user."""
+    monkeypatch.setenv(ALSO_READ, str(tmp_path))
 
 
 def kinds(*sizes):

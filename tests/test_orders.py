@@ -79,7 +79,7 @@ def test_a_file_of_variants_changes_the_keys_of_the_stages_that_it_names(hat_mod
 
 
 BROKEN = {
-    "no file": (None, ["cannot be read", "check the path"]),
+    "no file": (None, ["does not exist", "correct the name"]),
     "no TOML": ("[[orders", ["not valid TOML", "correct the syntax"]),
     "no orders": ('name = "x"', ["must contain at least one [[orders]]"]),
     "no stages": ('[[orders]]\nname = "x"', ["orders[0]", "give name and stages"]),

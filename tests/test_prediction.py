@@ -258,7 +258,7 @@ def test_the_command_predicts_each_row_once(model, tmp_path):
     assert again.exit_code == 0 and "row" not in again.output
     asked[3] = str(tmp_path / "none.csv")
     missing = CliRunner().invoke(app, asked)
-    assert "there is no file" in str(missing.exception) and "the folder that you are in" in str(missing.exception)
+    assert "none.csv: this table does not exist; correct the name" in str(missing.exception)
     assert "training" not in missing.output, "before the training"
     neither = CliRunner().invoke(app, asked[:2])
     assert neither.exit_code != 0 and "give either --parts" in str(neither.exception)

@@ -19,6 +19,7 @@ from mic.scene.deviation import ShapeDeviation
 from mic.scene.samples import take_samples
 from mic.statistics import estimates
 from mic.statistics.draw import draw
+from mic.system.foreign_files import ALSO_READ
 
 LAP = Path(__file__).resolve().parents[1] / "meshes" / "lap_joint"
 
@@ -28,6 +29,11 @@ def table(lap_scene):
     """Twelve assemblies, of the spread that the scene states."""
     rng = np.random.default_rng(7)
     return pd.DataFrame({item.name: rng.normal(item.mean, item.sigma, 12) for item in lap_scene.deviations})
+
+
+@pytest.fixture(autouse=True)
+def tables_beside_the_scene(tmp_path, monkeypatch):
+    monkeypatch.setenv(ALSO_READ, str(tmp_path))
 
 
 def of(scene, folder, text="samples.csv", **keys):
@@ -135,7 +141,7 @@ def changed(row, cell):
 
 
 BAD = {
-    "no such file": (None, "there is no file .*samples.csv"),
+    "no such file": (None, "samples.csv: this table does not exist"),
     "no row": (lambda lines: lines[:1], "there is no row below the header"),
     "a missing column": (lambda lines: [line.rpartition(",")[0] for line in lines], "there is no column '"),
     "a misspelt column": (
@@ -178,7 +184,7 @@ def test_more_samples_than_rows_and_broken_parquet_are_refused(lap_scene, table,
     with pytest.raises(mic.SceneError, match="13 are requested, and .* has 12 rows"):
         take_samples(of(lap_scene, tmp_path, samples=13))
     (tmp_path / "samples.parquet").write_text("none")
-    with pytest.raises(mic.SceneError, match="cannot be read as Parquet"):
+    with pytest.raises(mic.SceneError, match="this table of samples cannot be read"):
         take_samples(of(lap_scene, tmp_path, "samples.parquet"))
     with pytest.raises(ValueError, match="design and table exclude each other"):
         of(lap_scene, tmp_path, design="sobol")

@@ -168,7 +168,7 @@ def test_a_setting_does_not_change_the_stated_path_of_a_stage(tmp_path):
 
 
 def test_missing_scene():
-    with pytest.raises(mic.SceneError, match="no such file"):
+    with pytest.raises(mic.SceneError, match="this scene does not exist; correct the name"):
         mic.load_scene("nowhere/scene.toml")
 
 

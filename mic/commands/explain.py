@@ -60,7 +60,7 @@ def read_measured(path: Path, gauge: float | None) -> tuple[dict[str, float], di
     SceneError
         If the file is invalid; the message names file, row and column.
     """
-    cells, separator = read_cells(path, "the folder that you are in")
+    cells, separator = read_cells(path)
     columns = [str(name) for name in cells.columns]
     for name in columns:
         if name not in COLUMNS:
@@ -110,5 +110,5 @@ def _print_sources(console, found):
         )
         for row in found.table.head(MAX_SOURCES).to_dict("records")
     ]
-    heads = ("source", "in the scene", "this assembly", "95 % interval", "from its mean", "variance explained")
+    heads = ("source", "in the scene", "this assembly", "95 % interval", "distance from mean", "variance removed")
     console.table("Most probable sources", heads, rows)

@@ -33,6 +33,8 @@ def init(meshes, example, out, thickness, welds, points):
         console.warn("note", sentence)
     quoted = shlex.quote(str(folder))
     console.say(f"{folder / 'scene.toml'}: {proposal.summary()}")
+    if not all(mesh.resolve().is_relative_to(folder.resolve()) for mesh in meshes):
+        console.say("The mesh files, and the files that they include, are copied into this folder.")
     console.say(f"Next:  mic check {quoted}  and  mic run {quoted}")
 
 

@@ -13,6 +13,7 @@ from rich.progress import Progress, TextColumn
 
 from mic.commands.invocation import first_rank_only, open_model
 from mic.errors import FormatError, SceneError, Stopped
+from mic.report.style import percent
 from mic.results.run_identity import identity
 from mic.results.schema import PREDICTIONS
 from mic.scene.tables import read_cells, read_number
@@ -83,7 +84,8 @@ def _predictor(console, model, law, adjust, shim, factor, error, exact) -> Predi
         worst, names = int(share.argmax()), [item.name for item in model.scene.measurements]
         console.say(
             f"Emulator trained on {len(emulator.x)} evaluated assemblies; largest error (95 %) "
-            f"{1e3 * emulator.error_bound[worst]:.2g} µm at {names[worst]}, {share[worst]:.2%} of its tolerance."
+            f"{1e3 * emulator.error_bound[worst]:.2g} µm at {names[worst]}, {percent(share[worst], 2)} of its "
+            "tolerance."
         )
     elif not exact:
         console.say("No emulator: too few assemblies could be evaluated to train it. Every assembly is evaluated.")

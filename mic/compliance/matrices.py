@@ -22,6 +22,7 @@ from scipy.sparse import coo_matrix, csr_matrix
 from mic.compliance.output4 import matrices
 from mic.errors import FormatError
 from mic.geometry.readers import nastran
+from mic.system.foreign_files import reading
 
 __all__ = ["NodalMatrix", "read_matrix"]
 
@@ -50,8 +51,10 @@ class NodalMatrix:
     places: dict[int, tuple[float, ...]]
 
 
-def read_matrix(path: Path) -> NodalMatrix:
+def read_matrix(path: Path, folder: Path | None = None) -> NodalMatrix:
     """Read a matrix and the table of its nodes.
+
+    `folder` is that of the scene that names the file, see :func:`mic.system.foreign_files.reading`.
 
     Raises
     ------
@@ -59,10 +62,8 @@ def read_matrix(path: Path) -> NodalMatrix:
         Naming the file, if it is missing, of another kind, no square symmetric matrix of real numbers, or its table
         does not match it.
     """
-    if not path.is_file():
-        raise FormatError(f"{path}: there is no such file; correct the name")
-    table = path.with_suffix(".csv")
-    try:
+    with reading(path, "matrix file", folder):
+        table = path.with_suffix(".csv")
         places = _table(table) if table.is_file() else {}
         with open(path, "rb") as file:
             market = file.read(14) == b"%%MatrixMarket"
@@ -75,8 +76,6 @@ def read_matrix(path: Path) -> NodalMatrix:
         if suffix == ".sim":
             raise FormatError("Abaqus' own binary matrices are not read; write matrix input or a Matrix Market file")
         return _dmig(path, places) if suffix in NASTRAN else _labelled(path, places)
-    except FormatError as problem:
-        raise FormatError(f"{path}: {problem}") from problem
 
 
 def _table(path: Path) -> dict[int, tuple[float, ...]]:
@@ -100,6 +99,8 @@ def _table(path: Path) -> dict[int, tuple[float, ...]]:
 
 
 def _market(path: Path) -> csr_matrix:
+    if not any(line.strip() and not line.startswith(b"%") for line in path.read_bytes().splitlines()):
+        raise FormatError("it ends with its header; write it again")  # SciPy would loop forever
     try:
         return csr_matrix(mmread(path))
     except Exception as problem:  # SciPy raises various exceptions

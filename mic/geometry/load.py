@@ -80,7 +80,7 @@ def load_part(part: Any, folder: Path, cache: Path, size: float | None = None) -
     path = _existing(f"part {part.name!r}", _source(part), folder / getattr(part, _source(part)))
     if part.mesh is not None:
         sets = [part.set] if isinstance(part.set, str) else part.set or ()
-        surface, deck, inputs = _read(f"part {part.name!r}", path, part.mesh, sets, part.unit, part.size)
+        surface, deck, inputs = _read(f"part {part.name!r}", folder, part.mesh, sets, part.unit, part.size)
         part = _filled(part, deck)
         _refuse_pieces(part, surface)
         return LoadedPart(part, _middle(part, surface), surface, inputs, deck)
@@ -133,7 +133,8 @@ def load_fixture(fixture: Any, folder: Path) -> tuple[Surface, dict[str, str | N
     """
     if fixture.mesh is not None:
         owner = f"fixture {fixture.name!r}"
-        surface, _, inputs = _read(owner, _existing(owner, "mesh", folder / fixture.mesh), fixture.mesh)
+        _existing(owner, "mesh", folder / fixture.mesh)
+        surface, _, inputs = _read(owner, folder, fixture.mesh)
         return surface, inputs
     n = np.array(fixture.normal)
     t = np.cross(n, np.eye(3)[np.argmin(np.abs(n))])
@@ -210,13 +211,14 @@ def _middle(part, surface):
         raise SceneError(f"part {part.name!r}: offset: {problem}") from problem
 
 
-def _read(owner, path, name, sets=(), unit="mm", size=None):
+def _read(owner, folder, name, sets=(), unit="mm", size=None):
     """Surface, deck and hashes of a mesh file and of the files that it includes."""
     from mic.geometry.readers import read_mesh  # the libraries behind it are slow to import; scripts do not need them
 
+    path = folder / name
     try:
         with opened_files() as opened:  # a mesh file may include others
-            surface, deck = read_mesh(path, sets, unit, size)
+            surface, deck = read_mesh(path, sets, unit, size, folder)
         read = Dependencies.of(path, [path.name], opened)
     except ValueError as problem:
         raise SceneError(f"{owner}: mesh: {problem}") from problem

@@ -20,6 +20,7 @@ from mic.geometry.deck import UNITS, Deck
 from mic.geometry.readers import READERS, read_raw
 from mic.geometry.surface import Surface
 from mic.geometry.triangles import rotation
+from mic.system.foreign_files import reading
 
 __all__ = ["FACING", "Cloud", "Deviations", "Fit", "deviations", "read_cloud", "sheet_normals", "spread"]
 
@@ -92,7 +93,7 @@ class Deviations:
     sure: np.ndarray
 
 
-def read_cloud(path: Path, unit: str, surface: Surface, deck: Deck | None) -> Cloud:
+def read_cloud(path: Path, unit: str, surface: Surface, deck: Deck | None, folder: Path | None = None) -> Cloud:
     """Read the points of one measured piece.
 
     Parameters
@@ -105,6 +106,8 @@ def read_cloud(path: Path, unit: str, surface: Surface, deck: Deck | None) -> Cl
         Nominal surface, for nodal deviations.
     deck : Deck or None
         Provides the node numbers.
+    folder : Path, optional
+        Of the scene that names the file, see :func:`mic.system.foreign_files.reading`.
 
     Raises
     ------
@@ -118,11 +121,12 @@ def read_cloud(path: Path, unit: str, surface: Surface, deck: Deck | None) -> Cl
                 f"{path}: measured points cannot be read from {path.suffix or 'files without a suffix'}; save "
                 f"them as {', '.join(TEXT)} with a header x, y, z, or as one of {', '.join(READERS)}"
             )
-        points = scale * read_raw(path).points
+        points = scale * read_raw(path, folder=folder).points
         if not len(points):
             raise FormatError(f"{path}: the file has no points; export the measured points")
         return Cloud(_finite(path, points, AXES), None)
-    frame = _table(path)
+    with reading(path, "file of measured points", folder):
+        frame = _table(path)
     columns = set(frame.columns)
     if {"node", "deviation"} <= columns and not columns & {*AXES}:
         return _nodal_deviations(path, frame, scale, surface, deck)
@@ -140,26 +144,24 @@ def _table(path: Path) -> pd.DataFrame:
     """A text file as numbers by column; the index is the row number in the file."""
     try:
         text = path.read_text(encoding="utf-8-sig")
-    except FileNotFoundError:
-        raise FormatError(f"{path}: the file of measured points does not exist; correct the name") from None
-    except (OSError, UnicodeDecodeError) as problem:
-        raise FormatError(f"{path}: the file is no text file ({problem}); export the measured points as CSV") from None
+    except UnicodeDecodeError as problem:
+        raise FormatError(f"the file is no text file ({problem}); export the measured points as CSV") from None
     lines = text.splitlines()
     if not lines or not lines[0].strip():
-        raise FormatError(f"{path}: row 1: the header is missing; name the columns x, y, z")
+        raise FormatError("row 1: the header is missing; name the columns x, y, z")
     separator = max(SEPARATORS, key=lines[0].count)
     split = lambda line: [cell.strip() for cell in (line.split(separator) if separator in lines[0] else line.split())]
     columns = [column.lower().strip('"') for column in split(lines[0])]
     twice = sorted({column for column in columns if columns.count(column) > 1})
     if twice:
-        raise FormatError(f"{path}: row 1: the column {twice[0]!r} appears twice; rename or remove one")
+        raise FormatError(f"row 1: the column {twice[0]!r} appears twice; rename or remove one")
     rows = {number: split(line) for number, line in enumerate(lines[1:], 2) if line.strip()}
     if not rows:
-        raise FormatError(f"{path}: there are no rows below the header; export the measured points")
+        raise FormatError("there are no rows below the header; export the measured points")
     for number, cells in rows.items():
         if len(cells) != len(columns):
             counts = f"{len(cells)} cells and {len(columns)} columns"
-            raise FormatError(f"{path}: row {number}: there are {counts}; give one cell for each")
+            raise FormatError(f"row {number}: there are {counts}; give one cell for each")
     found = pd.DataFrame.from_dict(rows, orient="index", columns=columns)
     found = found[[column for column in columns if column in (*AXES, "deviation", "node")]]
     if separator == ";":  # the comma may be a decimal separator
@@ -169,7 +171,7 @@ def _table(path: Path) -> pd.DataFrame:
     if len(wrong):
         row, column = wrong[0]
         cell = f"{found.columns[column]} is {found.iloc[row, column]!r}"
-        raise FormatError(f"{path}: row {found.index[row]}: {cell}; give a number in every row")
+        raise FormatError(f"row {found.index[row]}: {cell}; give a number in every row")
     return numbers
 
 

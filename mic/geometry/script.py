@@ -16,8 +16,6 @@ import hashlib
 import importlib.util
 import json
 import os
-import signal
-import subprocess
 import sys
 import tempfile
 import traceback
@@ -33,6 +31,8 @@ from mic.errors import SceneError
 from mic.geometry.grading import GradedSize
 from mic.geometry.script_dependencies import Dependencies, opened_files
 from mic.geometry.surface import Surface
+from mic.system.foreign_files import scripts_allowed
+from mic.system.helper_program import run_program
 
 __all__ = ["arrays_surface", "build", "graded_sizes", "load_script", "mesh_arrays", "named_sizes"]
 
@@ -111,6 +111,8 @@ def load_script(path: Path) -> ModuleType:
 
 def _run(part: str, path: Path, request: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
     """Result of a script that runs in a separate process, and the arrays of its mesh."""
+    if not scripts_allowed():
+        raise SceneError(f"part {part!r}: geometry: {path} is a program, which --no-scripts refuses; give it a mesh")
     with tempfile.TemporaryDirectory(prefix="mic-script-") as name:
         folder = Path(name)
         (folder / "request.json").write_text(json.dumps({"part": part, "path": str(path), **request}))
@@ -127,20 +129,7 @@ def _wait(folder: Path) -> int | None:
     """Exit status of the process that runs a script; None on timeout."""
     environment = {key: value for key, value in os.environ.items() if not key.startswith(RANKS)}
     environment["PYTHONPATH"] = os.pathsep.join(place for place in sys.path if place)
-    process = subprocess.Popen(
-        [sys.executable, "-P", "-m", "mic.geometry.script", str(folder)],
-        stdin=subprocess.DEVNULL,
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.DEVNULL,
-        env=environment,
-        start_new_session=True,  # so that its child processes end with it
-    )
-    try:
-        return process.wait(_limit())
-    except subprocess.TimeoutExpired:
-        return None
-    finally:
-        _end(process)
+    return run_program([sys.executable, "-P", "-m", "mic.geometry.script", str(folder)], _limit(), environment)
 
 
 def _limit() -> float:
@@ -149,18 +138,6 @@ def _limit() -> float:
         return float(os.environ.get("MIC_SCRIPT_LIMIT") or LIMIT)
     except ValueError:
         return LIMIT
-
-
-def _end(process: subprocess.Popen) -> None:
-    """End a process, and on POSIX all processes that it started."""
-    try:
-        if os.name == "posix":
-            os.killpg(process.pid, signal.SIGKILL)
-        else:
-            process.kill()
-    except ProcessLookupError:
-        pass  # it has ended
-    process.wait()
 
 
 def _failure(status: int | None) -> str:

@@ -10,13 +10,13 @@ from __future__ import annotations
 import importlib.util
 import os
 import sys
-import sysconfig
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 
 from mic.system.files import fingerprint
+from mic.system.foreign_files import library_folders
 
 __all__ = ["Dependencies", "opened_files"]
 
@@ -125,7 +125,4 @@ def _content(path: str) -> str | None:
 
 def _library() -> tuple[str, ...]:
     """Folders of Python, its packages and the system, whose changes are changes of versions and not of a part."""
-    places = {*sysconfig.get_paths().values(), sys.prefix, sys.base_prefix, str(Path(__file__).resolve().parents[2])}
-    return tuple(os.path.join(os.path.realpath(place), "") for place in places if place) + tuple(
-        os.path.join(place, "") for place in _SYSTEM
-    )
+    return library_folders() + tuple(os.path.join(place, "") for place in _SYSTEM)

@@ -36,6 +36,7 @@ def assembly_rows(
     surfaces: Mapping[str, Surface],
     fixtures: Mapping[str, Surface],
     every_node: bool,
+    problems: Problems,
 ) -> AssemblyRows:
     """Parts and rows: they depend on the scene, the surfaces and the matrices of superelements only.
 
@@ -48,34 +49,35 @@ def assembly_rows(
         Surfaces of the parts, and of the fixtures that have meshes.
     every_node : bool
         Whether every mesh vertex in the zones becomes a candidate.
+    problems : Problems
+        Of the scene so far; whatever they left out of the scene is not looked for.
 
     Raises
     ------
     SceneError
-        Naming the key, with one line per problem.
+        With one line for each of these problems and of those found here.
     """
-    problems, bodies = Problems(), _bodies(scene, surfaces, fixtures)
+    bodies = _bodies(scene, surfaces, fixtures)
     rows = Rows(scene, bodies)
     for kind, items in (("locator", scene.locators), ("clamp", scene.clamps)):
         for i, item in enumerate(items):
             with problems:
                 rows.point(kind, f"{kind}s[{i}]", item)
-    drawn = []
+    drawn: dict[str, np.ndarray] = {}
     for i, weld in enumerate(scene.welds):
         with problems:
-            drawn.append(weld_rows(f"welds[{i}]", weld, rows))
+            drawn[weld.name] = weld_rows(f"welds[{i}]", weld, rows)
     pressed = [pressed_places(scene, zone, bodies) for zone in scene.zones]
     pairs = zone_pairs(scene, bodies, pressed, every_node, problems)
-    if not problems:
-        contacts = contact_rows(rows, pairs, every_node, problems)
-    if not problems:
+    contacts = contact_rows(rows, pairs, every_node, problems)
+    if not problems:  # points between pairs need the pairs of all zones
         between = gap_point_rows(rows, pressed, [] if every_node else pairs)
-        weld_gap = weld_gaps(scene, contacts, drawn, problems)
+    weld_gap = weld_gaps(scene, contacts, drawn, problems)
     for source in sources(scene):
         with problems:
             source.retain(rows)
     characteristics.retain(rows, problems)
-    position_gap = np.array([]) if problems else position_rows(rows)
+    position_gap = position_rows(rows, problems)
     matrices: dict[str, Superelement | None] = {}
     for part in loaded:
         with problems:
@@ -90,7 +92,7 @@ def assembly_rows(
         labels=rows.labels,
         contacts=contacts,
         between=between,
-        weld_size=tuple(len(gap) for gap in drawn),
+        weld_size=tuple(len(gap) for gap in drawn.values()),
         weld_gap=weld_gap,
         spacing=tuple(
             candidate_spacing(zone, bodies[zone.parts[0]], bodies[zone.parts[1]], places)
@@ -159,7 +161,7 @@ def _superelement(scene: Scene, loaded: LoadedPart) -> Superelement | None:
             "accuracy out of [report]"
         )
     try:
-        matrix = read_matrix(scene.folder / name)
+        matrix = read_matrix(scene.folder / name, scene.folder)
     except FormatError as problem:
         raise SceneError(f"part {part.name!r}: {key}: {problem}") from problem
     deck = loaded.deck

@@ -36,6 +36,7 @@ from mic.geometry.deck import Deck
 from mic.geometry.measured_points import FACING, Deviations, deviations, read_cloud, sheet_normals, spread
 from mic.geometry.surface import Surface
 from mic.model.random_field import correlation, modes_of
+from mic.model.rows import on_part
 from mic.scene import Scene
 from mic.scene.checks import entry
 from mic.scene.deviation import FieldDeviation, MeasuredDeviation, ShapeDeviation
@@ -52,6 +53,7 @@ SPREAD = 0.5  # points per square of their spacing, approximately
 PER_LENGTH = 3.0  # points within a correlation length
 PER_EDGE = 4.0  # edge lengths within a correlation length, at least
 ABOUT = 0.75  # radius about a point within which measured points are fitted, in spacings
+FEWEST = 7  # least number of points of a loose shape: a rigid motion fits fewer
 FEW = 6  # least number of measured points for a plane
 REPORTED = 3  # faulty files that are reported individually
 AMONG = 24.0  # intended number of sparse measured points about a point: half of them at an edge, some pieces fewer
@@ -78,8 +80,12 @@ class ExpandedScene:
     messages: tuple[str, ...]
 
 
-def expand_modes(scene: Scene, surfaces: Mapping[str, Surface], decks: Mapping[str, Deck | None]) -> ExpandedScene:
+def expand_modes(
+    scene: Scene, surfaces: Mapping[str, Surface], decks: Mapping[str, Deck | None], problems: Problems
+) -> ExpandedScene:
     """Expand the measured shapes and random fields of a scene; a scene without any is returned as it is.
+
+    After a problem, the expanded scene lacks the deviations with errors.
 
     Parameters
     ----------
@@ -87,16 +93,12 @@ def expand_modes(scene: Scene, surfaces: Mapping[str, Surface], decks: Mapping[s
         With values from the mesh files filled in, so that thicknesses are known.
     surfaces, decks : mapping
         Of the parts, by name.
-
-    Raises
-    ------
-    SceneError
-        With one line for each wrong deviation, and the remedy.
+    problems : Problems
+        Collects each :class:`SceneError`.
     """
     expanded: list[Any] = []
     messages: list[str] = []
     inputs: dict[str, str | None] = {}
-    problems = Problems()
     for i, item in enumerate(scene.deviations):
         if not isinstance(item, MeasuredDeviation | FieldDeviation):
             expanded.append(item)
@@ -114,8 +116,7 @@ def expand_modes(scene: Scene, surfaces: Mapping[str, Surface], decks: Mapping[s
                 modes, message = _measured(at, item, surfaces[item.part], pieces)
             expanded += modes
             messages.append(message)
-    problems.raise_all()
-    if not messages:
+    if len(expanded) == len(scene.deviations) and not messages:
         return ExpandedScene(scene, {}, ())
     return ExpandedScene(scene.model_copy(update={"deviations": expanded}), inputs, tuple(messages))
 
@@ -137,10 +138,16 @@ def _field(at: str, item: FieldDeviation, surface: Surface) -> tuple[list[ShapeD
         twice = np.setdiff1d(np.arange(len(points)), np.unique(vertices, return_index=True)[1])
         if len(twice):
             raise SceneError(f"{at}: points[{twice[0]}] lies within an element of another; move it, or remove it")
+        on_part(f"{at}.points", item.part, surface, points)
     else:
         _check_number(f"{at}: length", item.part, surface, item.length, item.length / spacing)
         vertices = spread(surface, spacing)
         points, loose = surface.points[vertices], True
+        if len(points) < FEWEST:
+            raise SceneError(
+                f"{at}: length: {item.length:g} mm leaves {len(points)} points on part {item.part!r}, which a rigid "
+                "motion fits; give a shorter one, or points"
+            )
     R = correlation(surface, vertices, item.length, item.direction, item.stretch)
     amplitude = item.sigma * (np.ones(len(points)) if item.values is None else np.array(item.values))
     Φ = amplitude[:, None] * modes_of(R, item.share)
@@ -162,7 +169,7 @@ def _pieces(
     for file in _files(at, item.files, folder):
         with problems:
             try:
-                cloud = read_cloud(file, item.unit, surface, deck)
+                cloud = read_cloud(file, item.unit, surface, deck, folder)
                 pieces[file] = deviations(file, cloud, surface, skin, item.align, item.within, item.unit)
             except FormatError as problem:
                 raise SceneError(f"{at}: files: {problem}") from problem
@@ -256,13 +263,13 @@ def _common_points(at, item: MeasuredDeviation, surface: Surface, pieces: list[D
         for piece in pieces
     )
     if item.spacing is None and same and len(first.points) <= MOST:
-        if len(first.points) <= 6:
+        if len(first.points) < FEWEST:
             raise SceneError(
                 f"{at}: files: {len(first.points)} measured points do not determine a shape: a rigid motion of the "
                 "part fits fewer than seven; measure more"
             )
         sure = np.logical_and.reduce([piece.sure for piece in pieces])
-        sure |= sure.sum() <= 6
+        sure |= sure.sum() < FEWEST
         return first.points[sure], np.array([piece.value for piece in pieces]).T[sure], np.ones(int(sure.sum()))
     area = float(surface.areas.sum())
     spacing = item.spacing or np.sqrt(SPREAD * area / USUAL)
@@ -272,7 +279,7 @@ def _common_points(at, item: MeasuredDeviation, surface: Surface, pieces: list[D
         fewest = min(len(piece.points) for piece in pieces)
         spacing = max(spacing, np.sqrt(AMONG * area / (np.pi * ABOUT**2 * fewest)))
         centres, values, shares, known = _fitted_at_spacing(surface, pieces, spacing)
-    if known.mean() < COVERED or known.sum() <= 6:
+    if known.mean() < COVERED or known.sum() < FEWEST:
         raise SceneError(
             f"{at}: files: only {100 * known.mean():.0f} % of part {item.part!r} has {FEW} measured points of every "
             f"piece within {ABOUT * spacing:.3g} mm; give a larger spacing, or pieces that are measured all over"

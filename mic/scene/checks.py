@@ -13,8 +13,11 @@ import numpy as np
 from scipy.linalg import null_space
 
 from mic.contact.laws import LAWS
+from mic.scene.deviation import targets
+from mic.scene.keys import FilePath
 from mic.scene.optimisation import check_optimisation
 from mic.scene.stages import CLOSING, check_stages, moves_assembly, placing_stages, unknown
+from mic.system.foreign_files import reason_to_refuse, scripts_allowed
 
 __all__ = ["entry", "find_errors"]
 
@@ -38,6 +41,7 @@ def find_errors(scene, complete: bool = True) -> list[str]:
     errors: list[str] = []
     for check in (
         check_names,
+        check_files,
         check_parts,
         check_characteristics,
         check_targets,
@@ -65,6 +69,29 @@ def check_names(scene) -> Iterator[str]:
         for name, count in Counter(item.name for item in items).items():
             if count > 1:
                 yield f"{key}: the name {name!r} is used more than once; give each item its own"
+
+
+def check_files(scene) -> Iterator[str]:
+    """Files lie in the scene's folder, or in one that the user named; geometry scripts are not refused."""
+    if not scene.folder.is_absolute():
+        return  # the scene of a saved model, whose files are not read any more
+    for key, name in _files("", scene):
+        if reason := reason_to_refuse(scene.folder / name, scene.folder):
+            yield f"{key}: {name} {reason}"
+        elif key.endswith(".geometry") and not scripts_allowed():
+            yield f"{key}: {name} is a program, and --no-scripts refuses it; give the part a mesh file"
+
+
+def _files(key: str, item: Any) -> Iterator[tuple[str, FilePath]]:
+    """Key and name of each file that an item of a scene, or its members, names."""
+    if isinstance(item, FilePath):
+        yield key, item
+    elif isinstance(item, (list, tuple)):
+        for i, member in enumerate(item):
+            yield from _files(f"{key}[{i}]" + (f" ({member.name})" if hasattr(member, "name") else ""), member)
+    elif hasattr(item, "__dict__"):
+        for name, member in vars(item).items():
+            yield from _files(f"{key}.{name}".lstrip("."), member)
 
 
 def _items(scene, *keys: str) -> Iterator[tuple[str, int, Any]]:
@@ -112,9 +139,9 @@ def check_targets(scene) -> Iterator[str]:
             at, other = entry(key, i, item, "part"), thickness_of[item.part]
             yield f"{at}: the thickness of {item.part!r} is varied by {other!r} already; merge the two"
         if getattr(item, "moves", None) is not None:
-            targets = {target.name for target in getattr(scene, item.moves)}
-            for name in [item.target] if isinstance(item.target, str) else item.target:
-                yield from unknown(entry(key, i, item, "target"), name, targets, item.moves.removesuffix("s"))
+            known = {target.name for target in getattr(scene, item.moves)}
+            for name in targets(item):
+                yield from unknown(entry(key, i, item, "target"), name, known, item.moves.removesuffix("s"))
 
 
 #: Keys of a zone that some laws need beyond a coefficient, by `mic.contact.laws.Law.reads`.

@@ -11,6 +11,7 @@ from mic.scene.distribution import check_distribution
 from mic.scene.keys import (
     NORMAL,
     Direction,
+    FileName,
     FiniteFloat,
     Flag,
     Name,
@@ -36,6 +37,7 @@ __all__ = [
     "ShapeDeviation",
     "TemperatureDeviation",
     "ThicknessDeviation",
+    "targets",
 ]
 
 
@@ -281,7 +283,7 @@ class MeasuredDeviation(DeviationKeys):
     part: Name
     """the part that was measured"""
 
-    files: str
+    files: FileName
     """a file per piece, as a name or a pattern such as `measured/outer-*.csv`: CSV with columns x, y, z (points,
     mm), or x, y, z, deviation (nominal points, mm along the normals), or node, deviation; or a point cloud (PLY,
     STL, VTK, …)"""
@@ -381,6 +383,11 @@ Deviation = Annotated[
     | FrictionDeviation,
     Field(discriminator="kind"),
 ]
+
+
+def targets(item: LocatorDeviation | ClampDeviation | FrictionDeviation) -> list[str]:
+    """Names of the items that a deviation moves."""
+    return [item.target] if isinstance(item.target, str) else item.target
 
 
 class Correlation(Table):

@@ -11,6 +11,7 @@ from mic.scene.keys import (
     UNPLACED,
     Count,
     Direction,
+    FileName,
     FiniteFloat,
     Name,
     NonNegative,
@@ -33,7 +34,7 @@ class Fixture(Table):
     name: Name
     """name of the fixture in `[[zones]]`"""
 
-    mesh: str | None = None
+    mesh: FileName | None = None
     """mesh file, relative to the scene file"""
 
     point: Vector | None = None

@@ -10,11 +10,13 @@ import re
 from typing import Annotated, Any
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, WrapValidator, model_validator
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, WrapValidator, model_validator
 
 __all__ = [
     "Count",
     "Direction",
+    "FileName",
+    "FilePath",
     "FiniteFloat",
     "Flag",
     "NORMAL",
@@ -38,14 +40,42 @@ class Table(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, str_strip_whitespace=True)
 
 
+LARGEST, SMALLEST = 1e15, 1e-15  # numbers of a scene, in any unit; beyond them squares overflow or vanish
+
+
+def _bounded(value: float) -> float:
+    if abs(value) > LARGEST:
+        raise ValueError(f"{value:g} is larger than any quantity of an assembly: correct it")
+    return value
+
+
+def _not_tiny(value: float) -> float:
+    if 0 < value < SMALLEST:
+        raise ValueError(f"{value:g} is smaller than any quantity of an assembly: correct it")
+    return value
+
+
+def _countable(value: int) -> int:
+    if abs(value) >= 2**63:
+        raise ValueError("it has more than 64 bits: correct it")
+    return value
+
+
 # Strict: neither `true` nor a text counts as a number.
-FiniteFloat = Annotated[float, Field(strict=True, allow_inf_nan=False)]
-Count = Annotated[int, Field(strict=True)]
+FiniteFloat = Annotated[float, Field(strict=True, allow_inf_nan=False), AfterValidator(_bounded)]
+Count = Annotated[int, Field(strict=True), AfterValidator(_countable)]
 Flag = Annotated[bool, Field(strict=True)]
 Name = Annotated[str, Field(min_length=1, max_length=60, pattern=r"^[A-Za-z0-9_.+-]+$")]
+
+
+class FilePath(str):
+    """The name of a file, relative to the scene's folder."""
+
+
+FileName = Annotated[str, Field(min_length=1), AfterValidator(FilePath)]
 Vector = tuple[FiniteFloat, FiniteFloat, FiniteFloat]
-Positive = Annotated[FiniteFloat, Field(gt=0)]
-NonNegative = Annotated[FiniteFloat, Field(ge=0)]
+Positive = Annotated[FiniteFloat, Field(gt=0), AfterValidator(_not_tiny)]
+NonNegative = Annotated[FiniteFloat, Field(ge=0), AfterValidator(_not_tiny)]
 
 
 def unit_vector(value: Vector | None) -> Vector | None:

@@ -15,10 +15,13 @@ from mic.scene.checks import find_errors
 from mic.scene.keys import Table
 from mic.scene.schema import TABLES, Scene
 from mic.scene.tables import expand_tables
+from mic.system.arguments import checked
+from mic.system.foreign_files import reading
 
-__all__ = ["load_scene", "read_table"]
+__all__ = ["load_scene", "read_table", "read_toml"]
 
 
+@checked
 def load_scene(path) -> Scene:
     """Read and validate a scene file.
 
@@ -35,20 +38,24 @@ def load_scene(path) -> Scene:
     path = Path(path)
     if path.is_dir():
         path = path / "scene.toml"
-    try:
-        with open(path, "rb") as file:
-            table = tomllib.load(file)
-    except FileNotFoundError:
-        raise SceneError(f"{path}: no such file; check the path") from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise SceneError(f"{path}: not valid TOML: {error}; correct the syntax there") from None
-    except RecursionError:
-        raise SceneError(
-            f"{path}: tables or lists are nested too deeply; a scene needs no more than three levels"
-        ) from None
-    except OSError as error:
-        raise SceneError(f"{path}: cannot be read ({str(error.strerror).lower()}); check the path") from None
-    return read_table(table, path)
+    return read_table(read_toml(path, "scene"), path)
+
+
+def read_toml(path: Path, kind: str) -> dict[str, Any]:
+    """Content of a TOML file of a kind.
+
+    Raises
+    ------
+    SceneError
+        If it cannot be read.
+    """
+    with reading(path, kind, error=SceneError):
+        try:
+            return tomllib.loads(path.read_bytes().decode())
+        except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+            raise SceneError(f"not valid TOML: {error}; correct the syntax there") from None
+        except RecursionError:
+            raise SceneError("tables or lists are nested too deeply; a scene needs no more than three levels") from None
 
 
 def read_table(table: dict[str, Any], path: Path) -> Scene:
@@ -77,7 +84,7 @@ def read_table(table: dict[str, Any], path: Path) -> Scene:
 
 def _between_tables(table: dict[str, Any]) -> list[str]:
     """Errors between the tables of a scene that has errors within tables, too, as far as they can be checked."""
-    items: dict[str, Any] = {}
+    items: dict[str, Any] = {"folder": table.get("folder", Path("."))}
     for key, field in Scene.model_fields.items():
         kinds, given = get_args(field.annotation), table.get(key)
         if isinstance(given, list) and kinds and "mic.scene." in str(kinds[0]):

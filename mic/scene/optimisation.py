@@ -8,7 +8,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, Field, model_validator
 
-from mic.scene.keys import FiniteFloat, Name, NonNegative, Positive, Table, Vector
+from mic.scene.keys import FileName, FiniteFloat, Name, NonNegative, Positive, Table, Vector
 from mic.scene.stages import CLOSING, unknown
 
 __all__ = [
@@ -99,7 +99,7 @@ class Matching(Table):
     name: Name
     """of the kind of part"""
 
-    file: Annotated[str, Field(min_length=1)]
+    file: FileName
     """CSV file: a row per part, a column per measured deviation; others vary as stated"""
 
 

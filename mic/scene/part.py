@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
-from mic.scene.keys import FiniteFloat, Flag, Name, Positive, Table
+from mic.scene.keys import FileName, FiniteFloat, Flag, Name, Positive, Table
 
 __all__ = ["CAD", "Part", "USUAL"]
 
@@ -22,7 +22,7 @@ class Part(Table):
     name: Name
     """name of the part in all other tables"""
 
-    mesh: str | None = None
+    mesh: FileName | None = None
     """mesh file of the sheet, triangles or quadrilaterals (gmsh, Abaqus, Nastran, LS-DYNA, STL, VTK, …), or CAD
     file of its mid-surface (STEP, IGES)"""
 
@@ -32,7 +32,7 @@ class Part(Table):
     unit: Literal["mm", "cm", "m", "um", "in", "ft"] = "mm"
     """with `mesh`: its unit of length; stresses are in the corresponding unit"""
 
-    geometry: str | None = None
+    geometry: FileName | None = None
     """or a Python file with `build(part, size) -> (points (n, 3), triangles (k, 3))`, optionally also corner
     normals (k, 3, 3); it is executed"""
 
@@ -66,12 +66,12 @@ class Part(Table):
     """whether contact and friction hold what its locators leave free; it is placed as drawn, or as near as possible
     without overlap"""
 
-    stiffness: str | None = None
+    stiffness: FileName | None = None
     """with `mesh`: the part's reduced stiffness on named nodes, without supports, in place of finite elements:
     Matrix Market or Nastran `OUTPUT4` with a node table (`a.mtx` or `a.op4`, `a.csv` with node, x, y, z), Nastran
     `DMIG`, Abaqus `*MATRIX GENERATE`"""
 
-    compliance: str | None = None
+    compliance: FileName | None = None
     """or its reduced compliance on any statically determinate support, same formats"""
 
     @model_validator(mode="after")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from io import BytesIO
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +15,7 @@ from mic.scene.schema import DESIGNS, Scene
 from mic.scene.stages import unknown
 from mic.scene.tables import read_cells, read_number
 from mic.system.files import fingerprint
+from mic.system.foreign_files import reading
 
 __all__ = ["DESIGNS", "take_samples"]
 
@@ -118,9 +120,9 @@ def _read_values(path: Path, scene: Scene) -> np.ndarray:
     """(n, p) values of a CSV or Parquet file."""
     parquet, separator = path.suffix == ".parquet", ","
     if parquet:
-        cells = _read_parquet(path)
+        cells = _read_parquet(path, scene.folder)
     else:
-        cells, separator = read_cells(path)
+        cells, separator = read_cells(path, scene.folder)
     cells = _expand_pieces(path, cells, scene)
     names = _columns(path, cells.columns, scene)
     cells = cells[names]
@@ -138,13 +140,9 @@ def _read_values(path: Path, scene: Scene) -> np.ndarray:
     return values
 
 
-def _read_parquet(path: Path) -> pd.DataFrame:
-    try:
-        return pd.read_parquet(path)
-    except FileNotFoundError:
-        raise SceneError(f"there is no file {path}; correct the name (it is relative to the scene file)") from None
-    except (OSError, ValueError) as error:
-        raise SceneError(f"{path}: cannot be read as Parquet ({error}); write it again, or give CSV") from None
+def _read_parquet(path: Path, folder: Path) -> pd.DataFrame:
+    with reading(path, "table of samples", folder, SceneError):
+        return pd.read_parquet(BytesIO(path.read_bytes()))  # pyarrow's own reading would pass the gate by
 
 
 def _check_units(at: str, scene: Scene, values: np.ndarray) -> None:

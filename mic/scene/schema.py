@@ -11,7 +11,7 @@ from mic.contact.laws import LAWS
 from mic.scene.checks import find_errors
 from mic.scene.deviation import Correlation, Deviation
 from mic.scene.fixture import Clamp, Fixture, Locator
-from mic.scene.keys import Count, FiniteFloat, Flag, Name, Table
+from mic.scene.keys import Count, FileName, FiniteFloat, Flag, Name, Table
 from mic.scene.measurement import Measurement
 from mic.scene.optimisation import Optimisation
 from mic.scene.part import Part
@@ -93,7 +93,7 @@ class MonteCarlo(Table):
     """independent samples; pairs of opposite deviations; Latin hypercubes of 50 samples; scrambled Sobol' sequences
     of 64. `samples` is a multiple of 2, 50 or 64"""
 
-    table: Annotated[str, Field(min_length=1)] | None = None
+    table: FileName | None = None
     """file of samples, CSV or Parquet, in place of random numbers: a row per assembly, a column per deviation, N or
     mm (modes `NAME.1` …)"""
 

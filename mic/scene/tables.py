@@ -10,6 +10,7 @@ from __future__ import annotations
 import re
 import warnings
 from collections.abc import Iterator, Mapping
+from io import StringIO
 from pathlib import Path
 from typing import Any, get_args
 
@@ -18,6 +19,7 @@ from pydantic import BaseModel, ValidationError
 
 from mic.errors import SceneError
 from mic.scene.stages import unknown
+from mic.system.foreign_files import reading
 
 __all__ = ["read_cells", "read_number", "read_rows", "expand_tables"]
 
@@ -87,7 +89,7 @@ def _from_file(key, item, kind, folder, names, problems) -> list[dict[str, Any]]
         return []
     path = folder / item["file"]
     try:
-        rows = read_rows(path, kind)
+        rows = read_rows(path, kind, folder)
     except SceneError as error:
         problems.append(f"{key}: {error}")
         return []
@@ -129,49 +131,48 @@ def _column(location: tuple[Any, ...]) -> str:
     return str(location[0])
 
 
-def read_cells(path: Path, beside: str = "the scene file") -> tuple[pd.DataFrame, str]:
+def read_cells(path: Path, folder: Path | None = None) -> tuple[pd.DataFrame, str]:
     """The cells of a CSV file as text, with its first row as column names, and the separator.
 
-    Row i of the frame is row i + 2 of the file, empty rows included. `beside` names what the path is relative to.
+    Row i of the frame is row i + 2 of the file, empty rows included. `folder` is that of the scene that names the file,
+    see :func:`mic.system.foreign_files.reading`.
 
     Raises
     ------
     SceneError
         If the file is not a table, or repeats a column.
     """
-    try:
-        text = path.read_text(encoding="utf-8-sig")
-    except FileNotFoundError:
-        raise SceneError(f"there is no file {path}; correct the name (it is relative to {beside})") from None
-    except (OSError, UnicodeDecodeError) as error:
-        raise SceneError(f"{path}: cannot be read as text ({error}); save it as CSV in UTF-8") from None
-    header = text.partition("\n")[0]
-    separator = max(",;\t", key=header.count)
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("error", pd.errors.ParserWarning)  # pandas would drop surplus cells
-            frame = pd.read_csv(
-                path,
-                sep=separator,
-                header=None,  # pandas would rename repeated columns
-                dtype=str,
-                keep_default_na=False,
-                skipinitialspace=True,
-                skip_blank_lines=False,
-                encoding="utf-8-sig",
-                index_col=False,
-            ).fillna("")
-    except (ValueError, pd.errors.ParserError, pd.errors.ParserWarning) as error:
-        raise SceneError(
-            f"{path}: not a table: {' '.join(str(error).split())}; give each row the same number of cells"
-        ) from None
-    columns = frame.iloc[0].str.strip()
-    repeated = columns[columns.duplicated()]
-    if len(repeated):
-        raise SceneError(f"{path}: row 1: column {repeated.iloc[0]!r} is given twice; remove one of them")
-    frame = frame.iloc[1:].reset_index(drop=True)
-    frame.columns = pd.Index(columns)
-    return frame, separator
+    with reading(path, "table", folder, SceneError):
+        try:
+            text = path.read_text(encoding="utf-8-sig")
+        except UnicodeDecodeError as error:
+            raise SceneError(f"cannot be read as text ({error}); save it as CSV in UTF-8") from None
+        header = text.partition("\n")[0]
+        separator = max(",;\t", key=header.count)
+        try:
+            with warnings.catch_warnings():
+                warnings.simplefilter("error", pd.errors.ParserWarning)  # pandas would drop surplus cells
+                frame = pd.read_csv(
+                    StringIO(text),
+                    sep=separator,
+                    header=None,  # pandas would rename repeated columns
+                    dtype=str,
+                    keep_default_na=False,
+                    skipinitialspace=True,
+                    skip_blank_lines=False,
+                    index_col=False,
+                ).fillna("")
+        except (ValueError, pd.errors.ParserError, pd.errors.ParserWarning) as error:
+            raise SceneError(
+                f"not a table: {' '.join(str(error).split())}; give each row the same number of cells"
+            ) from None
+        columns = frame.iloc[0].str.strip()
+        repeated = columns[columns.duplicated()]
+        if len(repeated):
+            raise SceneError(f"row 1: column {repeated.iloc[0]!r} is given twice; remove one of them")
+        frame = frame.iloc[1:].reset_index(drop=True)
+        frame.columns = pd.Index(columns)
+        return frame, separator
 
 
 def read_number(cell: str, separator: str = ",") -> float:
@@ -182,7 +183,7 @@ def read_number(cell: str, separator: str = ",") -> float:
         return float("nan")
 
 
-def read_rows(path: Path, kind: type[BaseModel]) -> list[tuple[int, dict[str, Any]]]:
+def read_rows(path: Path, kind: type[BaseModel], folder: Path | None = None) -> list[tuple[int, dict[str, Any]]]:
     """Rows of a CSV file as tables of the scene, with their numbers in the file; the header is row 1.
 
     Commas, semicolons or tabs separate the cells; with the latter two, numbers may have a decimal comma.
@@ -192,13 +193,15 @@ def read_rows(path: Path, kind: type[BaseModel]) -> list[tuple[int, dict[str, An
     path : Path
     kind : type
         Schema of one row: its keys are the possible columns.
+    folder : Path, optional
+        As for :func:`read_cells`.
 
     Raises
     ------
     SceneError
         If the file is not a table, or has other columns.
     """
-    frame, separator = read_cells(path)
+    frame, separator = read_cells(path, folder)
     known = [name for name in kind.model_fields if name != "point"]
     unknown = [name for name in frame.columns if name not in (*known, *AXES)]
     if unknown:

@@ -7,12 +7,12 @@ parts settle before anything closes; the assignment to stages and the path setti
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import chain
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -27,10 +27,12 @@ from mic.process.model import ReducedModel
 from mic.results.sample_tables import zone_motion
 from mic.results.schema import ORDERS
 from mic.scene import Scene
+from mic.scene.load import read_toml
 from mic.scene.settings import FOLLOWING
 from mic.statistics.draw import draw
 from mic.statistics.paired_differences import mean_change, six_sigma_change, standard_error
 from mic.studies.samples import first_frictional
+from mic.system.arguments import checked
 
 __all__ = [
     "PERMUTATIONS",
@@ -38,6 +40,7 @@ __all__ = [
     "Order",
     "compare",
     "doubts",
+    "few_samples",
     "moved_names",
     "order",
     "orders",
@@ -111,12 +114,7 @@ def variants(scene: Scene, path: Path) -> list[Order]:
     SceneError
         Names the file, the order, the key and the remedy.
     """
-    try:
-        table = tomllib.loads(Path(path).read_text(encoding="utf-8"))
-    except OSError as error:
-        raise SceneError(f"{path}: cannot be read ({str(error.strerror).lower()}); check the path") from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise SceneError(f"{path}: not valid TOML: {error}; correct the syntax") from None
+    table = read_toml(Path(path), "file of orders")
     listed = table.get("orders")
     if set(table) != {"orders"} or not isinstance(listed, list) or not listed:
         raise SceneError(f"{path}: the file must contain at least one [[orders]] and nothing else")
@@ -262,6 +260,7 @@ def compare(
     return _by_largest(table)
 
 
+@checked
 def order(
     model: ReducedModel,
     others: Sequence[Order] | None = None,
@@ -341,32 +340,45 @@ def _by_largest(table: pd.DataFrame) -> pd.DataFrame:
     return table.assign(_rank=rank).sort_values("_rank", kind="stable").drop(columns="_rank").reset_index(drop=True)
 
 
-def doubts(model: ReducedModel) -> list[str]:
-    """Sentences on stages in which friction hardly matters, and on an effect of how the parts settle.
-
-    They result from a few samples with one increment per step, which suffice to raise a doubt but not for a number.
+def few_samples(model: ReducedModel, law: str | None = None, **first_stage: Any) -> Evaluation:
+    """A few samples with one increment per step, which suffice to raise a doubt but not for a number.
 
     Parameters
     ----------
     model : ReducedModel
+    law : str, optional
+        Default: the first law of the scene with friction, or its first one.
+    **first_stage
+        Keys of the first stage that are changed.
     """
     scene = model.scene
-    law = first_frictional(scene.report.laws)
-    if not LAWS[law].frictional or model.contacts.dimension == 1 or not model.contacts.frictional:
-        return []
-    rough = {
+    rough: dict[int, dict] = {
         i: {"path": "increments", "increments": 1}
         for i, stage in enumerate(scene.stages)
         if stage.path != "one-step" and stage.kind in FOLLOWING
     }
-    stated = _with_stages(scene, rough)
-    other = _with_stages(stated, {0: {"settle": not scene.stages[0].settle}})
+    variant = _with_stages(scene, {**rough, 0: first_stage})
     deviations = draw(scene, scene.monte_carlo.seed, 0, DOUBT_SAMPLES)
-    evaluate = lambda variant, law: replace(model, scene=variant).process(law).evaluate(deviations)
-    frictional, resettled = evaluate(stated, law), evaluate(other, law)
+    return replace(model, scene=variant).process(law or first_frictional(scene.report.laws)).evaluate(deviations)
+
+
+def doubts(model: ReducedModel, frictional: Evaluation | None = None) -> list[str]:
+    """Sentences on stages in which friction hardly matters, and on an effect of how the parts settle.
+
+    Parameters
+    ----------
+    model : ReducedModel
+    frictional : Evaluation, optional
+        Result of :func:`few_samples`, if it is known already.
+    """
+    law = first_frictional(model.scene.report.laws)
+    if not LAWS[law].frictional or model.contacts.dimension == 1 or not model.contacts.frictional:
+        return []
+    frictional = frictional or few_samples(model)
+    resettled = few_samples(model, settle=not model.scene.stages[0].settle)
     sentences = [_settling_effect(model, frictional, resettled)]
     with suppress(SceneError):  # without friction a part is unconstrained
-        frictionless = evaluate(stated, "frictionless")
+        frictionless = few_samples(model, "frictionless")
         found = [_small_friction_effect(model, frictional, frictionless, stage) for stage in frictional.resolutions]
         sentences = [*found, *sentences]
     return [sentence for sentence in sentences if sentence]
@@ -391,7 +403,8 @@ def _small_friction_effect(model, frictional: Evaluation, frictionless: Evaluati
         return None
     return (
         f"stage {stage}: friction changes the tangential motion of the closed contacts by at most "
-        f"{100 * FRICTION_MATTERS:g} %: the parts move before they press on each other, or not along each other"
+        f"{100 * FRICTION_MATTERS:g} %: the parts reach their positions before they press on each other, or "
+        "do not slide along each other"
     )
 
 

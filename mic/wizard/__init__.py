@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import os
+import shutil
+import sys
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -11,9 +14,11 @@ import pandas as pd
 from pydantic import BaseModel
 
 from mic.errors import RunError, SceneError
+from mic.geometry.script_dependencies import opened_files
 from mic.scene.measurement import Measurement
 from mic.scene.tables import read_rows
 from mic.scene.weld import Weld
+from mic.system.arguments import checked
 from mic.system.files import replacing
 from mic.wizard.bodies import Body, part_name, read_bodies
 from mic.wizard.joints import NEAR, joined
@@ -23,6 +28,7 @@ from mic.wizard.scene_text import scene_text
 __all__ = ["Proposal", "write_scene"]
 
 
+@checked
 def write_scene(
     files: Sequence[Path],
     out: Path | None = None,
@@ -30,7 +36,9 @@ def write_scene(
     welds: Path | None = None,
     points: Path | None = None,
 ) -> tuple[Path, Proposal]:
-    """Propose a scene for the parts in mesh files, and write it.
+    """Propose a scene for the parts in mesh files, and write it, with copies of the files that it reads.
+
+    A scene reads no files outside of its folder (:mod:`mic.system.foreign_files`).
 
     Parameters
     ----------
@@ -58,18 +66,24 @@ def write_scene(
     folder = Path(name) if out is None else Path(out)
     if (folder / "scene.toml").exists():
         raise RunError(f"{folder}: it contains a scene already; give another folder with --out")
-    bodies = read_bodies(files, thickness or {})
+    with opened_files() as opened:
+        bodies = read_bodies(files, thickness or {})
+    copies = _copies([body.file for body in bodies], opened, folder)
     lists = {}
     if welds is not None:
         lists["welds.csv"] = _listed_welds(welds, bodies)
     if points is not None:
         lists["points.csv"] = _listed_points(points, bodies)
     proposal = propose(bodies, None if welds is None else _by_parts(lists["welds.csv"]))
+    places = {body.name: _place(body.file.resolve(), copies, folder) for body in bodies}
     text = scene_text(
-        proposal, name, folder, "welds.csv" if welds is not None else None, "points.csv" if points is not None else None
+        proposal, name, places, "welds.csv" if welds is not None else None, "points.csv" if points is not None else None
     )
     try:
         folder.mkdir(parents=True, exist_ok=True)
+        for source, target in copies.items():
+            with replacing(folder / target) as temporary:
+                shutil.copyfile(source, temporary)
         for file, rows in lists.items():
             with replacing(folder / file) as temporary:
                 pd.DataFrame(rows).to_csv(temporary, index=False)
@@ -78,6 +92,31 @@ def write_scene(
     except OSError as problem:
         raise RunError(f"{folder}: cannot be written ({problem.strerror}); give another folder with --out") from problem
     return folder, proposal
+
+
+def _copies(files: Sequence[Path], opened: Sequence[tuple[str, bool]], folder: Path) -> dict[Path, Path]:
+    """Place in the scene's folder of each mesh file outside of it, and of the files that it includes."""
+    copies: dict[Path, Path] = {}
+    meshes = list(dict.fromkeys(file.resolve() for file in files))
+    read = dict.fromkeys(Path(path).resolve() for path, writes in opened if not writes)
+    included = [path for path in read if path.is_file() and path not in meshes and not _is_program(path)]
+    for mesh in meshes:
+        if not mesh.is_relative_to(folder.resolve()):
+            own = Path(mesh.parent.name) if Path(mesh.name) in copies.values() else Path()
+            copies[mesh] = own / mesh.name
+            near = [path for path in included if path.is_relative_to(mesh.parent)]
+            copies |= {path: own / path.relative_to(mesh.parent) for path in near}
+    return copies
+
+
+def _place(mesh: Path, copies: Mapping[Path, Path], folder: Path) -> str:
+    """Name of a mesh file relative to the scene's folder."""
+    return copies.get(mesh, Path(os.path.relpath(mesh, folder.resolve()))).as_posix()
+
+
+def _is_program(path: Path) -> bool:
+    """Whether a file is a part of Python or a package, which is imported when it is first needed."""
+    return path.is_relative_to(Path(sys.prefix).resolve()) or path.suffix in (".py", ".pyc", ".so")
 
 
 def _listed_welds(file: Path, bodies: list[Body]) -> list[dict[str, Any]]:

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import json
-import os
 import textwrap
 import tomllib
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -79,24 +78,26 @@ class _SceneFile:
         self.lines.append("")
 
 
-def scene_text(proposal: Proposal, name: str, folder: Path, welds: str | None = None, points: str | None = None) -> str:
+def scene_text(
+    proposal: Proposal, name: str, meshes: Mapping[str, str], welds: str | None = None, points: str | None = None
+) -> str:
     """The scene file of a proposal.
 
     Parameters
     ----------
     proposal : Proposal
     name : str
-    folder : Path
-        Folder of the file, to which mesh names are relative.
+    meshes : mapping of str to str
+        Mesh file of each part by name, relative to the folder of the scene.
     welds, points : str, optional
-        CSV files in that folder with the welds and the points to measure.
+        CSV files in this folder with the welds and the points to measure.
     """
     file = _SceneFile()
     file.tables("scene", [{"name": name, "description": "Proposed from the meshes."}])
     for sentence in proposal.sentences:
         file.comment(f"NOTE: {sentence}.")
     for kind, entries in {
-        "parts": _parts(proposal, folder),
+        "parts": _parts(proposal, meshes),
         "locators": _locators(proposal),
         "zones": _zones(proposal),
         "clamps": _clamps(proposal),
@@ -111,10 +112,9 @@ def scene_text(proposal: Proposal, name: str, folder: Path, welds: str | None = 
     return "\n".join(file.lines).rstrip() + "\n"
 
 
-def _parts(proposal: Proposal, folder: Path) -> Iterator[dict[str, Any]]:
+def _parts(proposal: Proposal, meshes: Mapping[str, str]) -> Iterator[dict[str, Any]]:
     for body in proposal.bodies:
-        mesh = Path(os.path.relpath(body.file.resolve(), folder.resolve())).as_posix()
-        values: dict[str, Any] = {"name": body.name, "mesh": mesh}
+        values: dict[str, Any] = {"name": body.name, "mesh": meshes[body.name]}
         if body.sets:
             values["set"] = body.sets[0] if len(body.sets) == 1 else list(body.sets)
         if body.unit != "mm":

@@ -11,10 +11,8 @@ requires VTK.
 
 from __future__ import annotations
 
-import signal
-import threading
-from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable
+from contextlib import AbstractContextManager
 from dataclasses import replace
 from pathlib import Path
 
@@ -26,9 +24,7 @@ from mic.geometry.readers import abaqus, ansys, dyna, gmsh, gmsh_program, meshla
 from mic.geometry.readers.raw_mesh import RawMesh
 from mic.geometry.repair import MeshReport, repair
 from mic.geometry.surface import Surface
-
-LIMIT = 60.0  # s that a reader may take; some libraries loop forever on damaged files
-LIMIT_PER_MB = 30.0  # additional s per MB
+from mic.system.foreign_files import reading
 
 __all__ = ["READERS", "UNITS", "Deck", "RawMesh", "Sheet", "read_mesh", "read_raw"]
 
@@ -51,7 +47,11 @@ READERS: dict[str, Callable[[Path], RawMesh]] = {
 
 
 def read_mesh(
-    path: Path | str, sets: Iterable[str] = (), unit: str = "mm", size: float | None = None
+    path: Path | str,
+    sets: Iterable[str] = (),
+    unit: str = "mm",
+    size: float | None = None,
+    folder: Path | None = None,
 ) -> tuple[Surface, Deck]:
     """The repaired surface of a mesh file in one of the formats of `READERS` or CAD, and the file's other contents.
 
@@ -67,6 +67,8 @@ def read_mesh(
         Unit of length in the file, one of `UNITS`. Surface and deck are in mm and MPa.
     size : float, optional
         Element size for the mesh of a CAD file, mm.
+    folder : Path, optional
+        Folder of the scene, from which included files may come. Default: the folder of the file.
 
     Returns
     -------
@@ -80,9 +82,8 @@ def read_mesh(
         If the file is missing or cannot be read, holds no surface elements or solid elements, or cannot be repaired; if
         a set does not exist.
     """
-    path = Path(path)
-    mesh = read_raw(path, size)
-    try:
+    with _reading(path, folder):
+        mesh = _read(Path(path), size)
         if sets:
             mesh = mesh.selected(sets)
         if mesh.solids:
@@ -95,62 +96,39 @@ def read_mesh(
             raise FormatError(f"it holds {held}; export the shell elements too")
         points, triangles, report = repair(mesh.points * UNITS[unit][0], mesh.triangles, mesh.quadrilaterals)
         return Surface(points, triangles, _normals(mesh, report)), _deck(mesh, report, unit)
-    except ValueError as problem:
-        raise FormatError(f"{path}: {problem}") from problem
 
 
-def read_raw(path: Path | str, size: float | None = None) -> RawMesh:
+def read_raw(path: Path | str, size: float | None = None, folder: Path | None = None) -> RawMesh:
     """Contents of a mesh file before selection and repair, such as its sets.
+
+    Parameters are those of :func:`read_mesh`.
 
     Raises
     ------
     FormatError
         If the file is missing or cannot be read.
     """
-    path = Path(path)
-    if not path.is_file():
-        raise FormatError(f"{path}: this mesh file does not exist; correct the name")
+    with _reading(path, folder):
+        return _read(Path(path), size)
+
+
+def _reading(path: Path | str, folder: Path | None) -> AbstractContextManager[None]:
+    """The gate for a mesh file."""
+    is_cad = Path(path).suffix.lower() in gmsh_program.CAD_SUFFIXES
+    return reading(Path(path), "mesh file", folder, seconds=gmsh_program.LIMIT if is_cad else 0.0)
+
+
+def _read(path: Path, size: float | None) -> RawMesh:
     suffix = path.suffix.lower()
-    is_cad = suffix in gmsh_program.CAD_SUFFIXES
-    if is_cad and size is None:
-        raise FormatError(f"{path}: a CAD file needs an element size for its mesh; add size, mm")
-    if not is_cad and suffix not in READERS:
+    if suffix in gmsh_program.CAD_SUFFIXES:
+        if size is None:
+            raise FormatError("a CAD file needs an element size for its mesh; add size, mm")
+        return gmsh_program.read_cad(path, float(size))
+    if suffix not in READERS:
         known = ", ".join((*sorted(READERS), *gmsh_program.CAD_SUFFIXES))
         kind = suffix or "files without a suffix"
-        raise FormatError(f"{path}: there is no reader of {kind}; save the mesh as one of {known}")
-    seconds = LIMIT + LIMIT_PER_MB * path.stat().st_size / 1e6 + (gmsh_program.LIMIT if is_cad else 0.0)
-    try:
-        with time_limit(seconds):
-            return gmsh_program.read_cad(path, float(size or 0)) if is_cad else READERS[suffix](path)
-    except FormatError as problem:
-        raise FormatError(f"{path}: {problem}") from problem
-    except ImportError as problem:
-        install = f"install it (pip install {problem.name}), or save the mesh in another format"
-        raise FormatError(f"{path}: reading {suffix} files needs the package {problem.name}; {install}") from problem
-    except TimeoutError:
-        text = f"was not read in {seconds:.0f} s: it is damaged or not what its suffix says"
-    except (Exception, SystemExit) as problem:  # libraries raise any exception, some exit
-        text = f"cannot be read: it is cut short, damaged or not what its suffix says ({_describe(problem)})"
-    raise FormatError(f"{path}: this mesh file {text}; export it again, or in another format")
-
-
-@contextmanager
-def time_limit(seconds: float) -> Iterator[None]:
-    """Raise TimeoutError after a number of seconds; only in the main thread, where signals arrive."""
-    if threading.current_thread() is not threading.main_thread() or not hasattr(signal, "setitimer"):
-        yield
-        return
-
-    def on_alarm(number, frame):
-        raise TimeoutError
-
-    previous = signal.signal(signal.SIGALRM, on_alarm)
-    signal.setitimer(signal.ITIMER_REAL, seconds)
-    try:
-        yield
-    finally:
-        signal.setitimer(signal.ITIMER_REAL, 0)
-        signal.signal(signal.SIGALRM, previous)
+        raise FormatError(f"there is no reader of {kind}; save the mesh as one of {known}")
+    return READERS[suffix](path)
 
 
 def _deck(mesh: RawMesh, report: MeshReport, unit: str) -> Deck:
@@ -197,10 +175,3 @@ def _normals(mesh: RawMesh, report: MeshReport) -> np.ndarray | None:
     many, unknown = len(mesh.triangles), np.full((1, 3), np.nan)
     flat = np.concatenate([mesh.normals[:many, :3].reshape(-1, 3), mesh.normals[many:].reshape(-1, 3), unknown])
     return flat[report.corner_map]  # -1, a corner created by splitting, selects the last row, NaN
-
-
-def _describe(problem: BaseException) -> str:
-    """Message of an exception on one line, with its type."""
-    text = " ".join(str(problem).split())
-    kind = "exit" if isinstance(problem, SystemExit) else type(problem).__name__
-    return f"{kind}: {text}" if text else kind

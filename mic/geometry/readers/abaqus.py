@@ -15,7 +15,7 @@ import numpy as np
 
 from mic.errors import FormatError
 from mic.geometry.deck import Sheet
-from mic.geometry.readers.deck_text import axes_of, included_file, located, real, refuse_recursion
+from mic.geometry.readers.deck_text import axes_of, included_file, located, number_range, real, refuse_recursion
 from mic.geometry.readers.elements import Gathered, define
 from mic.geometry.readers.raw_mesh import RawMesh
 from mic.geometry.triangles import rotation
@@ -247,9 +247,7 @@ def _add_set(block: _Block, sets: dict[str, list[tuple[str, str]]], name: str) -
         if "GENERATE" in block.parameters:
             numbers = [int(text) for text in fields if text]
             first, last, step = numbers if len(numbers) == 3 else (*numbers, 1)
-            if step < 1 or last < first:
-                raise FormatError(f"{first}, {last}, {step} generates no numbers; correct it")
-            into.extend((instance, str(number)) for number in range(first, last + 1, step))
+            into.extend((instance, str(number)) for number in number_range(first, last, step))
         else:
             into.extend((instance, text) for text in fields if text)
 

@@ -12,7 +12,7 @@ from pathlib import Path
 
 from mic.errors import FormatError
 from mic.geometry.deck import Sheet
-from mic.geometry.readers.deck_text import located, take, text_lines
+from mic.geometry.readers.deck_text import located, number_range, take, text_lines
 from mic.geometry.readers.elements import Gathered
 from mic.geometry.readers.raw_mesh import RawMesh
 
@@ -147,7 +147,7 @@ def _component(gathered: Gathered, lines: Iterator[tuple[int, str]], words: list
         for text in _columns(_next(lines), width):
             taken += 1
             value = int(text)
-            numbers += [value] if value > 0 else range(numbers[-1] + 1, -value + 1)
+            numbers += [value] if value > 0 else number_range(numbers[-1] + 1, -value)
     into = gathered.node_sets if kind.startswith("NODE") else gathered.element_sets
     into.setdefault(name, []).extend((number,) for number in numbers)
 

@@ -9,10 +9,22 @@ from pathlib import Path
 import numpy as np
 
 from mic.errors import FormatError
+from mic.system.foreign_files import reason_to_refuse
 
-__all__ = ["axes_of", "included_file", "located", "real", "refuse_recursion", "take", "text_lines"]
+__all__ = [
+    "LONGEST",
+    "axes_of",
+    "included_file",
+    "located",
+    "number_range",
+    "real",
+    "refuse_recursion",
+    "take",
+    "text_lines",
+]
 
 DEPTH = 20  # most files that include each other
+LONGEST = 10_000_000  # numbers of a range
 
 
 def text_lines(path: Path) -> list[str]:
@@ -58,6 +70,22 @@ def axes_of(points: Sequence[np.ndarray] | np.ndarray, name: str) -> tuple[np.nd
     return main, np.cross(normal, main), normal
 
 
+def number_range(first: int, last: int, step: int = 1) -> range:
+    """The numbers from the first to the last.
+
+    Raises
+    ------
+    FormatError
+        If there are none, or too many.
+    """
+    numbers = range(first, last + 1, step) if step > 0 else range(0)
+    if not numbers:
+        raise FormatError(f"{first}, {last}, {step} generates no numbers; correct it")
+    if last - first > LONGEST:
+        raise FormatError(f"{first} to {last} are more than {LONGEST} numbers; correct it")
+    return numbers
+
+
 @contextmanager
 def located(where: str, block: str) -> Iterator[None]:
     """Add the place, and the name of the block that is read, to the message of an error."""
@@ -81,9 +109,11 @@ def included_file(path: Path, name: str, where: str) -> Path:
     Raises
     ------
     FormatError
-        If it does not exist.
+        If it does not exist, or lies where nothing may be read (:func:`mic.system.foreign_files.reading`).
     """
     other = path.parent / name.replace("\\", "/")
+    if reason := reason_to_refuse(other):
+        raise FormatError(f"{where}: it includes {name}, which {reason}")
     if not name or not other.is_file():
         name = name or "a file without a name"
         raise FormatError(f"{where}: it includes {name}, and there is no file {other}; correct the name")

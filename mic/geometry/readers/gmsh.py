@@ -11,6 +11,7 @@ import meshlane
 import numpy as np
 
 from mic.geometry.readers.raw_mesh import RawMesh, from_meshlane
+from mic.system.foreign_files import TEMPORARY
 
 __all__ = ["read", "volumes"]
 
@@ -23,7 +24,7 @@ SHEETS = ("triangle", "quad")
 def read(path: Path) -> RawMesh:
     """All elements of a gmsh file, in physical groups or not, and the groups."""
     content = path.read_bytes()
-    with TemporaryDirectory() as folder:  # meshlane reads this format from files only
+    with TemporaryDirectory(prefix=TEMPORARY) as folder:  # meshlane reads this format from files only
         bare = Path(folder) / "mesh.msh"
         bare.write_bytes(_without_parameters(GROUPS.sub(b"", content)))
         mesh = meshlane.gmsh.read(bare)

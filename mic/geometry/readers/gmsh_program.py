@@ -1,9 +1,9 @@
-"""CAD files and MED meshes, converted by the program gmsh, which runs as a process and is not imported."""
+"""CAD files and MED meshes, converted by the program gmsh in a separate process with nothing but the file."""
 
 from __future__ import annotations
 
+import os
 import shutil
-import subprocess
 import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -13,11 +13,15 @@ from tempfile import TemporaryDirectory
 from mic.errors import FormatError
 from mic.geometry.readers import gmsh
 from mic.geometry.readers.raw_mesh import RawMesh
+from mic.system.foreign_files import TEMPORARY
+from mic.system.helper_program import run_program
 
 __all__ = ["CAD_SUFFIXES", "LIMIT", "read_cad", "read_med"]
 
 CAD_SUFFIXES = (".step", ".stp", ".iges", ".igs", ".brep")
 LIMIT = 300.0  # s that gmsh may take
+MEMORY = 16e9  # bytes of address space that gmsh may use
+INHERITED = ("LANG", "LD_LIBRARY_PATH", "PATH", "PYTHONPATH", "SYSTEMROOT")  # environment variables that gmsh gets
 
 
 def read_cad(path: Path, size: float) -> RawMesh:
@@ -50,21 +54,31 @@ def read_med(path: Path) -> RawMesh:
 
 @contextmanager
 def _converted(path: Path, kind: str, options: Sequence[str]) -> Iterator[Path]:
-    """Temporary ``.msh`` file, version 4.1, that gmsh writes for a file of some kind with some command-line options."""
+    """Temporary ``.msh`` file, version 4.1, that gmsh writes for a file of some kind with some command-line options.
+
+    gmsh executes commands of a file ``NAME.opt`` beside its input, of its settings in the home folder, and of any input
+    whose suffix it does not know. It therefore gets a copy of the input under a name of ours, in an empty folder that
+    is also its home.
+    """
     program = shutil.which("gmsh") or shutil.which("gmsh", path=str(Path(sys.executable).parent))
     if program is None:
         raise FormatError(f"gmsh, which reads {kind} files, is missing; install it: pip install 'mic-contact[mesh]'")
-    with TemporaryDirectory() as folder:
-        mesh = Path(folder) / "mesh.msh"
+    with TemporaryDirectory(prefix=TEMPORARY) as name:
+        folder = Path(name)
+        source, mesh, printed = folder / f"source{path.suffix.lower()}", folder / "mesh.msh", folder / "printed.txt"
+        shutil.copyfile(path, source)
         with open(program, "rb") as file:  # pip installs a script, whose first line may name another Python
             run = [sys.executable, program] if b"python" in file.readline() else [program]
-        command = [*run, str(path.resolve()), *options, "-format", "msh41", "-o", str(mesh), "-nt", "1", "-v", "2"]
-        try:
-            process = subprocess.run(command, capture_output=True, text=True, timeout=LIMIT, cwd=folder)
-        except subprocess.TimeoutExpired:
-            raise FormatError(f"gmsh took more than {LIMIT:g} s; give a larger size, or a mesh") from None
-        error = next((line for line in (process.stderr + process.stdout).splitlines() if "Error" in line), "")
-        if process.returncode or not mesh.is_file() or error:
-            reason = " ".join(error.split()) or f"exit status {process.returncode}"
+        command = [*run, str(source), *options, "-format", "msh41", "-o", str(mesh), "-nt", "1", "-v", "2"]
+        environment = {key: value for key, value in os.environ.items() if key in INHERITED}
+        environment |= dict.fromkeys(("HOME", "GMSH_HOME", "TMPDIR"), name)
+        with open(printed, "wb") as output:
+            status = run_program(command, LIMIT, environment, folder, output, MEMORY)
+        if status is None:
+            raise FormatError(f"gmsh took more than {LIMIT:g} s; give a larger size, or a mesh")
+        lines = printed.read_text(encoding="utf-8", errors="replace").splitlines()
+        error = next((line for line in lines if "Error" in line), "")
+        if status or not mesh.is_file() or error:
+            reason = " ".join(error.split()) or f"exit status {status}"
             raise FormatError(f"gmsh cannot read this {kind} file ({reason}); export it again, or in another format")
         yield mesh

@@ -9,12 +9,14 @@ from __future__ import annotations
 from collections.abc import Callable
 from io import StringIO
 from pathlib import Path
+from xml.etree import ElementTree
 
 import meshlane
 
 from mic.errors import FormatError
 from mic.geometry.readers.deck_text import text_lines
 from mic.geometry.readers.raw_mesh import RawMesh, from_meshlane
+from mic.system.foreign_files import reason_to_refuse
 
 __all__ = ["READERS"]
 
@@ -39,6 +41,16 @@ def _read_off(path: Path) -> RawMesh:
     return from_meshlane(meshlane.off.read(path))
 
 
+def _read_xdmf(path: Path) -> RawMesh:
+    """XDMF; the files of data that it names must lie where files may be read."""
+    for item in ElementTree.parse(path).iter("DataItem"):
+        text = (item.text or "").strip()
+        place = {"HDF": path.parent / text.rpartition(":")[0], "Binary": Path(text)}.get(item.get("Format", ""))
+        if place is not None and (reason := reason_to_refuse(place)):
+            raise FormatError(f"it names {text}, which {reason}")
+    return from_meshlane(meshlane.xdmf.read(path))
+
+
 READERS: dict[str, Callable[[Path], RawMesh]] = {
     ".mesh": lambda path: from_meshlane(meshlane.medit.read(path)),
     ".meshb": lambda path: from_meshlane(meshlane.medit.read(path)),
@@ -48,5 +60,5 @@ READERS: dict[str, Callable[[Path], RawMesh]] = {
     ".stl": lambda path: from_meshlane(meshlane.stl.read(path)),
     ".su2": lambda path: from_meshlane(meshlane.su2.read(path)),
     ".vtk": lambda path: from_meshlane(meshlane.vtk.read(path)),
-    ".xdmf": lambda path: from_meshlane(meshlane.xdmf.read(path)),
+    ".xdmf": _read_xdmf,
 }

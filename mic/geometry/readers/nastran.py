@@ -17,7 +17,15 @@ import numpy as np
 
 from mic.errors import FormatError
 from mic.geometry.deck import Sheet
-from mic.geometry.readers.deck_text import axes_of, included_file, located, refuse_recursion, take, text_lines
+from mic.geometry.readers.deck_text import (
+    LONGEST,
+    axes_of,
+    included_file,
+    located,
+    refuse_recursion,
+    take,
+    text_lines,
+)
 from mic.geometry.readers.elements import Gathered, define
 from mic.geometry.readers.raw_mesh import RawMesh
 
@@ -44,7 +52,6 @@ REAL = re.compile(r"([+-]?(?:\d+\.?\d*|\.\d+))([+-]\d+)")  # 1.5-3: an exponent 
 BULK = re.compile(r"\s*(BEGIN|GRID)\b", re.IGNORECASE)  # the end of case control
 CASE_SET = re.compile(r"^\s*SET\s+(\d+)\s*=\s*((?:.*,\s*\n)*.*)", re.IGNORECASE | re.MULTILINE)
 RANGE = re.compile(r"(\d+)(?:\s+THRU\s+(\d+))?")
-LONGEST = 10_000_000  # numbers of a range
 HYPERMESH = re.compile(r'\$HMNAME\s+(COMP|PROP|PROPERTY)\s+(\d+)\s*"([^"]*)"\s*(\d*)')
 HYPERMESH_SET = re.compile(r'\$HMSET\s+(\d+)\s+([12])\s*"([^"]*)"')
 ANSA = re.compile(r"\$ANSA_NAME(?:_COMMENT)?;(\d+);(PSHELL|PCOMP|SET);([^;]*);")

@@ -117,7 +117,7 @@ def read_kinds(scene: Scene) -> list[Kind]:
 
 
 def _read(name: str, path: Path, scene: Scene, names: list[str]) -> Kind:
-    cells, separator = read_cells(path)
+    cells, separator = read_cells(path, scene.folder)
     unknown = [str(column) for column in cells.columns if column not in names]
     if unknown:
         raise SceneError(
