@@ -72,8 +72,8 @@ def _print_orders(console, others, found):
 
     rest = found[found["order"] != STATED]
     for rows, title in (
-        (rest[rest["tolerance"] > 0], "Key characteristics: largest change (share of the tolerance)"),
-        (rest[rest["tolerance"].isna()], "Slip under load: largest change"),
+        (rest[rest["tolerance"] > 0], "Key characteristics: largest change ± standard error (share of the tolerance)"),
+        (rest[rest["tolerance"].isna()], "Slip under load: largest change ± standard error"),
     ):
         cells = [
             (name, *largest(own, "mean", "quantity"), *largest(own, "six_sigma", "quantity"))
@@ -84,9 +84,10 @@ def _print_orders(console, others, found):
     for stated in found[found["order"] == STATED].to_dict("records"):
         own = rest[rest["quantity"] == stated["quantity"]]
         changes = [": ".join(largest(own, figure, "order")) for figure in ("mean", "six_sigma")]
-        cells.append((stated["quantity"], f"{stated['mean']:.4f}", f"{stated['six_sigma']:.4f}", *changes))
+        mean = f"{stated['mean']:.4f}".replace("-", "−")
+        cells.append((stated["quantity"], mean, f"{stated['six_sigma']:.4f}", *changes))
     heads = ("quantity", "mean, mm", "6σ, mm", "largest change of mean, µm", "largest change of 6σ, µm")
-    console.table("Stated order, and the order that changes each quantity most", heads, cells)
+    console.table("Each quantity under the stated order, and the order that changes it most", heads, cells)
     for other in others:
         if other.name.startswith("random"):
             groups = [f"{stage.name}: order = {json.dumps(stage.order)}" for stage in other.scene.stages if stage.order]
@@ -198,9 +199,10 @@ def _print_effects(console, found):
             reach = f"{number(row['reach'], 2)} steps" if row["reach"] < FAR else "–"
             rows.append(("" if i else name, row["input"], number(row["step"], 3), f"{effect} ({low} … {high})", reach))
         if len(own) > MAX_INPUTS:
-            rows.append(("", f"… {len(own) - MAX_INPUTS} others", "", "less", ""))
+            rows.append(("", f"… {len(own) - MAX_INPUTS} others", "", "smaller", ""))
         rows.append(())
-    heads = ("characteristic", "input", "step", "effect, µm (range over the samples)", "next contact change")
+    effect = "effect, µm (range over the samples)"
+    heads = ("characteristic", "input", "step (unit of the input)", effect, "contact change after")
     console.table("Effect of a step of each input", heads, rows)
 
 
@@ -212,7 +214,8 @@ def _print_sensitivity(console, found):
             "(towards smaller values of the input) and above."
         )
     elif math.isfinite(found.reach):
-        console.say(f"Next contact change: {number(found.reach, 2)} σ from the mean assembly ({found.where}).")
+        distance = f"{number(found.reach, 2)} σ from the mean assembly (stage {found.where})"
+        console.say(f"The nearest contact change lies {distance}.")
     largest = found.table.groupby("input")["effect"].apply(lambda x: x.abs().max()).sort_values(ascending=False)
     if inputs := largest.index[largest <= NO_EFFECT].tolist():
         console.say(f"Inputs without effect: {', '.join(inputs)}.")
@@ -222,7 +225,7 @@ def _print_sensitivity(console, found):
         with_derivatives, plain = (interval(row, name, digits=3) for name in ("six_sigma", "plain_six_sigma"))
         console.say(
             f"6σ of {row['measurement']}, µm: {with_derivatives} from {row['samples']} samples with derivatives; "
-            f"{plain} from the same samples alone."
+            f"{plain} from the same samples without derivatives."
         )
 
 
@@ -269,7 +272,7 @@ def remedy(source, adjust, shim, force, capability, samples, seed, law, save):
             )  # fmt: skip
     except ValueError as problem:
         raise SceneError(str(problem)) from problem
-    _print_remedies(console, found)
+    _print_remedies(console, found, capability)
     console.say_each(remedy_words(found.table, found.effects, model.scene))
     successful = [own for own in found.found if own.reached]
     if successful:
@@ -285,7 +288,7 @@ def remedy(source, adjust, shim, force, capability, samples, seed, law, save):
     store_study(console, folder, {REMEDIES: found.table, REMEDY_EFFECTS: found.effects})
 
 
-def _print_remedies(console, found):
+def _print_remedies(console, found, capability):
     """The adjustments of each remedy, and their effect on each characteristic on the fresh samples."""
     rows = []
     for own in found.found:
@@ -301,4 +304,5 @@ def _print_remedies(console, found):
             rows.append(("" if i else moves, row["measurement"], *pairs, share, interval(row, "gain")))
         rows.append(())
     heads = ("remedy", "characteristic", "mean, µm", "6σ, µm", "Cpk", "outside limits", "gain of margin, µm")
-    console.table("Remedies", heads, rows)
+    margin = f"mean ± {3 * capability:g}σ to the nearer limit, negative outside"
+    console.table(f"Remedies, on fresh samples; margin: distance of {margin}", heads, rows)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from typing import Any
 
@@ -38,7 +39,7 @@ def linear_words(table: pd.DataFrame, linearity: pd.DataFrame) -> list[str]:
             undecided = f"{name}: validity of a linear analysis not decided; take more samples."
             sentences.append(f"Warning: {name}: a linear analysis misleads: {reasons}." if reasons else undecided)
     if linearity["linear"].all() and linearity["r_squared"].notna().any():
-        bound = f"R² ≥ {number(linearity['r_squared'].min())}"
+        bound = f"R² ≥ {math.floor(1e3 * linearity['r_squared'].min()) / 1e3:.3f}"
         sentences.append(
             f"All key characteristics are nearly linear ({bound}): a linear analysis gives the same ranking."
         )
@@ -90,13 +91,14 @@ def friction_words(effects: pd.DataFrame, needed: pd.DataFrame) -> list[str]:
     if not none:
         sentences.append("Without friction this assembly is not held.")
     elif not sentences:
-        sentences.append("Friction has little effect: without it no mean and no 6σ changes by a tenth of 6σ.")
+        effect = "each mean and each 6σ changes by less than a tenth of 6σ"
+        sentences.append(f"Friction has little effect: without it, {effect}.")
     zones = needed[needed["zone"] != ""]
     held = needed[needed["zone"] == ""].to_dict("records")
     for row in held:
         if row["change"] > HOLDS:
             own = zones[zones["measurement"] == row["measurement"]].to_dict("records")
-            decides = f"; zone {max(own, key=lambda each: each['change'])['zone']} decides" if own else ""
+            decides = f"; zone {max(own, key=lambda each: each['change'])['zone']} matters most" if own else ""
             times = f"{number(row['low'], 2)} to {number(row['high'], 2)} times the friction of the scene{decides}"
             sentences.append(f"{row['measurement']} changes by less than a tenth of 6σ for {times}.")
     if not any(row["change"] > HOLDS for row in held):
@@ -116,21 +118,22 @@ def remedy_words(table: pd.DataFrame, effects: pd.DataFrame, scene) -> list[str]
         lacks = "margin" if remedy == "together" else "margin_before"  # a single adjustment is for the worst
         worst = min(own, key=lambda each: each[lacks] / width[each["measurement"]])
         spoilt = [each["measurement"] for each in own if each["margin"] < 0 <= each["margin_before"]]
-        beyond = f", but moves {', '.join(spoilt)} out of limits" if spoilt else ""
+        beyond = f"moves {', '.join(spoilt)} out of limits" if spoilt else ""
         if not moves:
             sentences.append("No permitted adjustment improves the characteristics.")
         elif moves[0]["reached"]:
             which = "all characteristics" if remedy == "together" else "the worst characteristic"
-            sentences.append(f"{what} brings {which} within limits{beyond}.")
+            sentences.append(f"{what} brings {which} within limits{', but ' * bool(spoilt)}{beyond}.")
         else:
-            short = f"{number(-1e3 * worst['margin'], 2)} µm (Cpk {number(worst['cpk'], 2)})"
-            sentences.append(f"{what} is not enough: {worst['measurement']} falls short by {short}{beyond}.")
+            short = f"{number(1e3 * worst['margin'], 2)} µm (Cpk {number(worst['cpk'], 2)})"
+            also = f"; it also {beyond}" if spoilt else ""
+            sentences.append(f"{what} is not enough: the margin of {worst['measurement']} remains {short}{also}.")
     first = effects[effects["remedy"] == effects["remedy"].iloc[0]]
     for row in first[first["fresh"] == first["fresh"].max()].to_dict("records"):
         if row["six_sigma_before"] > width[row["measurement"]]:
             spread, room = number(1e3 * row["six_sigma_before"]), number(1e3 * width[row["measurement"]])
             text = f"{row['measurement']} has 6σ = {spread} µm, more than its tolerance of {room} µm: "
-            text += "no shift of the mean suffices; its contributors must vary less (`mic contributors`)."
+            text += "a shift of the mean cannot suffice. Reduce the scatter of its contributors (`mic contributors`)."
             sentences.append(text)
     return sentences
 
@@ -148,7 +151,8 @@ def design_words(table: pd.DataFrame, points: pd.DataFrame) -> list[str]:
             continue
         most = own.sort_values("share", ascending=False, kind="stable").head(NAMED).to_dict("records")
         where = ", ".join(f"{row['deviation']} {signed(row['sigmas'])} σ" for row in most if row["share"] > LITTLE)
-        sentences.append(f"Most likely miss of {limit}, at {number(one['beta'])} standard deviations: {where}.")
+        distance = f"{number(one['beta'])} standard deviations from the mean"
+        sentences.append(f"{limit}: the most likely miss lies {distance}: {where}.")
     for row in table.to_dict("records"):
         if not row["agrees"] and row["first_order"] == row["first_order"]:
             what, first = row["measurement"] or "the assembly", probability(row["first_order"])

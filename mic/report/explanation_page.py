@@ -61,14 +61,15 @@ def sentences(found: Explanation) -> list[str]:
     )
     text = [f"Most probable cause: {each}." if unusual else f"No source is unusual; the most distant is {each}."]
     if found.likely < DOUBT:
+        share = percent(found.likely, 3) if found.likely >= 1e-5 else "less than 0.001 %"
         text.append(
-            f"The scene does not explain the measurement: only {percent(found.likely, 2)} of its assemblies deviate "
+            f"The scene does not explain the measurement: {share} of its assemblies deviate "
             "as much. A source of variation is missing, or the gauge is worse than stated."
         )
     for a, b in found.together[:NAMED]:
         text.append(f"The measurement cannot separate {a} and {b}; it determines only a combination of them.")
     if found.untold:
-        text.append(f"Hardly determined by the measurement: {', '.join(found.untold)}.")
+        text.append(f"The measurement hardly determines {', '.join(found.untold)}.")
     if len(found.further):
         best = found.further.iloc[0]
         gain = f"remove {percent(best['told'])} of the remaining variance of {best['source']}"

@@ -279,7 +279,7 @@ def _odd_request(rng: np.random.Generator, served: Served) -> list[str]:
     allowed = headers.get("Cookie", "").endswith(served.token) and "a.example" not in headers.values()
     told = f"{method} {path[:60]} {sorted(headers)} gave {status}"
     wrong = [told] if status >= 500 or (status in range(200, 400) and not allowed) else []
-    return wrong + [f"{told} and a file of the machine"] * ("root:" in text)
+    return wrong + [f"{told} and a file of the machine"] * ("root:x:0" in text)
 
 
 def rubbish(rng: np.random.Generator, served: Served) -> list[str]:

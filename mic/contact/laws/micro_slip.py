@@ -1,4 +1,4 @@
-r"""Coulomb's slider behind a tangential spring: a contact yields before it slips (a Jenkins element at each contact).
+r"""Coulomb's slider in series with a tangential spring: a contact yields before it slips (a Jenkins element).
 
 A contact of area ``A`` and tangential stiffness ``k_t`` per area has the compliance ``c = 1/(k_t A)``.  Its relative
 displacement ``u_t`` is the sum of the slider's, ``w_t``, and of the spring's.  The force acts on the second body and
@@ -33,7 +33,7 @@ def _compliance(friction):
 
 MICRO_SLIP = Law(
     name="micro-slip",
-    title="Coulomb's law behind a tangential contact stiffness: contacts yield before they slip.",
+    title="Coulomb's law in series with a tangential contact stiffness: contacts yield before they slip.",
     colour="#cc79a7",
     mark="v",
     shift=1.0,
