@@ -20,7 +20,7 @@ PAGES = {
     "contributors": (("shares", "changes"), ("opened all together",)),
     "explain": (("sources", "reached"), ("F2  4.74",)),
     "explore": (("clamped", "compensated"), ('target = "lower-A3"', "Solved in all stages")),
-    "friction": (("changes",), ("Friction has little effect: without it no mean and no 6σ changes by a tenth of 6σ.",)),
+    "friction": (("changes",), ("Friction has little effect: without it, each mean and each 6σ",)),
     "optimise": (("changes", "search"), ("least Cpk",)),
     "predict": (("intervals",), ("rejected", "within all limits", "still")),
     "rare": (("probabilities", "likeliest"), ("first_order", "levels")),

@@ -104,7 +104,7 @@ def test_an_unreachable_target_is_reported_with_the_remaining_distance():
     own = found.effects[found.effects["remedy"] == "together"]
     assert own["margin"].tolist() == pytest.approx([-0.3, -0.3])
     words = remedy_words(found.table, found.effects, faces(0.5, 1.5).scene)
-    assert any("is not enough: M falls short by 300 µm" in each for each in words)
+    assert any("is not enough: the margin of M remains −300 µm" in each for each in words)
 
 
 def test_of_samples_the_spread_counts_and_fresh_ones_judge():
@@ -182,9 +182,9 @@ def test_the_written_table_holds_the_evaluated_values():
     [
         (["--adjust", "X"], "'X' is neither a locator nor a clamp of this scene; it has: bl0, bl1"),
         ([], "nothing to adjust besides the datum of its measurements"),
-        (["--adjust", "bl1", "--shim", "nan"], "shim must be above 0, factor above 1, and both finite; got nan and 2"),
-        (["--adjust", "bl1", "--force", "0.5"], "and both finite; got 0.5 and 0.5"),
-        (["--adjust", "bl1", "--force", "inf"], "and both finite; got 0.5 and inf"),
+        (["--adjust", "bl1", "--shim", "nan"], "shim is nan; give a finite number above 0"),
+        (["--adjust", "bl1", "--force", "0.5"], "factor is 0.5; give a finite number above 1"),
+        (["--adjust", "bl1", "--force", "inf"], "factor is inf; give a finite number above 1"),
         (["--adjust", "bl1", "--save", "mended.toml"], "--save writes a changed copy of a scene file"),
         (["--adjust", "bl1", "--capability", "-1"], "Invalid value"),
         (["--adjust", "bl1", "--samples", "1"], "Invalid value"),
