@@ -10,11 +10,13 @@ from mic.process.model import ReducedModel
 from mic.process.plan import plan_assembly
 from mic.process.stiffness import coefficients
 from mic.scene import Scene
+from mic.system.arguments import checked
 from mic.system.disk_cache import cache_folder
 
 __all__ = ["check", "reduce"]
 
 
+@checked
 def reduce(scene: Scene, cache: Path | None = None) -> ReducedModel:
     """Build the reduced model of a scene: meshes, contact pairs, influence coefficients. Each MPI rank builds its own.
 
@@ -36,6 +38,7 @@ def reduce(scene: Scene, cache: Path | None = None) -> ReducedModel:
     return ReducedModel.build(assembly, coefficients(assembly, cache)[0])
 
 
+@checked
 def check(scene: Scene, cache: Path | None = None) -> tuple[SceneWarning, ...]:
     """Mesh and assemble a scene, and warn of values that are valid but unusual in production.
 

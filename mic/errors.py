@@ -10,6 +10,7 @@ if TYPE_CHECKING:
     import numpy as np
 
 __all__ = [
+    "ArgumentError",
     "FormatError",
     "FreeMotion",
     "ImpossibleSample",
@@ -29,6 +30,10 @@ class MicError(Exception):
 
 class SceneError(MicError, ValueError):
     """A scene that cannot be run; the message names the file, the key and the remedy."""
+
+
+class ArgumentError(MicError, ValueError):
+    """An argument that a function cannot use; the message names the argument and the remedy."""
 
 
 class ImpossibleSample(MicError, ArithmeticError):

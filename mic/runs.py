@@ -41,6 +41,7 @@ from mic.results.sample_tables import tables
 from mic.results.schema import ACCURACY, CONDENSED, CONTACTS, FORCES, SUMS, Table
 from mic.results.table_writer import write_path_study, write_summary, write_tables
 from mic.scene import Scene
+from mic.system.arguments import checked
 from mic.system.files import clean
 from mic.system.lock import locked
 
@@ -64,6 +65,7 @@ class Progress:
         """Called with samples and path study complete, before tables and fields are written."""
 
 
+@checked
 def run(
     scene: Scene,
     folder: Path,
@@ -398,6 +400,7 @@ def conclude(
     return outcome
 
 
+@checked
 def read_run(folder: Path) -> Outcome:
     """The results of a run, finished or interrupted.
 

@@ -9,7 +9,7 @@ from support.springs import LIFT, MU, PULL, at_face, clamped, dragged
 from typer.testing import CliRunner
 
 from mic.commands.explain import read_measured
-from mic.errors import SceneError
+from mic.errors import MicError, SceneError
 from mic.options import app
 from mic.report.explanation_page import sentences
 from mic.results.schema import EXPLANATION, FURTHER
@@ -205,13 +205,14 @@ def test_decimal_commas_and_a_gauge_for_all_are_read(tmp_path):
     [
         ({}, 0.1, "no measurement is given"),
         ({"O": 1.0}, 0.1, "has no key characteristic 'O'; it has: M, N"),
-        ({"M": np.inf}, 0.1, "not a finite number"),
-        ({"M": 1.0}, 0.0, "no positive standard deviation"),
+        ({"M": np.inf}, 0.1, "measured: 'M' is inf; give a finite number"),
+        ({"M": 1.0}, 0.0, "gauge is 0.0; give a finite number above 0"),
+        ({"M": 1.0}, {"M": 0.0}, "no positive standard deviation"),
         ({"M": 1.0}, {"N": 0.1}, "no positive standard deviation"),
     ],
 )
 def test_invalid_measurements_are_refused(model, measured, gauge, said):
-    with pytest.raises(SceneError, match=said):
+    with pytest.raises(MicError, match=said):
         explain(model, measured, gauge)
 
 

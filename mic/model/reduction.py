@@ -7,6 +7,7 @@ It can be saved, carried to a machine without a finite-element package, loaded a
 from __future__ import annotations
 
 import json
+import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
@@ -19,6 +20,7 @@ from scipy.sparse import csr_matrix
 from mic.compliance.blocks import Blocks
 from mic.compliance.coefficients import InfluenceCoefficients
 from mic.compliance.thickness import Thicknesses
+from mic.errors import ArgumentError
 from mic.model.assembly_types import Assembly, Contacts, GapPoints
 from mic.model.characteristics import Characteristics
 from mic.model.shape import shape_readings
@@ -26,12 +28,15 @@ from mic.model.shape_derivatives import ShapeDerivatives
 from mic.model.sources import thickness_changes, with_deviations
 from mic.scene import Scene
 from mic.system import files
+from mic.system.arguments import LARGEST, real_array
 from mic.system.matrix_product import one_thread
 from mic.system.memoise import pack, unpack
 
 __all__ = ["Reduction"]
 
 FORMAT = files.Format("reduced model", 8, "build the model again")
+FAR = 1000.0  # standard deviations beyond which a value is named in a warning
+FAR_WITHOUT_SIGMA = 1e4  # the same distance from the mean, mm or N, for a deviation without standard deviation
 #: Classes in the file of a model.
 CLASSES = (Blocks, Contacts, GapPoints, Thicknesses, ShapeDerivatives)
 #: Attributes that a reduction takes over from its assembly.
@@ -118,34 +123,75 @@ class Reduction:
         return Characteristics.of(self.scene)
 
     def deviations(self, values: Any) -> np.ndarray:
-        """(n, p) array of deviations from a dict by name (the rest at their means), one vector or an array.
+        """(n, p) array of deviations; values far from their means are named in a warning.
+
+        Parameters
+        ----------
+        values : mapping of str to float or (n,) array, (p,) array, or (n, p) array
+            Deviations by name, the rest at their means: a number for all samples, or one for each. A table with a
+            column for each deviation is such a mapping. Or all deviations in the order of :attr:`parameters`. Without
+            any sample, n = 0, results are empty.
 
         Raises
         ------
-        ValueError
-            For unknown names, wrong shapes, or values that are not finite.
+        ArgumentError
+            For unknown names, wrong shapes, and values that are no finite numbers.
         """
-        mean = np.array([deviation.mean for deviation in self.scene.deviations])
-        if isinstance(values, dict):
-            unknown = sorted(set(values) - set(self.parameters))
-            if unknown:
-                raise ValueError(
-                    f"deviations: {unknown[0]!r} is not a deviation of this scene; known: {', '.join(self.parameters)}"
-                )
-            values = [values.get(name, m) for name, m in zip(self.parameters, mean)]
-        array = np.atleast_2d(np.asarray(values, dtype=float))
-        if array.ndim != 2 or array.shape[1] != len(mean):
-            raise ValueError(
-                f"deviations: expected {len(mean)} values per sample ({', '.join(self.parameters)}), "
-                f"got shape {array.shape}"
+        array = self._named(dict(values.items())) if hasattr(values, "items") else real_array("deviations", values)
+        p = len(self.parameters)
+        if array.shape == (0,) and p:
+            array = np.zeros((0, p))
+        array = np.atleast_2d(array)
+        if array.ndim != 2 or array.shape[1] != p:
+            raise ArgumentError(
+                f"deviations: expected {p} values per sample ({', '.join(self.parameters)}), got shape {array.shape}; "
+                "give values by name, or all in this order"
             )
-        bad = np.argwhere(~np.isfinite(array))
+        bad = np.argwhere(~(np.abs(array) <= LARGEST))
         if len(bad):
-            raise ValueError(
+            raise ArgumentError(
                 f"deviations: sample {bad[0][0]}, {self.parameters[bad[0][1]]!r} is {array[tuple(bad[0])]}; "
-                "give a finite number"
+                f"give a finite number, at most {LARGEST:g}"
             )
+        self._warn_of_far(array)
         return array
+
+    def _named(self, values: Mapping[str, Any]) -> np.ndarray:
+        """(n, p) array from numbers or columns by name."""
+        unknown = [name for name in values if name not in self.parameters]
+        if unknown:
+            raise ArgumentError(
+                f"deviations: {unknown[0]!r} is not a deviation of this scene; known: {', '.join(self.parameters)}"
+            )
+        columns = {name: real_array(f"deviations: {name!r}", value) for name, value in values.items()}
+        lengths = {name: len(column) for name, column in columns.items() if column.ndim == 1}
+        deep = [name for name, column in columns.items() if column.ndim > 1]
+        if deep or len(set(lengths.values())) > 1:
+            name = deep[0] if deep else min(lengths, key=lambda name: lengths[name])
+            raise ArgumentError(
+                f"deviations: {name!r} has shape {columns[name].shape}; give a number, or a number for each sample in "
+                "arrays of one length"
+            )
+        means = [deviation.mean for deviation in self.scene.deviations]
+        array = np.empty((max(lengths.values()) if lengths else 1, len(means)))
+        for j, (name, mean) in enumerate(zip(self.parameters, means)):
+            array[:, j] = columns.get(name, mean)
+        return array
+
+    def _warn_of_far(self, array: np.ndarray) -> None:
+        """Name the value that is farthest from its mean, if its unit is in doubt."""
+        if not array.size:
+            return
+        mean, sigma = np.array([(item.mean, item.sigma) for item in self.scene.deviations]).T
+        distance = np.abs(array - mean) / np.where(sigma > 0, sigma, FAR_WITHOUT_SIGMA / FAR)
+        if not (distance > FAR).any():
+            return
+        sample, j = np.unravel_index(distance.argmax(), distance.shape)
+        warnings.warn(
+            f"deviations: sample {sample}, {self.parameters[j]!r} is {array[sample, j]:g}, and its distribution has "
+            f"mean {mean[j]:g} and standard deviation {sigma[j]:g}; check its unit",
+            stacklevel=3,
+        )
 
     def with_deviations(self, deviations: np.ndarray) -> Self:
         """The model with the contacts, weights and compliance of a sample's deviations (p,); its shapes stay the same.

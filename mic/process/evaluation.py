@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from functools import cached_property, partial
 from typing import Any
 
@@ -214,6 +214,16 @@ class Evaluation:
 
         return cls(law=pieces[0].law, resolutions=resolutions, equilibrium=equilibrium, **_stacked(pieces, cls))
 
+    def without_samples(self) -> Evaluation:
+        """The result of no assembly: all arrays have their shapes, with n = 0."""
+        resolutions = {
+            stage: replace(one, trace=replace(one.trace, **_emptied(one.trace)), **_emptied(one))
+            for stage, one in self.resolutions.items()
+        }
+        force, motion = self._equilibrium
+        equilibrium = partial(tuple[Any, Any], (force[:0], motion[:0]))
+        return replace(self, resolutions=resolutions, equilibrium=equilibrium, **_emptied(self))
+
 
 #: Recorded path steps: by stage and number of the step, the record (n,) of each sample.
 PathSteps = Mapping[tuple, np.ndarray]
@@ -306,6 +316,11 @@ class Sensitivities:
         steps = {key: np.concatenate([piece.steps[key] for piece in pieces]) for key in first.steps}
         arrays = _stacked(pieces, cls) | {"sigma": first.sigma}
         return cls(law=first.law, inputs=first.inputs, contacts=contacts, steps=steps, **arrays)
+
+
+def _emptied(piece) -> dict[str, Any]:
+    """All fields that are arrays over samples, without any."""
+    return {field.name: getattr(piece, field.name)[:0] for field in fields(piece) if field.type == "np.ndarray"}
 
 
 def _stacked(pieces, cls) -> dict[str, np.ndarray]:

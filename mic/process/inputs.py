@@ -19,6 +19,7 @@ from typing import Any
 
 import numpy as np
 
+from mic.errors import ArgumentError
 from mic.model.sources import sources
 from mic.process.actions import Joints, Row
 from mic.process.drive import Drive
@@ -99,17 +100,17 @@ class Inputs:
 
         Raises
         ------
-        ValueError
+        ArgumentError
             If a name is unknown, or none is given.
         """
         fixed, known = _fixed_inputs(model), known_inputs(model)
         if not len(names):
-            raise ValueError("inputs: name at least one")
+            raise ArgumentError("inputs: the list is empty; name at least one")
         for name in names:
             if name not in known:
-                raise ValueError(
-                    f"inputs: {name!r} is not an input of this model{_reason(model, name)}; known inputs: "
-                    + ", ".join(known)
+                reason = _reason(model, name) if isinstance(name, str) else ""
+                raise ArgumentError(
+                    f"inputs: {name!r} is not an input of this model{reason}; known inputs: " + ", ".join(known)
                 )
         p, labels, contacts, joints = len(names), model.labels, model.contacts, Joints(tuple(model.weld_size))
         own = dict(zip((one.name for one in model.scene.deviations), sources(model.scene)))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
 from typing import Any, Self
@@ -11,8 +11,9 @@ from typing import Any, Self
 import numpy as np
 
 from mic.compliance.coefficients import InfluenceCoefficients
+from mic.contact import laws
 from mic.contact.working_set import PathForecast
-from mic.errors import SceneError
+from mic.errors import ArgumentError, SceneError
 from mic.model.assembly import Assembly
 from mic.model.reduction import Reduction
 from mic.model.rest_rows import RestRows
@@ -23,6 +24,7 @@ from mic.process.process import TOLERANCE, Process
 from mic.process.stage import EliminatedStep, eliminate_steps
 from mic.process.stiffness import with_derivatives, with_shape
 from mic.scene import Scene
+from mic.system.arguments import number
 from mic.system.matrix_product import one_thread
 
 __all__ = ["ReducedModel"]
@@ -103,7 +105,9 @@ class ReducedModel(Reduction):
 
         The other arguments are those of :class:`mic.process.process.Process`.
         """
-        key = (law or self.scene.report.laws[0], tol, backend, threads)
+        law = self.scene.report.laws[0] if law is None else law
+        laws.find(law)  # raises
+        key = (law, tol, backend, threads)
         if key not in self._processes:
             self._processes[key] = Process(self, *key)
         return self._processes[key]
@@ -127,15 +131,15 @@ class ReducedModel(Reduction):
 
         Parameters
         ----------
-        deviations : dict of str to float, (p,) array or (n, p) array
-            Values of the scene's deviations by name (the rest at their means), or in the order of :attr:`parameters`.
+        deviations
+            As :meth:`mic.model.reduction.Reduction.deviations` takes them: numbers or arrays by name, or an array.
         law : str, optional
             Contact law; default: the first of the scene's report.
 
         Raises
         ------
-        ValueError
-            For unknown names, wrong shapes, or values that are not finite.
+        ArgumentError
+            For unknown names, wrong shapes, and values that are no finite numbers.
         """
         return self.process(law).evaluate(self.deviations(deviations))
 
@@ -161,14 +165,21 @@ class ReducedModel(Reduction):
 
         Raises
         ------
-        ValueError
-            As :meth:`evaluate`; if an input is unknown.
+        ArgumentError
+            As :meth:`evaluate`; if an input is unknown, or there is no sample.
         SceneError
             If parts rest by contact alone, and positions in sheets are inputs.
         """
         from mic.process.sensitivity import sensitivities  # its compiled code is not needed by a run
 
-        return sensitivities(self.process(law), self.deviations(deviations), inputs, steps)
+        if isinstance(inputs, str) or not isinstance(inputs, Iterable | None):
+            raise ArgumentError(f"inputs is {inputs!r}; give a list of names, or standard deviations by name")
+        if isinstance(inputs, Mapping):
+            inputs = {name: number(f"inputs: {name!r}", sigma, least=0.0) for name, sigma in inputs.items()}
+        samples = self.deviations(deviations)
+        if not len(samples):
+            raise ArgumentError("deviations: there is no sample; give at least one")
+        return sensitivities(self.process(law), samples, inputs, steps)
 
     @property
     def H(self) -> np.ndarray:

@@ -250,6 +250,8 @@ class Process:
         at : str, optional
             The stage at whose end forces and motions of the parts are evaluated; default: the last.
         """
+        if not len(deviations):
+            return self.evaluate(self.model.deviations({}), at).without_samples()
         if (deviations[:, self._changing] != self._changed_by).any():
             groups = self.by_model(deviations)
             return Evaluation.join([process.evaluate(deviations[part], at) for part, process in groups])

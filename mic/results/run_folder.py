@@ -96,6 +96,8 @@ _FORMATS = {
     FORCES: Format("block of forces", 1, _AGAIN),
     CONDENSED: Format("block of condensed forces", 2, _AGAIN),
 }
+#: Types of the entries of the record.
+_RECORD = {"scene": str, "samples": int, "laws": list, "versions": dict, "inputs": dict, "wall_time": dict, "seed": int}
 _SINGLE = ("model.npz", "parts.npz", "summary.json", "report.html", "assembly.png", EXCEL, PUBLISHED)
 _TABLES = tuple(table.place for table in (*STATISTICS, *STUDIES))
 _FIELDS = "fields/fields.npz"
@@ -164,9 +166,11 @@ class RunFolder:
                 "results/wheelhouse"
             ) from None
         inputs = record.get("inputs")
+        wrong = [key for key, kind in _RECORD.items() if not isinstance(record.get(key, kind()), kind)]
         if (
-            not isinstance(inputs, dict)
+            wrong
             or not {"scene", "samples", "laws", "versions"} <= set(record)
+            or not all(isinstance(law, str) for law in record["laws"])
             or record.get("identity") != fingerprint(inputs)
             or record.get("seed") != inputs.get("seed")
         ):

@@ -13,9 +13,10 @@ from typing import Any
 
 import numpy as np
 
+from mic.errors import ArgumentError
 from mic.process.model import ReducedModel
 from mic.process.plan import plan_stages
-from mic.scene.deviation import ClampDeviation, LocatorDeviation
+from mic.scene.deviation import ClampDeviation, LocatorDeviation, targets
 
 __all__ = [
     "FACTOR",
@@ -108,16 +109,16 @@ def adjustments(
 
     Raises
     ------
-    ValueError
+    ArgumentError
         If a name belongs to neither a locator nor a clamp, or the bounds allow no change.
     """
     if not (0 < shim < math.inf and 1 < factor < math.inf):
-        raise ValueError(f"shim must be above 0, factor above 1, and both finite; got {shim:g} and {factor:g}")
+        raise ArgumentError(f"shim must be above 0, factor above 1, and both finite; got {shim:g} and {factor:g}")
     scene = model.scene
     known = [item.name for item in (*scene.locators, *scene.clamps)]
     for name in names:
         if name not in known:
-            raise ValueError(f"{name!r} is neither a locator nor a clamp of this scene; it has: {', '.join(known)}")
+            raise ArgumentError(f"{name!r} is neither a locator nor a clamp of this scene; it has: {', '.join(known)}")
     held = {
         model.labels["locator"][row]
         for plan in plan_stages(scene, model.weld_size)
@@ -204,8 +205,8 @@ def deviation_tables(deviations: Iterable[Any], number: Callable[[float], str]) 
     """TOML tables of deviations of standard deviation 0; `number` formats their means."""
     lines: list[str] = []
     for item in deviations:
-        targets = [f'"{name}"' for name in ([item.target] if isinstance(item.target, str) else item.target)]
-        target = targets[0] if len(targets) == 1 else f"[{', '.join(targets)}]"
+        names = [f'"{name}"' for name in targets(item)]
+        target = names[0] if len(names) == 1 else f"[{', '.join(names)}]"
         lines += ["[[deviations]]", f'name = "{item.name}"', f'kind = "{item.kind}"', f"target = {target}"]
         lines += [f"mean = {number(item.mean)}", "sigma = 0", ""]
     return "\n".join(lines)

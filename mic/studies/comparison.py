@@ -26,6 +26,7 @@ from mic.statistics.estimates import Estimate, six_sigma
 from mic.statistics.paired_differences import centred_capability_change, mean_change, share_change, six_sigma_change
 from mic.studies.order import quantities
 from mic.studies.samples import Progress, first_frictional, interval
+from mic.system.arguments import checked
 
 __all__ = ["SAMPLES", "Comparison", "Side", "compare", "differences", "check_comparable", "scene_differences"]
 
@@ -87,6 +88,7 @@ class Comparison:
     alone: list[str]
 
 
+@checked
 def compare(
     a: ReducedModel | Outcome,
     b: ReducedModel | Outcome,

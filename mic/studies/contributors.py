@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
+from mic.errors import ArgumentError
 from mic.process.model import ReducedModel
 from mic.results.schema import CONTRIBUTORS, LINEARITY
 from mic.scene import Scene
@@ -20,6 +21,7 @@ from mic.statistics.draw import draw
 from mic.statistics.sobol_indices import Indices, Linear, sobol
 from mic.studies.input_screening import MANY, bounds, negligible
 from mic.studies.samples import Progress, key_characteristics
+from mic.system.arguments import checked
 
 __all__ = ["Contributors", "contributors", "groups", "joint_ranking"]
 
@@ -60,6 +62,7 @@ def groups(scene: Scene) -> dict[str, list[int]]:
     return grouped
 
 
+@checked
 def contributors(
     model: ReducedModel,
     law: str | None = None,
@@ -85,14 +88,14 @@ def contributors(
 
     Raises
     ------
-    ValueError
+    ArgumentError
         If nothing is measured or nothing varies, or the samples are stated in a table.
     """
     scene, every = model.scene, groups(model.scene)
     if not scene.measurements or not every:
-        raise ValueError(f"scene {scene.name!r} has no {'deviations' if scene.measurements else 'measurements'}")
+        raise ArgumentError(f"scene {scene.name!r} has no {'deviations' if scene.measurements else 'measurements'}")
     if scene.monte_carlo.values is not None:
-        raise ValueError(
+        raise ArgumentError(
             f"scene {scene.name!r}: its samples are given in a table, which does not show how a single deviation "
             "varies; remove monte_carlo.table and give each deviation a sigma"
         )

@@ -42,6 +42,7 @@ from mic.statistics.emulator import Emulator
 from mic.statistics.estimates import LEVEL
 from mic.statistics.normal_space import from_normal
 from mic.studies.samples import Progress, key_characteristics
+from mic.system.arguments import checked
 
 __all__ = ["Explanation", "Posterior", "explain", "posterior", "with_friction"]
 
@@ -153,6 +154,7 @@ class Explanation:
     scene: Scene
 
 
+@checked
 def explain(
     model: ReducedModel,
     measured: Mapping[str, float],
@@ -270,11 +272,9 @@ def with_friction(model: ReducedModel, sigma: float) -> ReducedModel:
 def _check_input(scene: Scene, measured, gauges, names) -> None:
     if not measured:
         raise SceneError(f"scene {scene.name!r}: no measurement is given; give at least one key characteristic")
-    for name, value in measured.items():
+    for name in measured:
         if name not in names:
             raise SceneError(f"scene {scene.name!r} has no key characteristic {name!r}; it has: {', '.join(names)}")
-        if not np.isfinite(value):
-            raise SceneError(f"{name}: the measured value {value} is not a finite number; correct or remove it")
         if not gauges.get(name, 0.0) > 0 or not np.isfinite(gauges[name]):
             raise SceneError(f"{name}: the gauge has no positive standard deviation; give one, mm")
     if not any(item.sigma > 0 for item in scene.deviations):

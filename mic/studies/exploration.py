@@ -20,9 +20,10 @@ import numpy as np
 import pandas as pd
 from scipy.special import ndtr
 
+from mic.contact import laws
 from mic.contact.laws import LAWS
 from mic.contact.states import ContactState
-from mic.errors import SceneError
+from mic.errors import ArgumentError, SceneError
 from mic.process.evaluation import Evaluation
 from mic.process.model import ReducedModel
 from mic.process.process import TOLERANCE, Process
@@ -32,6 +33,7 @@ from mic.scene.zone import Zone
 from mic.statistics.draw import draw
 from mic.studies.adjustment import FACTOR, SHIM, Adjustment, adjustments, deviation_tables, new_names, with_adjustments
 from mic.studies.samples import half_tolerances, valid
+from mic.system.arguments import checked, number
 
 __all__ = ["COARSE", "GROUPS", "ExploredAssembly", "Control", "Exploration", "deviation_unit", "explore"]
 
@@ -199,17 +201,15 @@ class Exploration:
 
         Raises
         ------
-        ValueError
+        ArgumentError
             For unknown names and values that are not finite.
         """
         x = np.array([item.mean for item in self.model.scene.deviations])
         for name, value in values.items():
             if name not in self._columns:
-                raise ValueError(f"there is no control {name!r}; known: {', '.join(self._columns)}")
-            if not np.isfinite(value):
-                raise ValueError(f"{name}: {value} is not a finite number")
+                raise ArgumentError(f"there is no control {name!r}; known: {', '.join(self._columns)}")
             column, now = self._columns[name]
-            x[column] = value - now
+            x[column] = number(name, value) - now
         return x
 
     def answer(
@@ -228,13 +228,13 @@ class Exploration:
 
         Raises
         ------
-        ValueError
+        ArgumentError
             For unknown names of controls or of stages, and values that are not finite.
         """
         start = time.perf_counter()
         values, stage = dict(values or {}), stage or self.stages[-1]
         if stage not in self.stages:
-            raise ValueError(f"there is no stage {stage!r}; known: {', '.join(self.stages)}")
+            raise ArgumentError(f"there is no stage {stage!r}; known: {', '.join(self.stages)}")
         x = self.deviations(values)
         evaluation = (self._coarse if coarse else self._process).attempt(x[None], stage)
         items = self.scene_model.scene.measurements
@@ -327,6 +327,7 @@ class Exploration:
         ]
 
 
+@checked
 def explore(model: ReducedModel, law: str | None = None, shim: float = SHIM, factor: float = FACTOR) -> Exploration:
     """Prepare a model for interactive exploration.
 
@@ -345,10 +346,10 @@ def explore(model: ReducedModel, law: str | None = None, shim: float = SHIM, fac
     ------
     SceneError
         If there is nothing to explore.
-    ValueError
+    ArgumentError
         If the bounds allow no change.
     """
-    return Exploration(model, law or model.scene.report.laws[0], shim, factor)
+    return Exploration(model, model.scene.report.laws[0] if law is None else laws.find(law).name, shim, factor)
 
 
 def _source_controls(scene) -> Iterator[Control]:

@@ -12,13 +12,15 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 
-from mic.errors import SceneError
+from mic.errors import ArgumentError, SceneError
 from mic.process.model import ReducedModel
 from mic.results.schema import FRICTION_EFFECTS
+from mic.scene.deviation import targets
 from mic.statistics.draw import draw
 from mic.statistics.estimates import six_sigma
 from mic.statistics.paired_differences import mean_change, six_sigma_change
 from mic.studies.samples import Progress, first_frictional, interval, key_characteristics
+from mic.system.arguments import checked
 
 __all__ = ["FACTORS", "HOLDS", "friction_effects", "friction_needed", "with_scaled_friction"]
 
@@ -27,6 +29,7 @@ FACTORS = (0.0, 0.5, 2.0)  #: factors on the coefficients of friction
 HOLDS = 0.1  #: change relative to 6σ below which a result holds
 
 
+@checked
 def friction_effects(
     model: ReducedModel,
     law: str | None = None,
@@ -55,13 +58,13 @@ def friction_effects(
 
     Raises
     ------
-    ValueError
+    ArgumentError
         If nothing is measured or nothing has friction.
     """
     scene, contacts = model.scene, model.contacts
     law = law or first_frictional(scene.report.laws)
     if not scene.measurements or contacts.dimension == 1 or not contacts.frictional:
-        raise ValueError(f"scene {scene.name!r} has no {'friction' if scene.measurements else 'measurements'}")
+        raise ArgumentError(f"scene {scene.name!r} has no {'friction' if scene.measurements else 'measurements'}")
     deviations = draw(scene, seed, 0, samples)
     evaluate = lambda variant, x: key_characteristics(variant.process(law, threads=threads), x, progress)
     base, frames = evaluate(model, deviations), []
@@ -91,7 +94,7 @@ def _scaled_deviations(scene, deviations: np.ndarray, zones: np.ndarray, factor:
     """Deviations (n, p) with those of the zones' friction multiplied by the same factor."""
     x, names = deviations.copy(), {scene.zones[z].name for z in zones}
     for j, item in enumerate(scene.deviations):
-        if item.kind == "friction" and {*([item.target] if isinstance(item.target, str) else item.target)} <= names:
+        if item.kind == "friction" and {*targets(item)} <= names:
             x[:, j] *= factor
     return x
 

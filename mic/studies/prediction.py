@@ -22,7 +22,7 @@ import numpy as np
 import pandas as pd
 from scipy.special import ndtri
 
-from mic.errors import SceneError
+from mic.errors import ArgumentError, SceneError
 from mic.process.model import ReducedModel
 from mic.results.schema import PREDICTIONS
 from mic.statistics.estimates import LEVEL
@@ -30,6 +30,7 @@ from mic.studies.adjustment import FACTOR, SHIM, adjustments
 from mic.studies.emulator_training import train_emulator
 from mic.studies.samples import Progress, limits
 from mic.studies.smallest_adjustment import AdjustmentSearch
+from mic.system.arguments import checked, numbers_by_name
 
 __all__ = ["FARTHEST", "Predictor", "predict"]
 
@@ -67,7 +68,7 @@ class Predictor:
     ------
     SceneError
         If nothing is measured or nothing varies.
-    ValueError
+    ArgumentError
         If an adjustable item is unknown, or the error is negative.
     """
 
@@ -90,7 +91,7 @@ class Predictor:
                 "nothing to predict; add some"
             )
         if not error >= 0:
-            raise ValueError(f"error must not be negative, but is {error:g}")
+            raise ArgumentError(f"error must not be negative, but is {error:g}")
         self.model, self.law, self.error = model, law or scene.report.laws[0], error
         self._process = model.process(self.law)
         self._mean = np.array([item.mean for item in scene.deviations])
@@ -123,10 +124,10 @@ class Predictor:
 
         Raises
         ------
-        ValueError
+        ArgumentError
             For unknown names and values that are not finite.
         """
-        x = self.model.deviations(dict(values))[0]
+        x = self.model.deviations(numbers_by_name("parts", values))[0]
         names = self.model.parameters
         given = np.array([name in values for name in names])
         distance = self._distance(x)
@@ -182,6 +183,7 @@ class Predictor:
         return table.assign(file="", row=0, model="", law=self.law, far=float(distance.max()))[PREDICTIONS.names]
 
 
+@checked
 def predict(
     model: ReducedModel,
     parts: pd.DataFrame | Sequence[Mapping[str, float]],
@@ -213,12 +215,13 @@ def predict(
     ------
     SceneError
         As :class:`Predictor`, and if there is no assembly.
-    ValueError
+    ArgumentError
         As :class:`Predictor`, and for unknown names and values that are not finite.
     """
     rows = parts.to_dict("records") if isinstance(parts, pd.DataFrame) else list(parts)
     if not rows:
         raise SceneError("parts: the list is empty; give a row for each assembly")
+    named = [numbers_by_name("parts", row, unknown=True) for row in rows]
+    known = [{name: value for name, value in row.items() if not np.isnan(value)} for row in named]
     predictor = Predictor(model, law, adjust, shim, factor, error, exact, cache)
-    known = [{str(name): value for name, value in row.items() if not np.isnan(value)} for row in rows]
     return pd.concat([predictor.predict(row).assign(row=i) for i, row in enumerate(known)], ignore_index=True)

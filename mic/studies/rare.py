@@ -28,7 +28,7 @@ import numpy as np
 import pandas as pd
 from scipy.special import ndtr, ndtri
 
-from mic.errors import SceneError
+from mic.errors import ArgumentError, SceneError
 from mic.process.model import ReducedModel
 from mic.results.schema import DESIGN_POINTS, RARE
 from mic.statistics import estimates
@@ -36,6 +36,7 @@ from mic.statistics.draw import at_probabilities, number_count
 from mic.statistics.estimates import LEVEL
 from mic.studies.first_order_reliability import design_points, first_order
 from mic.studies.samples import Progress, half_tolerances, valid
+from mic.system.arguments import checked
 
 __all__ = ["RareFailures", "Subset", "agree", "rare", "subset_simulation"]
 
@@ -157,6 +158,7 @@ def agree(row) -> bool:
     return bool(near or row["outside_low"] <= row["first_order"] <= row["outside_high"])
 
 
+@checked
 def rare(
     model: ReducedModel,
     law: str | None = None,
@@ -183,15 +185,18 @@ def rare(
 
     Raises
     ------
-    ValueError
+    ArgumentError
         If nothing is measured or nothing varies, or the samples are stated in a table.
     """
     scene = model.scene
     if not scene.measurements or not scene.deviations or scene.monte_carlo.values is not None:
         what = "states its samples in a table" if scene.monte_carlo.values is not None else "measures or varies nothing"
-        raise ValueError(f"scene {scene.name!r} {what}: the probability of rare violations cannot be computed")
-    process = model.process(law, threads=threads)
+        raise ArgumentError(f"scene {scene.name!r} {what}: the probability of rare violations cannot be computed")
     items = scene.measurements
+    for name in names:
+        if name not in (known := [item.name for item in items]):
+            raise ArgumentError(f"names: {name!r} is no key characteristic of this scene; it has: {', '.join(known)}")
+    process = model.process(law, threads=threads)
     middle = np.array([(item.lower + item.upper) / 2 for item in items])
     half = half_tolerances(scene)
     rows, evaluated = [], []

@@ -31,6 +31,7 @@ import numpy as np
 import pandas as pd
 from scipy.optimize import linprog
 
+from mic.errors import ArgumentError, SceneError
 from mic.process.model import ReducedModel
 from mic.results.schema import REMEDIES, REMEDY_EFFECTS
 from mic.statistics import estimates
@@ -40,6 +41,7 @@ from mic.statistics.estimates import LEVEL
 from mic.studies.adjustment import FACTOR, SHIM, Adjustment, adjustments, with_adjustments, with_changes
 from mic.studies.samples import Progress, derivatives, half_tolerances, key_characteristics
 from mic.studies.samples import limits as scene_limits
+from mic.system.arguments import checked
 
 __all__ = ["CAPABILITY", "SAMPLES", "Limits", "Remedies", "Remedy", "remedies", "smallest"]
 
@@ -331,6 +333,7 @@ class _Search:
         return Remedy(name, changes, excess <= TOLERATED, rounds, [a for a, _ in sets], [b for _, b in sets])
 
 
+@checked
 def remedies(
     model: ReducedModel,
     law: str | None = None,
@@ -362,7 +365,7 @@ def remedies(
 
     Raises
     ------
-    ValueError
+    ArgumentError
         If nothing is measured or nothing can be adjusted, and as :func:`mic.studies.adjustment.adjustments`.
     SceneError
         If parts are held by contact alone.
@@ -370,14 +373,14 @@ def remedies(
     scene = model.scene
     available = adjustments(model, shim, factor, names)
     if not scene.measurements:
-        raise ValueError(f"scene {scene.name!r} has no measurements: there is nothing to remedy")
+        raise ArgumentError(f"scene {scene.name!r} has no measurements: there is nothing to remedy")
     if not available:
-        raise ValueError(f"scene {scene.name!r} has nothing to adjust besides the datum of its measurements")
+        raise ArgumentError(f"scene {scene.name!r} has nothing to adjust besides the datum of its measurements")
     limits = Limits(*scene_limits(scene), half_tolerances(scene), 3 * capability)
     search = _Search(model, law, available, limits, samples, seed, threads, progress)
     known = search.unchanged(0)[np.isfinite(search.unchanged(0)).all(axis=1)]
     if not len(known):
-        raise ValueError(f"scene {scene.name!r}: every sample fails without any change; see the messages of `mic run`")
+        raise SceneError(f"scene {scene.name!r}: every sample fails without any change; see the messages of `mic run`")
     excess = -limits.margin(known) / limits.half
     worst, every = int(excess.argmax()), np.arange(len(available))
     found: list[Remedy] = []

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
+from mic.errors import ArgumentError
 from mic.process.model import ReducedModel
 from mic.process.sensitivity import AT_CHANGE, known_inputs
 from mic.results.schema import SENSITIVITIES, SPREADS
@@ -19,6 +20,7 @@ from mic.statistics.derivative_regression import estimates_with_derivatives
 from mic.statistics.draw import draw
 from mic.statistics.estimates import six_sigma
 from mic.studies.samples import Progress, derivatives
+from mic.system.arguments import checked
 
 __all__ = ["SAMPLES", "Effects", "effects", "steps"]
 
@@ -100,6 +102,7 @@ def _spread(scene, law: str, inputs: list[str], x: np.ndarray, y: np.ndarray, ja
     )[SPREADS.names]
 
 
+@checked
 def effects(
     model: ReducedModel,
     law: str | None = None,
@@ -122,14 +125,14 @@ def effects(
 
     Raises
     ------
-    ValueError
+    ArgumentError
         If nothing is measured.
     SceneError
         If parts are held by contact alone and places in sheets are inputs.
     """
     scene = model.scene
     if not scene.measurements:
-        raise ValueError(f"scene {scene.name!r} has no measurements: there are no effects to compute")
+        raise ArgumentError(f"scene {scene.name!r} has no measurements: there are no effects to compute")
     inputs, law = steps(model), law or scene.report.laws[0]
     mean = model.sensitivities({}, law, inputs)
     deviations = [name for name in inputs if name in model.parameters]

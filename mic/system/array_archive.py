@@ -60,9 +60,9 @@ def _read_member(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> np.ndarra
         if not dtype.itemsize or count * dtype.itemsize != member.file_size - len(_PREAMBLE) - 2 - length:
             raise ValueError(f"{member.filename}: its size is not that of its array")
         array = np.empty(count, dtype)
-        target = memoryview(array.view(np.uint8))
+        target = array.view(np.uint8)
         for start in range(0, len(target), CHUNK):
-            if content.readinto(target[start : start + CHUNK]) != len(target[start : start + CHUNK]):
-                raise EOFError(f"{member.filename}: cut short")
+            piece = target[start : start + CHUNK]
+            piece[:] = np.frombuffer(content.read(len(piece)), np.uint8)
         content.read(1)  # compares the checksum of the member, even if the array is empty
     return array.reshape(shape[::-1]).T if header[2] == b"True" else array.reshape(shape)

@@ -11,6 +11,7 @@ content, unlike ``joblib.Memory``, which unpickles.
 from __future__ import annotations
 
 import functools
+import logging
 import platform
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import fields
@@ -21,12 +22,15 @@ import numpy as np
 import scipy
 from scipy.sparse import csr_matrix
 
+from mic.errors import FormatError
 from mic.system.disk_cache import Cache
-from mic.system.files import fingerprint
+from mic.system.files import fingerprint, reading
 
 __all__ = ["memoise", "pack", "program", "unpack"]
 
 T = TypeVar("T")
+
+_log = logging.getLogger(__name__)
 
 
 def memoise(
@@ -54,11 +58,14 @@ def memoise(
     """
     identity = fingerprint([program(), inputs])
     cached = cache.load(identity)
-    if cached is None:
-        header, arrays = pack(compute(), known)
-        cache.store(identity, {"content": header}, arrays)
-    else:
-        header, arrays = cached[0]["content"], cached[1]
+    if cached is not None:
+        try:
+            with reading(cache.path(identity), cache.format):
+                return unpack(cached[0]["content"], cached[1], classes, known), identity
+        except FormatError as problem:
+            _log.warning("%s", problem)
+    header, arrays = pack(compute(), known)
+    cache.store(identity, {"content": header}, arrays)
     return unpack(header, arrays, classes, known), identity
 
 

@@ -25,6 +25,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mic.contact.friction import Friction
+from mic.errors import ArgumentError
 
 __all__ = ["LAWS", "Law", "find"]
 
@@ -216,4 +217,4 @@ def find(law: str | Law) -> Law:
     try:
         return LAWS[law]
     except (KeyError, TypeError):
-        raise ValueError(f"law must be one of {', '.join(LAWS)}; got {law!r}") from None
+        raise ArgumentError(f"law must be one of {', '.join(LAWS)}; got {law!r}") from None

@@ -32,6 +32,7 @@ from mic.studies.optimisation.moved_items import RelocatedModels
 from mic.studies.optimisation.objective import ConstraintCheck, Objective
 from mic.studies.optimisation.search import all_designs, local_search, successive_halving
 from mic.studies.samples import Progress, first_frictional
+from mic.system.arguments import checked
 from mic.system.disk_cache import cache_folder
 
 __all__ = ["BUDGET", "FRESH", "SAMPLES", "Optimum", "evaluate_design", "optimise"]
@@ -117,6 +118,7 @@ class Optimum:
         return [check for check in self.kept if check.short > 0]
 
 
+@checked
 def optimise(
     model: ReducedModel,
     law: str | None = None,
