@@ -38,6 +38,7 @@ from typing import Any
 
 import numpy as np
 
+from mic.contact.contact_residual import as_contacts, contact_residuals
 from mic.contact.friction import Friction
 from mic.contact.laws import Law, find
 from mic.contact.units import out_of_range, unit
@@ -50,7 +51,7 @@ EPS = float(np.finfo(float).eps)
 
 @dataclass(frozen=True)
 class Certificate:
-    """Residual and violations of a force; scalars for one sample, (n,) arrays for a batch.
+    """Residual and violations of a force; scalars for one sample, (n,) arrays for a batch, beside `contact_residual`.
 
     The residual is that of the requested law.  The other four measure Coulomb's conditions (9) and (10) with the
     friction bound of the law, so that they show how a solution of ``associated`` violates them.
@@ -67,6 +68,9 @@ class Certificate:
         Largest ``|f_n u_n|``: force across a gap [force × length].
     slip_error : float or (n,) array
         Largest ``|μ f_n ‖u_t‖ + f_t·u_t|``, the work by which friction fails to oppose slip [force × length].
+    contact_residual : (m,) or (n, m) array
+        Error of each contact, relative to its own force or, if it is open, to its own gap [1]; see
+        :mod:`mic.contact.contact_residual`.
     """
 
     residual: np.ndarray
@@ -74,6 +78,7 @@ class Certificate:
     cone_violation: np.ndarray
     complementarity: np.ndarray
     slip_error: np.ndarray
+    contact_residual: np.ndarray
 
 
 def contact_stiffness(S: np.ndarray, law: Law, dimension: int = 3) -> np.ndarray:
@@ -137,7 +142,8 @@ def certify(S, b, mu, force, law: str | Law = "coulomb", dimension: int = 3) -> 
     certificate = replace(certificate, **in_units(certificate, length, length / compliance))
     if b.ndim == 2:
         return certificate
-    return Certificate(**{name: values[0].item() for name, values in vars(certificate).items()})
+    one = {name: values[0] for name, values in vars(certificate).items()}
+    return Certificate(**{name: value.item() if value.ndim == 0 else value for name, value in one.items()})
 
 
 def in_units(scaled: Any, length: np.ndarray, force: np.ndarray) -> dict[str, np.ndarray]:
@@ -163,7 +169,7 @@ def measure(S, b, parameters, force, law, stiffness, dimension, series):
     displacement = product(force, S) + b
     found = residual(S, b, parameters, force, law, stiffness, dimension, displacement)
     n, m = len(b), len(S) // dimension
-    f, u = (_as_contacts(a, n, m, dimension) for a in (force, displacement))
+    f, u = (as_contacts(a, n, m, dimension) for a in (force, displacement))
     if not law.frictional:
         u = u * [1.0, 0.0, 0.0]
     with np.errstate(invalid="ignore", over="ignore", divide="ignore"):
@@ -177,6 +183,7 @@ def measure(S, b, parameters, force, law, stiffness, dimension, series):
             cone_violation=np.max(traction - bound, axis=1, initial=0.0),
             complementarity=np.max(np.abs(f[..., 0] * u[..., 0]), axis=1, initial=0.0),
             slip_error=np.max(np.abs(work), axis=1, initial=0.0),
+            contact_residual=contact_residuals(S, b, parameters, force, law, dimension, displacement),
         )
     return certificate, displacement - force * series if series.any() else displacement
 
@@ -185,7 +192,7 @@ def residual(S, b, parameters, force, law, stiffness, dimension, displacement=No
     """(n,) residuals alone, see :func:`measure`; ``displacement`` (n, d m) is ``S f + b``, if known."""
     displacement = product(force, S) + b if displacement is None else displacement
     n, m = len(b), len(S) // dimension
-    f, u, u0 = (_as_contacts(a, n, m, dimension) for a in (force, displacement, b))
+    f, u, u0 = (as_contacts(a, n, m, dimension) for a in (force, displacement, b))
     # Coefficients at the force and at zero force.
     mu, mu0 = (law.coefficient(parameters, normal) for normal in (f[..., 0], np.zeros((n, m))))
     if not law.frictional:
@@ -208,12 +215,3 @@ def residual(S, b, parameters, force, law, stiffness, dimension, displacement=No
         found = np.divide(error, scale, out=np.zeros(n), where=error != 0.0)
         found[~np.isfinite(found)] = np.inf
     return found
-
-
-def _as_contacts(a: np.ndarray, n: int, m: int, dimension: int) -> np.ndarray:
-    """(n, d m) → (n, m, 3), tangential components zero where there are none."""
-    if dimension == 3:
-        return a.reshape(n, m, 3)
-    full = np.zeros((n, m, 3))
-    full[..., 0] = a
-    return full

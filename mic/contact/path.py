@@ -21,7 +21,7 @@ import numpy as np
 
 from mic.contact.increments import Increments
 from mic.contact.path_record import PathRecord, record_array
-from mic.contact.solution import ContactSolution
+from mic.contact.solution import ContactSolution, Status
 from mic.contact.states import OPEN, SLIP, STICK, classify
 from mic.system.matrix_product import product
 
@@ -124,6 +124,11 @@ class Trace:
         """The trace with its shares multiplied, for paths of unequal length in sequence."""
         return replace(self, share=weight * self.share)
 
+    def add(self, own: np.ndarray, other: Trace) -> None:
+        """Append paths of the samples `own` to this trace, in place."""
+        for field in fields(Trace):
+            getattr(self, field.name)[own] += getattr(other, field.name)
+
     def __add__(self, other: Trace) -> Trace:
         """Two paths in sequence; the shares are summed, and :meth:`PathSolution.join` divides them by their number."""
         return Trace(**{field.name: getattr(self, field.name) + getattr(other, field.name) for field in fields(Trace)})
@@ -142,13 +147,18 @@ class PathSolution:
         Points from which further slip is measured.
     trace : Trace
     residual : (n,) array
-        The largest of the steps that were certified: all increments, or the end of a followed path.
+        The largest of the steps that were certified: the ends of legs, and every increment that the compiled follower
+        did not solve.
     converged : (n,) bool array
     iterations : (n,) int array
     status, rung : (n,) object array
-        Of the last step; the rung is ``"followed"`` or ``"increments"``, or that of the ladder if both failed.
+        Of the last step, or of the first without a solution; the rung is ``"followed"`` or ``"increments"``, or that of
+        the ladder if both failed.
     record : (n,) object array or None
         The :class:`mic.contact.path_record.PathRecord` of the last leg of each sample, if its path is recorded.
+    unresolved : (n, m) bool array or None
+        Contacts that do not satisfy their law on their own scale in the steps that were certified, see
+        :attr:`mic.contact.solution.ContactSolution.unresolved`; None for working sets of candidates.
     """
 
     force: np.ndarray
@@ -161,6 +171,7 @@ class PathSolution:
     status: np.ndarray
     rung: np.ndarray
     record: np.ndarray | None = None
+    unresolved: np.ndarray | None = None
 
     def replaced(self, own: np.ndarray, new: PathSolution) -> PathSolution:
         """The paths with those of the samples `own` replaced; factorisations of both count."""
@@ -177,10 +188,12 @@ class PathSolution:
         last = pieces[-1]
         if len(pieces) == 1:
             return last
-        rung = last.rung.copy()
+        rung, status = last.rung.copy(), last.status.copy()
         for piece in pieces:
             not_followed = (piece.rung != "followed") & (rung == "followed")
             rung[not_followed] = piece.rung[not_followed]
+            failed = ~piece.converged & (status == Status.CONVERGED)
+            status[failed] = piece.status[failed]
         trace = reduce(Trace.__add__, (piece.trace for piece in pieces))
         return replace(
             last,
@@ -189,6 +202,7 @@ class PathSolution:
             converged=np.all([piece.converged for piece in pieces], axis=0),
             iterations=np.sum([piece.iterations for piece in pieces], axis=0),
             rung=rung,
+            status=status,
         )
 
 
@@ -238,13 +252,21 @@ def follow(solver, b, force, anchor, path: Path) -> PathSolution:
         return end_state(solver, b[:, -1], force, path.recorded)
     if not (solver.law.followed or isinstance(path, Increments)):
         path = Increments(1, path.recorded)
+    outside = solver.outside_range(b.reshape(n, -1))  # a path has units and is not scaled
+    if outside.any():
+        b, force, anchor = b.copy(), force.copy(), anchor.copy()
+        b[outside], force[outside], anchor[outside] = 0.0, 0.0, 0.0
     solve_leg: Callable[..., PathSolution] = followed if solver.law.followed else increments
     legs = []
     for k in range(loads - 1):
         leg = solve_leg(solver, b[:, k], b[:, k + 1], force, anchor, path)
         force, anchor = leg.force, leg.anchor
         legs.append(leg)
-    return PathSolution.join(legs)
+    unresolved = np.any([leg.unresolved for leg in legs], axis=0)
+    solution = replace(PathSolution.join(legs), unresolved=unresolved)
+    solution.converged[outside], solution.residual[outside] = False, np.inf
+    solution.status[outside] = Status.OUT_OF_RANGE
+    return solution
 
 
 def followed(solver, b0, b1, force, anchor, path: Path) -> PathSolution:
@@ -266,6 +288,7 @@ def followed(solver, b0, b1, force, anchor, path: Path) -> PathSolution:
         status=status,
         rung=np.full(n, "increments" if incremental else "followed", dtype=object),
         record=leg.record,
+        unresolved=solver.unresolved(leg.b, leg.force, response),
     )
     failed = np.flatnonzero(~converged | leg.given_up)
     if not failed.size:
@@ -292,23 +315,29 @@ def increments(solver, b0, b1, force, anchor, path: Increments) -> PathSolution:
     n, m = len(b0), solver.contacts
     trace = Trace.start(n, m)
     converged, residual, iterations = np.ones(n, dtype=bool), np.zeros(n), np.zeros(n, dtype=np.int64)
+    status, rung = np.full(n, Status.CONVERGED, dtype=object), np.full(n, "increments", dtype=object)
+    force, anchor, unresolved = force.copy(), anchor.copy(), np.zeros((n, m), dtype=bool)
     ends, forces = path.ends, []
     for end, part in zip(ends, np.diff(ends, prepend=0.0)):
-        b = b0 + end * (b1 - b0)
-        b = b.reshape(n, m, 3).copy()
-        b[:, :, 1:] -= anchor
+        left = np.flatnonzero(converged)  # a sample ends at its first increment without a solution
+        if not left.size:
+            forces.append(force.copy())
+            continue
+        b = (b0[left] + end * (b1[left] - b0[left])).reshape(len(left), m, 3)
+        b[:, :, 1:] -= anchor[left]
         # If Coulomb's law has several solutions, the guess selects the one that continues the last state.
-        solution = solver.solve(b.reshape(n, -1), guess=force)
-        before, now = (f.reshape(n, m, 3) for f in (force, solution.force))
-        moved = solution.displacement.reshape(n, m, 3)[:, :, 1:] + solver.compliance[:, None] * now[:, :, 1:]
+        solution = solver.solve(b.reshape(len(left), -1), guess=force[left], refine=False)
+        before, now = (f.reshape(-1, m, 3) for f in (force[left], solution.force))
+        moved = solution.displacement.reshape(-1, m, 3)[:, :, 1:] + solver.compliance[:, None] * now[:, :, 1:]
         step = Trace.of_step(classify(now, solver.bound(now[..., 0])), solution.factorisations)
-        trace += step.with_slip(moved, before, now).weighted(part)
-        anchor = anchor + moved
-        force = solution.force
-        forces.append(force)
-        converged &= solution.converged
-        residual = np.maximum(residual, solution.residual)
-        iterations = iterations + solution.iterations
+        trace.add(left, step.with_slip(moved, before, now).weighted(part))
+        anchor[left] += moved
+        force[left] = solution.force
+        forces.append(force.copy())
+        converged[left], status[left], rung[left] = solution.converged, solution.status, solution.rung
+        residual[left] = np.maximum(residual[left], solution.residual)
+        unresolved[left] |= solution.unresolved
+        iterations[left] += solution.iterations
     return PathSolution(
         force=force,
         displacement=(product(force, solver.S) + b1).reshape(n, -1),
@@ -317,9 +346,10 @@ def increments(solver, b0, b1, force, anchor, path: Increments) -> PathSolution:
         residual=residual,
         converged=converged,
         iterations=iterations,
-        status=np.asarray(solution.status),
-        rung=np.asarray(solution.rung),
+        status=status,
+        rung=rung,
         record=_records(ends, forces) if path.recorded else None,
+        unresolved=unresolved,
     )
 
 
@@ -337,7 +367,7 @@ def end_state(solver, b, guess, recorded: bool = False) -> PathSolution:
     b, guess : (n, d m) array
     recorded : bool
     """
-    return from_solution(solver, solver.solve(b, guess=guess), recorded)
+    return from_solution(solver, solver.solve(b, guess=guess, refine=False), recorded)
 
 
 def from_solution(solver, solution: ContactSolution, recorded: bool = False) -> PathSolution:
@@ -355,4 +385,5 @@ def from_solution(solver, solution: ContactSolution, recorded: bool = False) -> 
         status=np.asarray(solution.status),
         rung=np.asarray(solution.rung),
         record=_records(np.ones(1), [solution.force]) if recorded else None,
+        unresolved=solution.unresolved,
     )

@@ -8,6 +8,7 @@ from enum import Enum
 import numpy as np
 
 from mic.contact.certificate import Certificate
+from mic.contact.contact_residual import RESOLVED
 
 __all__ = ["ContactSolution", "Status"]
 
@@ -57,7 +58,8 @@ class ContactSolution(Certificate):
     displacement : array like ``force``
         ``u = S f + b``; ``u_n >= 0`` is separation [length].
     converged : bool or (n,) bool array
-        ``residual <= tol``.
+        ``residual <= tol``, relative to the energy of all contacts; :attr:`unresolved` has the contacts that are too
+        small for that to say anything about them.
     status : Status or (n,) object array of Status
         One outcome per sample.
     iterations : int or (n,) int array
@@ -67,7 +69,7 @@ class ContactSolution(Certificate):
         Factorisations shared by all samples are not counted; 0 if a backend reports none.
     rung : str or (n,) object array of str
         Rung of :mod:`mic.contact.ladder` that found the force; for other backends, their name.
-    residual, penetration, cone_violation, complementarity, slip_error : float or (n,) array
+    residual, penetration, cone_violation, complementarity, slip_error, contact_residual
         See :class:`mic.contact.certificate.Certificate`.
     """
 
@@ -78,3 +80,9 @@ class ContactSolution(Certificate):
     iterations: np.ndarray
     factorisations: np.ndarray
     rung: np.ndarray
+
+    @property
+    def unresolved(self) -> np.ndarray:
+        """(m,) or (n, m) bool array: contacts that do not satisfy their law on their own scale, only to within the
+        tolerance of all: their ``contact_residual`` exceeds :data:`mic.contact.contact_residual.RESOLVED`."""
+        return ~(self.contact_residual <= RESOLVED)

@@ -11,9 +11,11 @@ import numpy as np
 
 from mic.contact.backends import BACKENDS
 from mic.contact.certificate import contact_stiffness, in_units, measure, residual, series_compliance
+from mic.contact.contact_residual import RESOLVED, as_contacts, contact_residuals
 from mic.contact.friction import Friction, finite
 from mic.contact.laws import Law, find
 from mic.contact.path import Followed, Path, PathSolution, follow, with_samples
+from mic.contact.refinement import refined
 from mic.contact.solution import ContactSolution, Status
 from mic.contact.units import out_of_range, unit
 from mic.system.matrix_product import one_thread
@@ -29,6 +31,8 @@ INDEFINITE = 5e-7
 SMALLEST = np.finfo(float).tiny / np.finfo(float).eps
 #: The search for a solution ends at this fraction of the tolerance, so that rounding cannot change the outcome.
 SAFETY = 0.5
+#: Overlap of a contact that no force moves, relative to the largest displacement, that counts as rounding.
+ROUNDING = 16.0 * np.finfo(float).eps
 OUTCOMES = np.array([Status.CONVERGED, Status.NOT_CONVERGED, Status.INFEASIBLE], dtype=object)
 
 
@@ -151,7 +155,7 @@ class ContactSolver:
         return self.law.bound(normal, self._parameters)
 
     @one_thread
-    def solve(self, b: np.ndarray, guess: np.ndarray | None = None) -> ContactSolution:
+    def solve(self, b: np.ndarray, guess: np.ndarray | None = None, refine: bool = True) -> ContactSolution:
         """Solve for one right-hand side or a batch of them.
 
         Samples are independent of each other.
@@ -162,6 +166,8 @@ class ContactSolver:
             Relative displacements without contact forces, gaps included [length].
         guess : array shaped like ``b``, optional
             Forces to start from.
+        refine : bool
+            Whether converged samples with unresolved contacts are refined (:mod:`mic.contact.refinement`).
 
         Returns
         -------
@@ -174,18 +180,22 @@ class ContactSolver:
             if guess.shape != b.shape:
                 raise ValueError(f"guess must have the shape of b, {b.shape}; got {guess.shape}")
             guess = np.atleast_2d(guess)
-        scaled = out_of_range(rows) | self._scaled
+        scaled = self.outside_range(rows)
         if not scaled.any():
-            solution = self._solve(rows, guess)
+            solution = self._solve(rows, guess, refine)
         elif scaled.all():
-            solution = self._solve_scaled(rows, guess)
+            solution = self._solve_scaled(rows, guess, refine)
         else:
-            solution = self._solve(np.where(scaled[:, None], 0.0, rows), guess)
-            own = self._solve_scaled(rows[scaled], None if guess is None else guess[scaled])
+            solution = self._solve(np.where(scaled[:, None], 0.0, rows), guess, refine)
+            own = self._solve_scaled(rows[scaled], None if guess is None else guess[scaled], refine)
             solution = with_samples(solution, scaled, own)
         return solution if b.ndim == 2 else _only(solution)
 
-    def _solve(self, rows, guess) -> ContactSolution:
+    def outside_range(self, rows: np.ndarray) -> np.ndarray:
+        """(n,) samples whose displacements (n, k), or whose S, lie outside :data:`mic.contact.units.RANGE`."""
+        return out_of_range(rows) | self._scaled
+
+    def _solve(self, rows, guess, refine) -> ContactSolution:
         """Solve problems whose numbers are within range."""
         if self._rigid:  # forces cause no displacement
             force, counts = np.zeros_like(rows), np.zeros((2, len(rows)), dtype=np.int64)
@@ -193,12 +203,13 @@ class ContactSolver:
         else:
             force, *both, rung = self.backend.solve(rows, guess)
             counts = np.array(both)
-        solution = self.certify(rows, force, counts[0], counts[1], rung)
+        rigid = self._overlaps_rigidly(rows)
+        solution = self.certify(rows, force, counts[0], counts[1], rung, rigid)
         unsolved = np.flatnonzero(~solution.converged)
         if unsolved.size:
-            infeasible = np.zeros(len(rows), dtype=bool)
+            infeasible = rigid.copy()
             for sample in unsolved:
-                infeasible[sample] = self._rigid or self.backend.infeasible(rows[sample])
+                infeasible[sample] |= self._rigid or self.backend.infeasible(rows[sample])
                 if infeasible[sample]:
                     force[sample] = 0.0
                 else:
@@ -206,13 +217,39 @@ class ContactSolver:
             solution = self.certify(rows, force, counts[0], counts[1], rung, infeasible)
             lost = ~solution.converged & ~infeasible
             if guess is not None and lost.any():  # try again without the guess
-                again = self._solve(rows[lost], None)
+                again = self._solve(rows[lost], None, False)
                 counts = counts[:, lost] + [again.iterations, again.factorisations]
                 again = replace(again, iterations=counts[0], factorisations=counts[1])
                 solution = with_samples(solution, lost, again)
-        return solution
+        return self._refine(rows, solution) if refine else solution
 
-    def _solve_scaled(self, rows, guess) -> ContactSolution:
+    def _overlaps_rigidly(self, rows) -> np.ndarray:
+        """(n,) samples with a contact that overlaps, though no force moves it."""
+        own = self._sliding.diagonal().reshape(self.contacts, self.dimension)
+        normal_alone = self.law.shift == 1.0 or not self.law.frictional
+        still = np.flatnonzero(~(own[:, :1] if normal_alone else own).any(axis=1))
+        still = still[[not self._sliding[self.dimension * k].any() for k in still]]
+        if not still.size:
+            return np.zeros(len(rows), dtype=bool)
+        b = as_contacts(rows, len(rows), self.contacts, self.dimension)
+        mu = self.law.coefficient(self._parameters, np.zeros(b.shape[:2]))
+        overlap = -self.law.opening(b, mu)[:, still].min(axis=1)
+        return overlap > ROUNDING * np.abs(rows).max(axis=1)
+
+    def _refine(self, rows, solution) -> ContactSolution:
+        """Refine converged samples with unresolved contacts, as far as their residual stays below the tolerance."""
+        poor = np.flatnonzero(solution.converged & solution.unresolved.any(axis=1))
+        if not poor.size:
+            return solution
+        known = self._parameters, self.law, self.dimension
+        force = np.array([refined(self._sliding, rows[k], solution.force[k], *known) for k in poor])
+        counts = solution.iterations[poor], solution.factorisations[poor]
+        better = self.certify(rows[poor], force, *counts, solution.rung[poor])
+        worst = solution.contact_residual[poor].max(axis=1)
+        taken = better.converged & (better.contact_residual.max(axis=1) < worst)
+        return with_samples(solution, poor[taken], replace(better, **{k: v[taken] for k, v in vars(better).items()}))
+
+    def _solve_scaled(self, rows, guess, refine) -> ContactSolution:
         """Solve problems out of range in scaled units, unless the law depends on units."""
         if self.law.reads:
             n, zero = len(rows), np.zeros_like(rows)
@@ -221,10 +258,10 @@ class ContactSolver:
             return _refused(found, np.ones(n, dtype=bool))
         compliance, length = unit(self.S.ravel()), unit(rows)
         own = ContactSolver(self.S / compliance, self.mu, self.law, tol=self.tol, semidefinite=True, **self._settings)
-        with np.errstate(over="ignore", invalid="ignore"):
+        with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
             force = length / compliance
-            scaled = None if guess is None else guess / force[:, None]
-            found = own._solve(rows / length[:, None], scaled)
+            scaled = None if guess is None else np.nan_to_num(guess / force[:, None], posinf=0.0, neginf=0.0)
+            found = own._solve(rows / length[:, None], scaled, refine)
             moved = found.force.any(axis=1)
             found = replace(
                 found,
@@ -261,6 +298,8 @@ class ContactSolver:
         """
         certificate, displacement = self._measure(b, force)
         converged = certificate.residual <= self.tol
+        if infeasible is not None:
+            converged &= ~infeasible
         unsolved = 1 if infeasible is None else np.where(infeasible, 2, 1)
         return ContactSolution(
             force=force,
@@ -284,6 +323,13 @@ class ContactSolver:
         found = residual(self._sliding, b, *known)
         converged = found <= self.tol
         return found, converged, OUTCOMES[np.where(converged, 0, 1)]
+
+    def unresolved(self, b: np.ndarray, force: np.ndarray, response: np.ndarray) -> np.ndarray:
+        """(n, m) contacts that violate their law on their own scale, :attr:`ContactSolution.unresolved`; arguments
+        as :meth:`check_convergence` has them."""
+        displacement = response + force * self._series + b
+        known = self._parameters, force, self.law, self.dimension, displacement
+        return ~(contact_residuals(self._sliding, b, *known) <= RESOLVED)
 
     @one_thread
     def follow(
@@ -313,20 +359,26 @@ class ContactSolver:
         -------
         PathSolution
         """
-        return follow(self, np.asarray(b, dtype=float), force, anchor, path or Followed())
+        b = finite("b", b)
+        if b.ndim != 3 or b.shape[1] < 2 or b.shape[2] != len(self.S):
+            raise ValueError(f"b must have shape (n, k + 1, {len(self.S)}) with k >= 1; got {b.shape}")
+        return follow(self, b, force, anchor, path or Followed())
 
     def _measure(self, rows, force):
         known = self._parameters, force, self.law, self._stiffness, self.dimension, self._series
         return measure(self._sliding, rows, *known)
 
+    def _residual(self, rows, force):
+        return residual(self._sliding, rows, self._parameters, force, self.law, self._stiffness, self.dimension)
+
     def _apply_fallbacks(self, sample, b, force, counts, rung):
         """Apply the fallback methods to one sample, improving its force, counts and rung in place."""
-        best = self._measure(b[[sample]], force[[sample]])[0].residual[0]
+        best = self._residual(b[[sample]], force[[sample]])[0]
         for candidate, *more, name in self.backend.attempts(b[sample], force[sample].copy()):
             counts[:, sample] += more
-            residual = self._measure(b[[sample]], candidate[None])[0].residual[0]
-            if residual < best:
-                best = residual
+            left = self._residual(b[[sample]], candidate[None])[0]
+            if left < best:
+                best = left
                 force[sample], rung[sample] = candidate, name
             if best <= SAFETY * self.tol:
                 break

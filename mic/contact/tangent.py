@@ -347,7 +347,7 @@ class _PathSolver:
         slides = self._on_cone(before) & second
         shift, f = np.zeros((m, size)), guess
         for _ in range(MAX_ITERATIONS):
-            found = self._solver.solve((b - shift.ravel())[None], f[None])
+            found = self._solver.solve((b - shift.ravel())[None], f[None], refine=False)
             f = found.force[0]
             if not slides.any():
                 break
