@@ -29,7 +29,7 @@ def explore(source, port, browser, keep, shim, force, law):
         from mic.explorer.server import check_port, serve
         from mic.explorer.shapes import Shapes, shapes_path
     except ModuleNotFoundError as missing:
-        if not (missing.name or "").startswith(("trame", "wslink", "aiohttp")):
+        if not (missing.name or "").startswith(("trame", "wslink", "aiohttp", "msgpack")):
             raise
         raise RunError(MISSING) from None
     port, console = check_port(port), CommandConsole()

@@ -8,6 +8,7 @@ The client is written on plain sockets, so that it can send what no library woul
 from __future__ import annotations
 
 import contextlib
+import importlib.util
 import os
 import signal
 import socket
@@ -21,10 +22,12 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import msgpack
 import numpy as np
 
 from support.springs import dragged
+
+with contextlib.suppress(ImportError):  # wslink brings it
+    import msgpack
 
 __all__ = ["ATTACKS", "Served", "Socket", "attack", "bombard"]
 
@@ -510,7 +513,10 @@ def bombard(rng: np.random.Generator, served: Served, attacks: list[Callable]) -
 
 
 def attack(rng: np.random.Generator, folder: Path, count: int = ROUND) -> list[str]:
-    """One round of random attacks against a server of a small model; what did not hold, one line each."""
+    """One round of random attacks against a server of a small model; what did not hold, one line each. None without
+    trame."""
+    if importlib.util.find_spec("trame_vtk") is None:
+        return []
     dragged().save(folder / "model.npz")
     served = Served(folder / "model.npz")
     try:
