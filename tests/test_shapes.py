@@ -10,7 +10,7 @@ from scipy.interpolate import CubicSpline, make_smoothing_spline
 from scipy.special import k1
 
 import mic
-from mic.errors import FormatError, SceneError
+from mic.errors import FormatError, Problems, SceneError
 from mic.geometry.deck import UNITS
 from mic.geometry.measured_points import Cloud, deviations, read_cloud, spread
 from mic.geometry.structured import extrude
@@ -271,7 +271,10 @@ def scene_of(folder, **keys):
 
 def expanded(surface, scene):
     """The shapes of a scene on the surface of its part, written out."""
-    return expand_modes(scene, {"a": surface}, {"a": None})
+    problems = Problems()
+    expanded = expand_modes(scene, {"a": surface}, {"a": None}, problems)
+    problems.raise_all()
+    return expanded
 
 
 @pytest.fixture

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from pathlib import Path
 
 import numpy as np
@@ -22,7 +23,15 @@ from mic.model.mesh_accuracy import estimate_accuracy
 from mic.model.one_sigma import one_sigma
 from mic.model.overlap import frozen_gaps
 from mic.model.reduction import Reduction
-from mic.plausibility import find_warnings, find_warnings_unplaced, loadable_parts, raise_warnings, validity
+from mic.plausibility import (
+    Results,
+    find_warnings,
+    find_warnings_of_results,
+    find_warnings_unplaced,
+    loadable_parts,
+    raise_warnings,
+    validity,
+)
 from mic.process.description import opening, sentences
 from mic.process.model import ReducedModel
 from mic.process.plan import plan_assembly
@@ -38,7 +47,7 @@ from mic.studies.exploration import deviation_unit
 from mic.studies.optimisation.description import describe as optimisation_sentences
 from mic.studies.optimisation.design import Space
 from mic.studies.optimisation.moved_items import check_places
-from mic.studies.order import doubts
+from mic.studies.order import doubts, few_samples
 from mic.studies.thickness import DISTANCE, interpolation_errors
 from mic.system.console import plain
 from mic.system.disk_cache import cache_folder
@@ -48,6 +57,7 @@ __all__ = ["check"]
 
 TARGET_ERROR = 0.01  # relative error of a mesh for which `mic check --accuracy` prints the required element size
 MAX_PAIRS = 1000  # contact pairs: with more, a check evaluates no samples, which would take minutes
+PATIENCE = 10.0  # s: if a few samples take longer, no further ones are solved
 MAX_SOURCES = 40  # sources that are listed
 
 
@@ -72,6 +82,9 @@ def check(scene, law, accuracy, converge, normals, overlap, strict, page):
         _write_page(console, page, scene, surfaces, warnings, errors=str(error).splitlines())
         raise
     warnings = find_warnings(scene, assembly, cache_folder())
+    for warning in warnings:
+        if warning.impossible:
+            console.print(f"[bold red]implausible:[/] {plain(warning)}", highlight=False, soft_wrap=True)
     console.print(f"[bold]{plain(scene.name)}[/] {plain(scene.description)}")
     _print_parts(console, scene, assembly)
     _print_normals(console, assembly)
@@ -82,7 +95,7 @@ def check(scene, law, accuracy, converge, normals, overlap, strict, page):
         console.print("[bold]Optimisation[/] (mic optimise)")
         console.say_each(f"• {sentence}" for sentence in optimisation)
     model = _cached_model(assembly)
-    _print_doubts(console, assembly, model)
+    warnings += _few_samples(console, assembly, model)
     shapes = _print_sources(console, assembly, model)
     _print_thicknesses(console, assembly, model)
     console.say_each(f"• {sentence}" for sentence in _cost(assembly, plans))
@@ -225,15 +238,33 @@ def _print_thicknesses(console, assembly, model):
         )
 
 
-def _print_doubts(console, assembly, model):
-    """Print whether friction and placing matter, if a few samples are cheap."""
-    if not len(assembly.contacts) or not any(LAWS[law].frictional for law in assembly.scene.report.laws):
-        return
+def _few_samples(console, assembly, model):
+    """Print whether friction and placing matter, if a few samples are cheap; return warnings of their results."""
+    frictional = len(assembly.contacts) and any(LAWS[law].frictional for law in assembly.scene.report.laws)
+    order_unknown = "Effect of the process order: not computed{}. Run `mic order SCENE`."
     if model is None:
-        console.print("Effect of the process order: not computed. Run `mic order SCENE`.", highlight=False)
-        return
-    for doubt in doubts(model):
-        console.warn("note", f"{doubt}; run `mic order SCENE` for numbers")
+        if frictional:
+            console.print(order_unknown.format(""), highlight=False)
+        return ()
+    start = time.perf_counter()
+    samples = few_samples(model)
+    good, values = ~samples.failed, np.reshape(samples.measurements, (len(samples.failed), -1))
+    seconds = time.perf_counter() - start
+    if not good.any():
+        console.warn("note", f"none of {len(good)} samples, solved roughly, has a solution: `mic run` may fail, too")
+        return ()
+    if frictional and seconds > PATIENCE:
+        console.print(order_unknown.format(f", since {len(good)} samples take {seconds:.0f} s"), highlight=False)
+    elif frictional:
+        for doubt in doubts(model, samples):
+            console.warn("note", f"{doubt}; run `mic order SCENE` for numbers")
+    forces = {
+        stage: max(float(np.abs(array[good]).max(initial=0.0)) for array in (one.force, one.reaction))
+        for stage, one in samples.resolutions.items()
+    }
+    extent = {part.name: part.surface.diameter for part in assembly.parts}
+    mean, spread = values[good].mean(axis=0), 6 * values[good].std(axis=0)
+    return find_warnings_of_results(Results(assembly.scene, extent, mean, spread, forces))
 
 
 def _print_parts(console, scene, assembly):

@@ -81,15 +81,19 @@ def _assembled(scene: Scene, cache: Path, every_node: bool, sizes: Mapping[str, 
             if fixture.mesh is not None:
                 fixtures[fixture.name], hashes = load_fixture(fixture, scene.folder)
                 inputs |= hashes
-    problems.raise_all()
+    problems.raise_all()  # nothing can be placed on a part without a mesh
     surfaces = {one.part.name: one.surface for one in loaded}
     decks = {one.part.name: one.deck for one in loaded}
     if any(one.part is not part for one, part in zip(loaded, scene.parts)):
         scene = scene.model_copy(update={"parts": [one.part for one in loaded]})
-    scene, placed = place(scene, surfaces, decks)
-    expanded = expand_modes(scene, surfaces, decks)
-    scene, sample_files = take_samples(expanded.scene)
-    inputs |= expanded.inputs | sample_files | matrix_files(scene)
+    scene, placed = place(scene, surfaces, decks, problems)
+    expanded = expand_modes(scene, surfaces, decks, problems)
+    scene = expanded.scene
+    if not problems:  # the columns of a table of samples name all deviations
+        with problems:
+            scene, sample_files = take_samples(scene)
+            inputs |= sample_files
+    inputs |= expanded.inputs | matrix_files(scene)
     meshes = [
         None if array is None else fingerprint(array.tobytes())
         for surface in (*surfaces.values(), *fixtures.values())
@@ -98,12 +102,15 @@ def _assembled(scene: Scene, cache: Path, every_node: bool, sizes: Mapping[str, 
     # Neither its names nor its sampling change the rows of a scene.
     sampling = scene.monte_carlo.model_copy(update={"samples": 1, "seed": 0})
     bare = scene.model_copy(update={"name": "", "description": "", "monte_carlo": sampling})
+    if problems:  # report those of the rows together with them
+        unsampled = bare.model_copy(update={"monte_carlo": sampling.model_copy(update={"values": None})})
+        assembly_rows(unsampled, loaded, surfaces, fixtures, every_node, problems)
     rows, identity = memoise(
         Cache(cache, "assemblies", FORMAT, MOST),
         [bare.model_dump_json(), every_node, inputs, meshes],
         surfaces,
         (AssemblyRows, Part, Surface, Functionals, Patch, Superelement, Contacts, GapPoints),
-        lambda: assembly_rows(bare, loaded, surfaces, fixtures, every_node),
+        lambda: assembly_rows(bare, loaded, surfaces, fixtures, every_node, problems),
     )
     return Assembly(
         **vars(rows),

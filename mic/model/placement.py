@@ -30,8 +30,8 @@ from mic.geometry.pairing import Side, pair_at
 from mic.geometry.surface import Surface
 from mic.model.rows import REACH, on_part, xyz
 from mic.scene import Scene
-from mic.scene.checks import find_errors
-from mic.scene.deviation import ClampDeviation
+from mic.scene.checks import entry, find_errors
+from mic.scene.deviation import ClampDeviation, targets
 from mic.scene.keys import NORMAL
 from mic.scene.measurement import Measurement
 
@@ -46,9 +46,12 @@ Vector = tuple[float, float, float]
 
 
 def place(
-    scene: Scene, surfaces: Mapping[str, Surface], decks: Mapping[str, Deck | None]
+    scene: Scene, surfaces: Mapping[str, Surface], decks: Mapping[str, Deck | None], problems: Problems
 ) -> tuple[Scene, tuple[str, ...]]:
     """Replace nodes, sets, holes and direction words by points and vectors.
+
+    After a problem, the scene lacks the items that could not be placed and those that refer to them, so that the others
+    can be checked further.
 
     Parameters
     ----------
@@ -58,6 +61,9 @@ def place(
         Of the parts, by name.
     decks : mapping of str to Deck or None
         Further content of the parts' mesh files; None for a part without one.
+    problems : Problems
+        Collects each :class:`SceneError`: a node, set, hole or direction that does not exist, with the nearest existing
+        one; a part that is not held after placing.
 
     Returns
     -------
@@ -65,48 +71,56 @@ def place(
         With every point and direction a vector, and tongs as two clamps.
     messages : tuple of str
         The position of each node, set, hole, tong and pad.
-
-    Raises
-    ------
-    SceneError
-        With one line for each node, set, hole or direction that does not exist, naming the nearest existing one; or
-        if a part is not held after placing.
     """
-    work = _Placing(scene, surfaces, decks)
+    work = _Placing(scene, surfaces, decks, problems)
     changes: dict[str, Any] = {
-        table: [new for i, item in enumerate(getattr(scene, table)) for new in work.item(f"{table}[{i}]", item)]
-        for table in ("locators", "clamps", "welds", "deviations", "measurements")
+        table: [new for i, item in enumerate(getattr(scene, table)) for new in work.item(table, i, item)]
+        for table in ("locators", "clamps", "welds", "deviations", "measurements", "fixtures")
     }
-    changes["fixtures"] = [work.pad(f"fixtures[{i}] ({item.name})", item) for i, item in enumerate(scene.fixtures)]
-    work.problems.raise_all()
     changes = {table: items for table, items in changes.items() if items != getattr(scene, table)}
     if not changes:
         return scene, ()
     if work.jaws:
         changes["stages"] = [work.stage(stage) for stage in scene.stages]
+        changes["report"] = work.report(scene.report)
         changes["deviations"] = [work.deviation(item) for item in changes.get("deviations", scene.deviations)]
     placed = scene.model_copy(update=changes)
-    wrong = find_errors(placed)
-    if wrong:
-        raise SceneError("\n".join(wrong))
+    if work.dropped:
+        return _without_references(placed, work.dropped), tuple(work.messages)
+    with problems:
+        wrong = find_errors(placed)
+        if wrong:
+            raise SceneError("\n".join(wrong))
     return placed, tuple(work.messages)
+
+
+def _without_references(scene: Scene, dropped: set[tuple[str, str]]) -> Scene:
+    """The scene without what refers to dropped items, given by table and name."""
+    lost = lambda table, names: any((table, name) in dropped for name in names)
+    zones = [zone for zone in scene.zones if not lost("fixtures", zone.parts)]
+    dropped = dropped | {("zones", zone.name) for zone in scene.zones if zone not in zones}
+    deviations = [item for item in scene.deviations if item.moves is None or not lost(item.moves, targets(item))]
+    return scene.model_copy(update={"zones": zones, "deviations": deviations})
 
 
 class _Placing:
     """Places the items of a scene one by one, and collects errors and messages."""
 
-    def __init__(self, scene: Scene, surfaces: Mapping[str, Surface], decks: Mapping[str, Deck | None]):
+    def __init__(self, scene: Scene, surfaces: Mapping[str, Surface], decks: Mapping[str, Deck | None], problems):
         self.surfaces, self.decks = surfaces, decks
         self.sides = {part.name: Side(surfaces[part.name], part.thickness) for part in scene.parts}
-        self.problems = Problems()
+        self.problems = problems
+        self.dropped: set[tuple[str, str]] = set()  #: table and name of items that could not be placed
         self.messages: list[str] = []
         self.jaws: dict[str, tuple[str, ...]] = {}
         self._holes: dict[str, list[Hole]] = {}
 
-    def item(self, key: str, item: Any) -> list[Any]:
-        """The placed item, or the two jaws of a tong; after an error the item itself."""
-        at = f"{key} ({item.name})"
+    def item(self, table: str, i: int, item: Any) -> list[Any]:
+        """The placed item, or the two jaws of a tong; after an error nothing."""
+        at = entry(table, i, item)
         with self.problems:
+            if table == "fixtures":
+                return [self._pad(at, item)]
             if isinstance(item, Measurement) and item.kind != "point":
                 return [self._characteristic(at, item)]
             if not hasattr(item, "point"):
@@ -124,24 +138,23 @@ class _Placing:
             if words:
                 changes["direction"] = self._direction(at, item, point, rim)
             return [item.model_copy(update=changes)]
-        return [item]
+        self.dropped.add((table, item.name))
+        return []
 
-    def pad(self, key: str, fixture: Any) -> Any:
+    def _pad(self, key: str, fixture: Any) -> Any:
         """A pad that touches a part, with its own centre and normal."""
         if fixture.part is None:
             return fixture
-        with self.problems:
-            point, rim = self._point(key, fixture)
-            surface = self.surfaces[fixture.part]
-            x = rim.centre if rim is not None else on_part(f"{key}.point", fixture.part, surface, point).point[0]
-            n = self._sheet_normal(fixture.part, point, rim)
-            ν = {"normal": n, "-normal": -n}[fixture.normal] if isinstance(fixture.normal, str) else fixture.normal
-            side = 1.0 if np.dot(ν, n) > 0 else -1.0
-            centre = _vector(x - side * self.sides[fixture.part].half_thickness * n)
-            self.messages.append(f"{key}: touches {fixture.part} at {xyz(centre)}, facing along {xyz(ν)}")
-            changes = {"point": centre, "normal": _vector(ν), "part": None, "node": None, "set": None, "hole": None}
-            return fixture.model_copy(update=changes)
-        return fixture
+        point, rim = self._point(key, fixture)
+        surface = self.surfaces[fixture.part]
+        x = rim.centre if rim is not None else on_part(f"{key}.point", fixture.part, surface, point).point[0]
+        n = self._sheet_normal(fixture.part, point, rim)
+        ν = {"normal": n, "-normal": -n}[fixture.normal] if isinstance(fixture.normal, str) else fixture.normal
+        side = 1.0 if np.dot(ν, n) > 0 else -1.0
+        centre = _vector(x - side * self.sides[fixture.part].half_thickness * n)
+        self.messages.append(f"{key}: touches {fixture.part} at {xyz(centre)}, facing along {xyz(ν)}")
+        changes = {"point": centre, "normal": _vector(ν), "part": None, "node": None, "set": None, "hole": None}
+        return fixture.model_copy(update=changes)
 
     def _jaw_names(self, names: Sequence[str]) -> list[str]:
         """The names with every tong replaced by its jaws."""
@@ -153,11 +166,17 @@ class _Placing:
         order = None if stage.order is None else [self._jaw_names(group) for group in stage.order]
         return stage.model_copy(update={"keep": keep, "order": order})
 
+    def report(self, report: Any) -> Any:
+        """Requested results of the jaws instead of the tong."""
+        jaws = {f"clamps.{tong}": [f"clamps.{jaw}" for jaw in both] for tong, both in self.jaws.items()}
+        positions = [name for given in report.positions for name in jaws.get(given, [given])]
+        return report.model_copy(update={"positions": positions})
+
     def deviation(self, item: Any) -> Any:
         """A deviation of the jaws instead of the tong."""
         if not isinstance(item, ClampDeviation):
             return item
-        names = [item.target] if isinstance(item.target, str) else item.target
+        names = targets(item)
         jaws = self._jaw_names(names)
         return item if jaws == names else item.model_copy(update={"target": jaws})
 

@@ -15,7 +15,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from mic.errors import SceneError
+from mic.errors import Problems, SceneError
 from mic.geometry.pairing import pair_at
 from mic.model.rows import Rows
 from mic.model.weld_rows import drawn_gap, weld_terms
@@ -29,18 +29,19 @@ FLAT = 0.02  # smallest component of an axis within the sheet that gives a row
 Read = Callable[[np.ndarray], tuple[np.ndarray, list]]
 
 
-def position_rows(rows: Rows) -> np.ndarray:
+def position_rows(rows: Rows, problems: Problems) -> np.ndarray:
     """Add the rows that the scene's report needs, kind ``"position"``; their labels are the names of the inputs.
+
+    Parameters
+    ----------
+    rows : Rows
+    problems : Problems
+        Collects each :class:`SceneError`: items that are too near an edge of their sheet to move.
 
     Returns
     -------
     (q,) array
         Growth of the gap read by a weld's row, mm per mm and rad per mm; 0 for other items.
-
-    Raises
-    ------
-    SceneError
-        If an item is too near an edge of its sheet to move.
     """
     gaps: list[float] = []
     for kind in ("welds", "locators", "clamps"):
@@ -48,23 +49,28 @@ def position_rows(rows: Rows) -> np.ndarray:
             name = f"{kind}.{item.name}"
             if not {kind, name} & set(rows.scene.report.positions) or getattr(item, "hole", None) is not None:
                 continue
-            tangents, read = _weld(name, item, rows) if kind == "welds" else _point(name, item, rows)
-            gaps += _add(name, item, tangents, read, rows)
+            with problems:
+                tangents, read = _weld(name, item, rows) if kind == "welds" else _point(name, item, rows)
+                gaps += _add(name, item, tangents, read, rows)
     return np.array(gaps)
 
 
 def _weld(name: str, weld, rows: Rows) -> tuple[np.ndarray, Read]:
     """Tangents at a weld, and its gap and terms at a point."""
     sides = [rows.bodies[part] for part in weld.parts]
-    here = pair_at(weld.point, weld.radius, *sides)
 
-    def read(point):
+    def pair_near(point):
         try:
-            pair = pair_at(point, weld.radius, *sides)
+            return pair_at(point, weld.radius, *sides)
         except ValueError as error:
             raise SceneError(
                 f"report.positions: {name!r} cannot move in its sheet: {error}; leave it out, or move the weld"
             ) from None
+
+    here = pair_near(weld.point)
+
+    def read(point):
+        pair = pair_near(point)
         # tangents as near to those at the weld as the normal allows
         n = pair.frame[:, 0]
         t1 = here.frame[:, 1] - (here.frame[:, 1] @ n) * n

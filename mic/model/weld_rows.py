@@ -12,7 +12,7 @@ assembly as a whole would strain the weld.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -104,19 +104,22 @@ def drawn_gap(weld, pair: ContactPair, rows: Rows) -> np.ndarray:
     return gap_read
 
 
-def weld_gaps(scene: Scene, contacts: Contacts, drawn: Sequence[np.ndarray], problems: Problems) -> np.ndarray:
+def weld_gaps(scene: Scene, contacts: Contacts, drawn: Mapping[str, np.ndarray], problems: Problems) -> np.ndarray:
     """(r,) nominal gaps of all weld rows, with overlap closed as at the contact pairs around each weld.
 
     Parameters
     ----------
     scene : Scene
     contacts : Contacts
-    drawn : sequence of array
-        Gaps as drawn for each weld; overwritten.
+    drawn : mapping of str to array
+        Gaps as drawn, by the name of the weld; overwritten. Welds with errors are missing.
     problems : Problems
         Collects errors.
     """
-    for i, (weld, gaps) in enumerate(zip(scene.welds, drawn)):
+    for i, weld in enumerate(scene.welds):
+        gaps = drawn.get(weld.name)
+        if gaps is None:
+            continue
         zone = zone_of_weld(scene.zones, contacts.zone, contacts.point, weld)
         if zone is not None and zone.gap is not None:
             gaps[:] = 0.0
@@ -128,4 +131,4 @@ def weld_gaps(scene: Scene, contacts: Contacts, drawn: Sequence[np.ndarray], pro
             if gap != gaps[0]:
                 gaps[:] = 0.0  # a closed gap has no tilt
                 gaps[0] = gap
-    return np.concatenate([np.zeros(0), *drawn])
+    return np.concatenate([np.zeros(0), *drawn.values()])

@@ -25,7 +25,7 @@ def landmarks(scene: Scene) -> np.ndarray:
 def zone_pairs(
     scene: Scene, bodies: Mapping[str, Side], pressed: list[list[PressedPoint]], every_node: bool, problems: Problems
 ) -> list[list[ContactPair]]:
-    """The contact pairs of each zone; an empty list if no stage resolves contact.
+    """The contact pairs of each zone, none for a zone with an error; an empty list if no stage resolves contact.
 
     Parameters
     ----------
@@ -44,15 +44,17 @@ def zone_pairs(
         return pairs
     for i, (zone, places) in enumerate(zip(scene.zones, pressed)):
         first, second = (bodies[name] for name in zone.parts)
+        pairs.append([])
         with problems:
             try:
                 if every_node:
-                    pairs.append(node_pairs(zone, first, second, places))
+                    found = node_pairs(zone, first, second, places)
                 else:
-                    pairs.append(find_pairs(zone, first, second, landmarks(scene), places))
+                    found = find_pairs(zone, first, second, landmarks(scene), places)
             except ValueError as error:
                 raise SceneError(f"{entry('zones', i, zone)}: {error}") from None
-            refuse_coincident(entry("zones", i, zone), zone.parts, pairs[-1], first, second)
+            refuse_coincident(entry("zones", i, zone), zone.parts, found, first, second)
+            pairs[-1] = found
     return pairs
 
 

@@ -13,7 +13,8 @@ from typing import TYPE_CHECKING
 
 from mic.errors import SceneError
 from mic.geometry.load import LoadedPart, load_part
-from mic.plausibility.rules import FILE, MESHES, PARTS, SceneWarning, apply_rules
+from mic.plausibility.results import Results
+from mic.plausibility.rules import FILE, MESHES, PARTS, RESULTS, SceneWarning, apply_rules
 from mic.system.disk_cache import ABSENT, Cache
 from mic.system.files import Format
 from mic.system.memoise import memoise
@@ -22,16 +23,25 @@ if TYPE_CHECKING:
     from mic.model.assembly import Assembly
     from mic.scene import Scene
 
-__all__ = ["SceneWarning", "find_warnings", "find_warnings_unplaced", "loadable_parts", "raise_warnings", "validity"]
+__all__ = [
+    "Results",
+    "SceneWarning",
+    "find_warnings",
+    "find_warnings_of_results",
+    "find_warnings_unplaced",
+    "loadable_parts",
+    "raise_warnings",
+    "validity",
+]
 
-CACHED_WARNINGS = Format("set of warnings", 1, ABSENT)
+CACHED_WARNINGS = Format("set of warnings", 2, ABSENT)
 MAX_CACHED = 64
 
 
 def find_warnings(
     scene: Scene, assembly: Assembly | None = None, cache: Path | None = None
 ) -> tuple[SceneWarning, ...]:
-    """The warnings of a scene, in the order of the rules.
+    """The warnings of a scene, in the order of the rules: impossible values first.
 
     Parameters
     ----------
@@ -46,9 +56,10 @@ def find_warnings(
         find = lambda: find_warnings(scene, assembly)
         return memoise(disk_cache, [assembly.identity, key], {}, (SceneWarning,), find)[0]
     if assembly is None:
-        return tuple(apply_rules(FILE, scene))
+        return tuple(sorted(apply_rules(FILE, scene), key=lambda warning: not warning.impossible))
     sheets = [(part, assembly.surfaces[part.name]) for part in assembly.parts]  # as drawn, not as meshed to be solved
-    return (*apply_rules(FILE, assembly.scene), *apply_rules(PARTS, sheets), *apply_rules(MESHES, assembly))
+    found = (*apply_rules(FILE, assembly.scene), *apply_rules(PARTS, sheets), *apply_rules(MESHES, assembly))
+    return tuple(sorted(found, key=lambda warning: not warning.impossible))
 
 
 def find_warnings_unplaced(scene: Scene, parts: Sequence[LoadedPart]) -> tuple[SceneWarning, ...]:
@@ -61,6 +72,11 @@ def find_warnings_unplaced(scene: Scene, parts: Sequence[LoadedPart]) -> tuple[S
         Those of its parts that could be loaded, see :func:`loadable_parts`.
     """
     return (*find_warnings(scene), *apply_rules(PARTS, [(loaded.part, loaded.surface) for loaded in parts]))
+
+
+def find_warnings_of_results(results: Results) -> tuple[SceneWarning, ...]:
+    """The warnings of results out of all proportion, in the order of the rules."""
+    return tuple(apply_rules(RESULTS, results))
 
 
 def loadable_parts(scene: Scene, cache: Path) -> list[LoadedPart]:
@@ -87,6 +103,9 @@ def validity(warnings: Sequence[SceneWarning], errors: Sequence[str] = ()) -> st
     count = lambda items, word: f"{len(items)} {word}{'s' * (len(items) != 1)}"
     if errors:
         return f"Not valid: {count(errors, 'error')}, {count(warnings, 'warning')}."
+    impossible = sum(warning.impossible for warning in warnings)
+    if impossible:
+        return f"Implausible: {count(warnings, 'warning')}, {impossible} of values that no assembly has."
     return f"The scene is valid{', ' + count(warnings, 'warning') if warnings else ''}."
 
 

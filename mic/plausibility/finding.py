@@ -7,7 +7,8 @@ from typing import Any
 __all__ = ["Finding", "Point", "about", "label"]
 
 Point = tuple[float, float, float]
-Finding = tuple[str, str, Point | None]  #: the item, what is unusual about it, and its location, mm
+#: The item, what is unusual about it, its location, mm, and whether no assembly has it (default: false).
+Finding = tuple[str, str, Point | None] | tuple[str, str, Point | None, bool]
 
 
 def label(table: str, item: Any) -> str:
@@ -15,7 +16,7 @@ def label(table: str, item: Any) -> str:
     return f"{table.removesuffix('s')} {item.name}"
 
 
-def about(table: str, item: Any, text: str) -> Finding:
+def about(table: str, item: Any, text: str) -> tuple[str, str, Point | None]:
     """A finding about an item, at its point if it has one; a measurement's first point."""
     places = getattr(item, "places", None)
     return label(table, item), text, places[0][1] if places else getattr(item, "point", None)

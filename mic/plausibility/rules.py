@@ -8,10 +8,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from mic.plausibility import meshes, scene_file
+import numpy as np
+
+from mic.plausibility import meshes, results, scene_file
 from mic.plausibility.finding import Finding, Point, label
 
-__all__ = ["FILE", "MESHES", "PARTS", "Rule", "SceneWarning", "apply_rules"]
+__all__ = ["FILE", "MESHES", "PARTS", "RESULTS", "Rule", "SceneWarning", "apply_rules"]
 
 
 @dataclass(frozen=True)
@@ -28,12 +30,15 @@ class SceneWarning:
         The finding, the usual range, its reason and the remedy.
     point : tuple of float or None
         Location, mm.
+    impossible : bool
+        Whether no assembly has such a value: most likely its unit is wrong.
     """
 
     rule: str
     item: str
     text: str
     point: Point | None = None
+    impossible: bool = False
 
     def __str__(self) -> str:
         return f"{self.item}: {self.text}"
@@ -64,11 +69,20 @@ class Rule:
 
 
 def _number_rule(
-    key: str, low: float, high: float, reason: str, remedy: str, unit: str = "", also: Iterable[float] = ()
+    key: str,
+    low: float,
+    high: float,
+    reason: str,
+    remedy: str,
+    unit: str = "",
+    also: Iterable[float] = (),
+    least: float = -np.inf,
+    most: float = np.inf,
 ) -> Rule:
     """A rule for one number of every item of a table: from `low` to `high`, or one of `also`.
 
-    `key` is ``table.key`` or ``section.key``. The values of a dict are checked one by one.
+    `key` is ``table.key`` or ``section.key``. The values of a dict are checked one by one. Values below `least` or
+    above `most` are impossible.
     """
     table, name = key.split(".")
     suffix = unit and " " + unit
@@ -80,7 +94,8 @@ def _number_rule(
             for part, value in given.items() if isinstance(given, dict) else [("", given)]:
                 if isinstance(value, (int, float)) and not low <= value <= high and value not in also:
                     finding = f"{name}{part and '.' + part} = {value:g}{suffix}"
-                    yield label(table, item) if isinstance(rows, list) else table, finding, getattr(item, "point", None)
+                    owner = label(table, item) if isinstance(rows, list) else table
+                    yield owner, finding, getattr(item, "point", None), not least <= value <= most
 
     usual = f"{low:g} to {high:g}{suffix}" + "".join(f", or {value:g}" for value in also)
     return Rule(key, usual, reason, remedy, find)
@@ -102,12 +117,14 @@ FILE = (
 PARTS = tuple(_rule(meshes, **row) for row in _TABLES["parts"])
 #: Rules that need the assembly with its contact pairs.
 MESHES = tuple(_rule(meshes, **row) for row in _TABLES["assembly"])
+#: Rules that need solved samples.
+RESULTS = tuple(_rule(results, **row) for row in _TABLES["results"])
 
 
 def apply_rules(rules: Iterable[Rule], subject: Any) -> list[SceneWarning]:
     """The warnings of rules for a scene, for parts or for an assembly."""
     return [
-        SceneWarning(rule.name, item, f"{text}; usual is {rule.usual} ({rule.reason}): {rule.remedy}", point)
+        SceneWarning(rule.name, item, f"{text}; usual is {rule.usual} ({rule.reason}): {rule.remedy}", *further)
         for rule in rules
-        for item, text, point in rule.find(subject)
+        for item, text, *further in rule.find(subject)
     ]

@@ -13,6 +13,7 @@ import numpy as np
 
 from mic.contact.laws import LAWS
 from mic.plausibility.finding import Finding, about, label
+from mic.scene.deviation import targets
 from mic.scene.stages import moves_assembly, placing_stages
 
 PARALLEL = 0.99  # cosine of the angle between two directions that count as equal
@@ -20,6 +21,8 @@ PINNED = 1.0  # mm between two points that count as one
 
 MOVED = 3.0  # mm
 SHAPED = 1000.0  # N
+WARMED, RUBBED, WEIGHED = 150.0, 0.5, 1.5  # K; change of a coefficient of friction; multiples of the earth's gravity
+BEYOND = 30.0  # times these: no assembly varies so much
 TOLERANCE = (0.02, 30.0)  # mm
 
 
@@ -37,7 +40,7 @@ def held_by_stage(scene) -> Iterator[tuple[Any, set[str]]]:
 
 def held_at(scene, table: str, item: Any) -> float:
     """Mean position along its direction that a locator or clamp prescribes, mm from nominal."""
-    moving = [row.mean for row in scene.deviations if row.moves == table and item.name in _targets(row)]
+    moving = [row.mean for row in scene.deviations if row.moves == table and item.name in targets(row)]
     return (item.stroke if table == "clamps" else 0.0) + sum(moving)
 
 
@@ -97,24 +100,37 @@ def clamp_may_pull(scene) -> Iterator[Finding]:
     """Clamps whose force changes sign within three standard deviations."""
     forces = {clamp.name: clamp.force or 0.0 for clamp in scene.clamps}
     for item in scene.deviations:
-        for name in _targets(item) if item.kind == "clamp" else ():
+        for name in targets(item) if item.kind == "clamp" else ():
             least = forces[name] + item.mean - 3 * item.sigma
             if forces[name] > 0 > least:
                 yield label("deviations", item), f"gives clamp {name} a force of {least:.3g} N at three sigma", None
 
 
 def moves_much(scene) -> Iterator[Finding]:
-    """Large deviations of position and large corrective forces."""
+    """Large deviations."""
+    for item, share, text in _deviations(scene):
+        if share > 1.0:
+            yield *about("deviations", item, text), share > BEYOND
+
+
+def _deviations(scene) -> Iterator[tuple[Any, float, str]]:
+    """Each mean and sigma of the deviations, relative to the largest that is usual, and in words."""
     strokes = {clamp.name for clamp in scene.clamps if clamp.stroke is not None}
+    largest = {
+        "force": (SHAPED, " N"),
+        "temperature": (WARMED, " K"),
+        "friction": (RUBBED, ""),
+        "gravity": (WEIGHED, ""),
+    }
     for item in scene.deviations:
-        if item.kind in ("measured", "gravity", "temperature", "friction"):
-            continue  # measured shapes are checked on the mesh; the others have other units
-        position = item.kind not in ("force", "clamp") or (item.kind == "clamp" and strokes & {*_targets(item)})
-        high, unit = (MOVED, "mm") if position else (SHAPED, "N")
+        high, unit = largest.get(item.kind, (MOVED, " mm"))
+        if item.kind == "clamp" and not strokes & {*targets(item)}:
+            high, unit = largest["force"]
+        if item.kind == "measured":  # a factor
+            high, unit = MOVED, ""
         for key in ("mean", "sigma"):
             value = getattr(item, key) * (np.abs(item.known).max() if item.kind == "shape" else 1.0)
-            if abs(value) > high:
-                yield about("deviations", item, f"{key} = {value:g} {unit}")
+            yield item, abs(value) / high, f"{key} = {value:g}{unit}"
 
 
 def nothing_varies(scene) -> Iterator[Finding]:
@@ -146,7 +162,7 @@ def deviates_twice(scene) -> Iterator[Finding]:
         if a.kind == b.kind == "force":
             same = a.part == b.part and _alike(a, b)
         else:
-            same = a.kind == b.kind and a.moves is not None and not {*_targets(a)}.isdisjoint(_targets(b))
+            same = a.kind == b.kind and a.moves is not None and not {*targets(a)}.isdisjoint(targets(b))
         if same:
             yield label("deviations", b), f"has the same effect as deviation {a.name}: their variances add up", None
 
@@ -311,8 +327,3 @@ def _cosine(a, b) -> float:
     """Cosine of the angle between two items' directions; 0 while one is not placed."""
     placed = not any(item.direction is None or isinstance(item.direction, str) for item in (a, b))
     return float(np.dot(a.direction, b.direction)) if placed else 0.0
-
-
-def _targets(item) -> list[str]:
-    """The names of what a deviation moves."""
-    return [item.target] if isinstance(item.target, str) else list(item.target)

@@ -24,7 +24,7 @@ from mic.report.style import MARK_COLOURS, number
 from mic.report.template import render
 from mic.report.viewer_data import arrow_group, packed, point_group, view
 from mic.scene import Scene
-from mic.scene.deviation import ClampDeviation, LocatorDeviation
+from mic.scene.deviation import ClampDeviation, LocatorDeviation, targets
 from mic.system.files import write_text
 
 __all__ = ["write_check"]
@@ -160,5 +160,5 @@ def _varied(scene: Scene) -> dict[tuple[str, str], str]:
         (item.kind, name): f", {item.name}: {item.mean:g} ± {item.sigma:g}"
         for item in scene.deviations
         if isinstance(item, LocatorDeviation | ClampDeviation)
-        for name in ([item.target] if isinstance(item.target, str) else item.target)
+        for name in targets(item)
     }

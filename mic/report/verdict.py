@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from mic.plausibility import Results, find_warnings_of_results
 from mic.report.driver_sentences import adjusted, named
 from mic.report.style import change, number, percent, probability
 from mic.results.error_sources import Source, error_budget
@@ -67,7 +68,8 @@ def verdict(outcome: Outcome) -> Verdict | None:
         row["verdict"] = _verdict(row)
         row["drivers"] = (named(shares, "total") or "none: it hardly varies") if len(shares) else None
     budget = error_budget(outcome, law)
-    sentences = [_first(outcome, law, rows), *_further(outcome, law, rows), *_trust(outcome, law, budget)]
+    sentences = [_first(outcome, law, rows), *_implausible(outcome, rows)]
+    sentences += [*_further(outcome, law, rows), *_trust(outcome, law, budget)]
     return Verdict(law, sentences, rows[:SHOWN], max(0, len(rows) - SHOWN), budget)
 
 
@@ -90,6 +92,14 @@ def _first(outcome: Outcome, law: str, rows: list[dict[Any, Any]]) -> str:
         outside = f", {percent(worst['share_outside'], 1)} outside" if worst["share_outside"] > 0 else ""
         sentence += f"; the worst is {worst['measurement']} (Cpk {number(worst['cpk'], 2)}{outside})"
     return sentence + (f"; main contributors: {worst['drivers']}." if worst["drivers"] else ".")
+
+
+def _implausible(outcome: Outcome, rows: list[dict[Any, Any]]) -> list[str]:
+    """Warnings of results out of all proportion."""
+    scene, extent = outcome.model.scene, {part.name: part.surface.diameter for part in outcome.parts}
+    by_name = {row["measurement"]: (row["mean"], row["six_sigma"]) for row in rows}
+    mean, six_sigma = np.array([by_name[item.name] for item in scene.measurements]).T
+    return [f"Warning: {warning}." for warning in find_warnings_of_results(Results(scene, extent, mean, six_sigma))]
 
 
 def _further(outcome: Outcome, law: str, rows: list[dict[Any, Any]]) -> list[str]:

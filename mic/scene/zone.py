@@ -5,12 +5,27 @@ from __future__ import annotations
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import Discriminator, Field, Tag, model_validator
+from pydantic import AfterValidator, Discriminator, Field, Tag, model_validator
 
 from mic.contact.laws import pressure_dependent
 from mic.scene.keys import Count, FiniteFloat, Flag, Name, NonNegative, Positive, Table, Vector
 
 __all__ = ["PressurePower", "Zone"]
+
+
+MOST = 10.0  # coefficient of friction; rubber on rubber stays below 4
+
+
+def _possible(value: float) -> float:
+    if value > MOST:
+        raise ValueError(
+            f"{value:g} is no coefficient of friction: sheet on sheet has 0.05 to 0.6; correct it, or join by "
+            "welds what must not slip"
+        )
+    return value
+
+
+Friction = Annotated[NonNegative, AfterValidator(_possible)]
 
 
 class PressurePower(Table):
@@ -50,7 +65,7 @@ class Zone(Table):
     """two parts, or a part and a fixture; normals point from the first to the second"""
 
     friction: Annotated[
-        Annotated[NonNegative, Tag("friction-number")] | Annotated[dict[Name, NonNegative], Tag("friction-table")],
+        Annotated[Friction, Tag("friction-number")] | Annotated[dict[Name, Friction], Tag("friction-table")],
         Discriminator(_number_or_table),
     ] = 0.0
     """coefficient μ; or one per stage, `{ clamp = 0.12, default = 0.2 }`, with `default` for the others"""

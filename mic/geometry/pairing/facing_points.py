@@ -172,16 +172,17 @@ class Bodies:
             step[near] = np.minimum(step[near], apart / FINE)
         step[~self.in_region(middle, surface.reach + 2 * surface.tie)] = 0.0
         parts = [surface.sample(np.flatnonzero(step == one), one) for one in np.unique(step[step > 0])[::-1]]
-        triangle, barycentric, area = (np.concatenate(columns) for columns in zip(*parts))
-        inside = self.in_region(surface.at(triangle, barycentric), surface.tie)
-        cloud = self.project(triangle[inside], barycentric[inside], area[inside])
-        if not len(cloud.area):
-            raise ValueError(
-                f"no contact pair: nowhere in the region do the two surfaces face each other with a gap below "
-                f"max_gap = {self.zone.max_gap} mm and an angle below max_angle_deg = {self.zone.max_angle_deg}; "
-                "move the region, or raise these limits"
-            )
-        return cloud
+        if parts:
+            triangle, barycentric, area = (np.concatenate(columns) for columns in zip(*parts))
+            inside = self.in_region(surface.at(triangle, barycentric), surface.tie)
+            cloud = self.project(triangle[inside], barycentric[inside], area[inside])
+            if len(cloud.area):
+                return cloud
+        raise ValueError(
+            f"no contact pair: nowhere in the region do the two surfaces face each other with a gap below "
+            f"max_gap = {self.zone.max_gap} mm and an angle below max_angle_deg = {self.zone.max_angle_deg}; "
+            "move the region, or raise these limits"
+        )
 
     def in_region(self, x, margin):
         """(n,) bool: whether points lie in the zone's region, widened by `margin`, a number or (n,) array, mm."""

@@ -18,7 +18,8 @@ class LocatorPosition(Source):
     Locator i, along d_i, then moves by ``d_i · d``; if the hole is out of place in its part, in the opposite sense.
     """
 
-    def target(self, labels):
+    def _moved(self) -> dict[str, float]:
+        """Motion of each locator along its direction per unit amplitude, mm, by name."""
         item, names = self.deviation, self.targets
         moved = dict.fromkeys(names, 1.0)
         if item.direction is not None:
@@ -29,8 +30,11 @@ class LocatorPosition(Source):
                 f"{self.label}: direction: it is perpendicular to that of {' and '.join(names)}, and moves nothing; "
                 "correct it, or name the locators of the pin"
             )
-        sign = -1.0 if item.where == "part" else 1.0
-        return {("locator", labels["locator"].index(name)): sign * share for name, share in moved.items()}
+        return moved
+
+    def target(self, labels):
+        sign = -1.0 if self.deviation.where == "part" else 1.0
+        return {("locator", labels["locator"].index(name)): sign * share for name, share in self._moved().items()}
 
     def retain(self, rows):
-        self.target(rows.labels)
+        self._moved()  # raises its errors before anything is solved

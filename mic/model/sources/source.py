@@ -9,6 +9,8 @@ from typing import Any, Literal
 import numpy as np
 from scipy.sparse import csr_matrix
 
+from mic.scene.deviation import targets
+
 __all__ = ["KnownShape", "Row", "Source"]
 
 Row = tuple[str, int]  #: a row by its kind and its number
@@ -66,8 +68,7 @@ class Source:
     @property
     def targets(self) -> list[str]:
         """Names of the items that the deviation acts on."""
-        target = self.deviation.target
-        return [target] if isinstance(target, str) else target
+        return targets(self.deviation)
 
     def retain(self, rows: Any) -> None:
         """Add the rows that the source needs to :class:`mic.model.rows.Rows`."""
