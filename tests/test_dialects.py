@@ -66,7 +66,8 @@ def test_a_cad_sheet_is_meshed_with_the_given_size_and_a_solid_refused(tmp_path)
     with gmsh_model() as gmsh:
         gmsh.model.occ.addRectangle(0, 0, 0, 30, 20)
         gmsh.model.occ.synchronize()
-        gmsh.write(str(tmp_path / "sheet.step"))
+        for suffix in ("step", "igs", "brep"):
+            gmsh.write(str(tmp_path / f"sheet.{suffix}"))
         gmsh.clear()
         gmsh.model.occ.addBox(0, 0, 0, 30, 20, 1)
         gmsh.model.occ.synchronize()
@@ -77,6 +78,8 @@ def test_a_cad_sheet_is_meshed_with_the_given_size_and_a_solid_refused(tmp_path)
         assert surface.areas.sum() == pytest.approx(600) and surface.edge_lengths.max() < 1.5 * size
         counts.append(len(surface.triangles))
     assert counts[1] > counts[0]
+    for suffix in ("igs", "brep"):
+        assert read_mesh(tmp_path / f"sheet.{suffix}", size=5.0)[0].areas.sum() == pytest.approx(600)
     with pytest.raises(FormatError, match="it holds a solid, whose skin is no mid-surface"):
         read_mesh(tmp_path / "solid.step", size=5.0)
     with pytest.raises(FormatError, match="needs an element size"):

@@ -46,6 +46,7 @@ LIMIT_PER_MB = 30.0  # additional s per MB
 SETTINGS = {
     ".petscrc": "PETSc",
     "petscrc": "PETSc",
+    "petsc.cfg": "petsc4py",
     ".numba_config.yaml": "numba",
     "matplotlibrc": "matplotlib",
     "dolfinx_jit_options.json": "dolfinx",

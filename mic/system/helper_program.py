@@ -53,8 +53,10 @@ def run_program(
     )
     try:
         if memory is not None and hasattr(resource, "prlimit"):
+            most = resource.getrlimit(resource.RLIMIT_AS)[1]
+            limit = int(memory) if most == resource.RLIM_INFINITY else min(int(memory), most)
             with suppress(ProcessLookupError):  # it has ended
-                resource.prlimit(process.pid, resource.RLIMIT_AS, (int(memory), int(memory)))
+                resource.prlimit(process.pid, resource.RLIMIT_AS, (limit, limit))
         return process.wait(seconds)
     except subprocess.TimeoutExpired:
         return None

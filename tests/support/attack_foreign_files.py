@@ -11,6 +11,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -26,6 +27,7 @@ from mic.geometry.surface import Surface
 from mic.scene import load_scene
 from mic.scene.samples import take_samples
 from mic.scene.tables import read_cells
+from support.gmsh_files import gmsh_model
 from support.mesh_texts import FILES, POINTS
 
 __all__ = ["READERS_OF", "attack", "damaged", "originals", "trouble"]
@@ -62,8 +64,8 @@ def _matrix(path: Path) -> None:
     assert np.isfinite(read_matrix(path).matrix.data).all()
 
 
-def _mesh(path: Path) -> None:
-    surface, _ = read_mesh(path)
+def _mesh(path: Path, size: float | None = None) -> None:
+    surface, _ = read_mesh(path, size=size)
     assert np.isfinite(surface.points).all() and surface.triangles.max() < len(surface.points)
 
 
@@ -79,6 +81,7 @@ def _scene(path: Path) -> None:
 
 #: The reader of each kind of file, by the beginning of its name.
 READERS_OF: dict[str, Callable[[Path], None]] = {
+    "gmsh": lambda path: _mesh(path, 5.0),
     "mesh": _mesh,
     "table": _cells,
     "cloud": _cloud,
@@ -109,6 +112,21 @@ def originals() -> dict[str, bytes]:
     contents["cloud.csv"] = b"x,y,z,deviation\n0.1,0.1,0,0.01\n0.9,0.2,0,0.02\n0.5,0.8,0,-0.01\n"
     contents["matrix.mtx"], contents["matrix.txt"] = MATRIX.encode(), ENTRIES.encode()
     contents["scene.toml"] = (SCENE / "scene.toml").read_bytes()
+    return contents
+
+
+def originals_of_gmsh() -> dict[str, bytes]:
+    """Content of a valid file of each format that gmsh converts, by name."""
+    contents = {}
+    with TemporaryDirectory() as name, gmsh_model() as gmsh:
+        gmsh.model.occ.addRectangle(0, 0, 0, 20, 10)
+        gmsh.model.occ.synchronize()
+        gmsh.model.mesh.generate(2)
+        for suffix in ("step", "stp", "brep", "igs", "med"):
+            path = Path(name) / f"a.{suffix}"
+            with suppress(Exception):  # gmsh may be built without a format
+                gmsh.write(str(path))
+                contents[f"gmsh-{path.name}"] = path.read_bytes()
     return contents
 
 
@@ -170,7 +188,7 @@ def attack(rng: np.random.Generator, folder: Path) -> list[str]:
 
 def _main(seed: int, count: int) -> None:
     resource.setrlimit(resource.RLIMIT_AS, (MEMORY, MEMORY))
-    contents = list(originals().items())
+    contents = list((originals() | originals_of_gmsh()).items())
     for number in range(count):
         rng = np.random.default_rng([seed, number])
         name, content = contents[int(rng.integers(len(contents)))]

@@ -18,8 +18,9 @@ from mic.system.helper_program import run_program
 
 __all__ = ["CAD_SUFFIXES", "LIMIT", "read_cad", "read_med"]
 
-CAD_SUFFIXES = (".step", ".stp", ".iges", ".igs", ".brep")
-LIMIT = 300.0  # s that gmsh may take
+STEP = (".step", ".stp")
+CAD_SUFFIXES = (*STEP, ".iges", ".igs", ".brep")
+LIMIT = 120.0  # s that gmsh may take
 MEMORY = 16e9  # bytes of address space that gmsh may use
 INHERITED = ("LANG", "LD_LIBRARY_PATH", "PATH", "PYTHONPATH", "SYSTEMROOT")  # environment variables that gmsh gets
 
@@ -32,7 +33,9 @@ def read_cad(path: Path, size: float) -> RawMesh:
     FormatError
         If gmsh is missing, fails or exceeds the time limit, or the file holds a solid, whose skin is no mid-surface.
     """
-    options = ["-2", "-clmax", repr(size), "-setstring", "Geometry.OCCTargetUnit", "MM"]
+    options = ["-2", "-clmax", repr(size)]
+    if path.suffix.lower() in STEP:  # gmsh reads IGES in mm and knows no unit of BREP; it fails if asked for one
+        options += ["-setstring", "Geometry.OCCTargetUnit", "MM"]
     options += ["-setnumber", "Mesh.MeshSizeFromCurvature", "12", "-setnumber", "Mesh.MeshSizeMin", repr(size / 20)]
     with _converted(path, "CAD", options) as mesh:
         if gmsh.volumes(mesh):
