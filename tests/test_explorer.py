@@ -304,7 +304,7 @@ def test_numbers_on_the_page_are_those_of_the_model(served, browser, lap_model):
 
     friction = names.index("zones.lap.friction")
     box = page(f"value-{friction}")
-    box.clear()
+    box.send_keys(Keys.CONTROL, "a")
     told = page.final(lambda: box.send_keys("0.1", Keys.TAB))
     moved = exploration.sample(drawn) | {"zones.lap.friction": 0.1}
     assert told == pytest.approx(exploration.answer(moved).table["value"][0], abs=1e-9)
