@@ -189,3 +189,13 @@ def test_a_used_contact_solver_is_copied(duplicate):
     expected = solver.solve(np.array([-1.0, 0.1, 0.0, 0.5, 0.0, 0.1]))
     again = duplicate(solver).solve(np.array([-1.0, 0.1, 0.0, 0.5, 0.0, 0.1]))
     assert again.force.tobytes() == expected.force.tobytes() and again.force.any()
+
+
+@pytest.mark.slow
+def test_a_used_model_of_sheets_is_copied(lap_model):
+    expected = lap_model.evaluate({})
+    for duplicate in (lambda one: pickle.loads(pickle.dumps(one)), copy.deepcopy):
+        assert duplicate(lap_model).evaluate({}).motion.tobytes() == expected.motion.tobytes()
+        assert duplicate(lap_model.process()).evaluate(lap_model.deviations({})).motion.tobytes() == (
+            expected.motion.tobytes()
+        )

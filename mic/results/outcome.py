@@ -115,7 +115,9 @@ def read_outcome(
             except FormatError as problem:
                 damaged.append(f"{problem}.")
                 continue
-            with reading(store.path, Format(f"block {block.law} {block.name}", 1, "run the scene again into this folder")):
+            with reading(
+                store.path, Format(f"block {block.law} {block.name}", 1, "run the scene again into this folder")
+            ):
                 samples = BlockSamples(tables, len(model.contacts), record["samples"])
                 accumulators[law].add(samples, model, sums)
             blocks[law].append(block)

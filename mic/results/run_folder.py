@@ -165,7 +165,7 @@ class RunFolder:
                 f"{self.path}: holds no run (run.json is missing); name the folder that `mic run` wrote, such as "
                 "results/wheelhouse"
             ) from None
-        inputs = record.get("inputs")
+        inputs = record.get("inputs", {})
         wrong = [key for key, kind in _RECORD.items() if not isinstance(record.get(key, kind()), kind)]
         if (
             wrong
