@@ -3,11 +3,14 @@
 import os
 import signal
 import time
+from importlib import import_module
 
 import numpy as np
 import pytest
+from support.mesh_texts import ABAQUS
 
 from mic.errors import SceneError
+from mic.geometry import script_dependencies
 from mic.geometry.load import load_fixture, load_part
 from mic.geometry.script import load_script, named_sizes
 from mic.scene.fixture import Fixture
@@ -52,6 +55,20 @@ def test_a_script_runs_once_and_its_mesh_is_cached_with_its_normals(tmp_path):
     assert len(calls(tmp_path)) == 2  # the damaged file was replaced
     script(tmp_path, STRIP, size="coarse")
     assert len(calls(tmp_path)) == 3  # another size and script: another mesh
+
+
+def test_packages_installed_beside_a_scene_are_no_inputs(tmp_path, monkeypatch):
+    """As in a virtual environment in the same folder."""
+    for name in ("packages", "scene"):
+        (tmp_path / name).mkdir()
+    (tmp_path / "packages" / "beside.py").write_text("")
+    monkeypatch.syspath_prepend(tmp_path / "packages")
+    import_module("beside")
+    folders = (*script_dependencies.library_folders(), f"{tmp_path / 'packages'}{os.sep}")
+    monkeypatch.setattr(script_dependencies, "library_folders", lambda: folders)
+    (tmp_path / "scene" / "part.inp").write_text(ABAQUS)
+    loaded = load_part(part(mesh="part.inp"), tmp_path / "scene", tmp_path / "cache")
+    assert list(loaded.inputs) == ["part.inp"]
 
 
 BUILD = "def build(part, size):\n    return "

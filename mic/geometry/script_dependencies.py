@@ -21,6 +21,7 @@ from mic.system.foreign_files import library_folders
 __all__ = ["Dependencies", "opened_files"]
 
 _WRITING = os.O_WRONLY | os.O_RDWR | os.O_CREAT | os.O_TRUNC | os.O_APPEND
+_PROGRAM = os.path.join(Path(__file__).resolve().parents[1], "")
 _SYSTEM = ("/proc", "/sys", "/dev", "/etc")
 
 _recorders: list[list[tuple[str, bool]]] = []  # one per active `opened_files`
@@ -78,7 +79,8 @@ class Dependencies:
         place: dict[str, str] = {}
         modules = [module for name, module in sys.modules.copy().items() if name != "__main__"]
         sources = [path for module in modules if isinstance(path := getattr(module, "__file__", None), str)]
-        imported = [path for path in sources if Path(path).is_relative_to(near)]
+        packages = tuple(one for one in (*library, _PROGRAM) if not f"{folder}{os.sep}".startswith(one))
+        imported = [path for path in sources if Path(path).is_relative_to(near) and not path.startswith(packages)]
         paths = [(path, True) for path in [*(str(folder / name) for name in declared), *imported]]
         for given, sure in paths + [(path, False) for path, _ in opened]:
             path = _source(os.path.realpath(given))
