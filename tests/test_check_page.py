@@ -74,7 +74,9 @@ def test_gaps_are_a_map_in_mm_and_overlap_lies_below_zero(thickness, gap, words,
 def test_warnings_stand_beside_the_view_and_are_numbered_in_it(tmp_path, cache):
     edits = (("force = 60", "force = 60000"), ("young = 210000", "young = 210"))
     html, data, output = checked(tmp_path, cache, *edits, page=tmp_path / "here.html")
-    assert "The scene is valid, 4 warnings." in html and output.rstrip().endswith("The scene is valid, 4 warnings.")
+    verdict = "Implausible: 4 warnings, 2 of values that no assembly has."
+    assert verdict in html and output.rstrip().endswith(verdict)
+    assert output.index("implausible: part lower: young = 210 MPa") < output.index("Parts")
     assert "warning: part lower: young = 210 MPa" in output
     items = re.findall(r"<li>([^:<]*): (?:young|force)", html)
     assert items == ["part lower", "part upper", "clamp C1-upper", "clamp C1-lower"]

@@ -105,7 +105,8 @@ def validity(warnings: Sequence[SceneWarning], errors: Sequence[str] = ()) -> st
         return f"Not valid: {count(errors, 'error')}, {count(warnings, 'warning')}."
     impossible = sum(warning.impossible for warning in warnings)
     if impossible:
-        return f"Implausible: {count(warnings, 'warning')}, {impossible} of values that no assembly has."
+        values = "a value" if impossible == 1 else "values"
+        return f"Implausible: {count(warnings, 'warning')}, {impossible} of {values} that no assembly has."
     return f"The scene is valid{', ' + count(warnings, 'warning') if warnings else ''}."
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
 from pydantic import AfterValidator, Field, model_validator
@@ -385,8 +385,8 @@ Deviation = Annotated[
 ]
 
 
-def targets(item: LocatorDeviation | ClampDeviation | FrictionDeviation) -> list[str]:
-    """Names of the items that a deviation moves."""
+def targets(item: Any) -> list[str]:
+    """Names of the items that a deviation moves, of a kind with `moves`."""
     return [item.target] if isinstance(item.target, str) else item.target
 
 
