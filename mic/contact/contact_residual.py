@@ -2,7 +2,8 @@ r"""Residual of each contact on its own scale.
 
 The certificate's residual relates the errors of all contacts to the energy of all.  A contact whose force is 10⁻¹⁰ of
 the largest may violate its law entirely and still pass.  The residual of one contact relates its own error, as a force,
-to its own force; or, if it is open, its penetration to its own gap (the larger of the gaps with and without forces).
+to its own force; or, if it is open, to its own gap, for a contact without force the larger of those with and without
+the forces of the others.
 With ``ρ_n = 1/S_nn``, ``ρ_t = 2/(S_11 + S_22)`` and the law's opening ``g = u_n - (1 - s) μ‖u_t‖``, the error is
 
 .. math::
@@ -102,7 +103,7 @@ def _relative(f, u, gap, mu, rho, law):
     carried = np.sqrt((f * f).sum(axis=-1))
     per_gap = _gap_stiffness(mu, rho, law)
     open_error = carried + per_gap * np.maximum(-law.opening(u, mu), 0.0)
-    own_gap = per_gap * np.maximum(np.abs(u[..., 0]), np.abs(gap))
+    own_gap = per_gap * np.maximum(np.abs(u[..., 0]), np.where(carried > 0.0, 0.0, np.abs(gap)))
     found = np.minimum(_ratio(_error(f, u, mu, rho, law), carried), _ratio(open_error, own_gap))
     return found.astype(float)
 

@@ -262,7 +262,7 @@ def follow(solver, b, force, anchor, path: Path) -> PathSolution:
         leg = solve_leg(solver, b[:, k], b[:, k + 1], force, anchor, path)
         force, anchor = leg.force, leg.anchor
         legs.append(leg)
-    unresolved = np.any([leg.unresolved for leg in legs], axis=0)
+    unresolved = np.any([leg.unresolved for leg in legs if leg.unresolved is not None], axis=0)
     solution = replace(PathSolution.join(legs), unresolved=unresolved)
     solution.converged[outside], solution.residual[outside] = False, np.inf
     solution.status[outside] = Status.OUT_OF_RANGE

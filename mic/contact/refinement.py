@@ -1,7 +1,7 @@
 """Iterative refinement: Newton steps of one sample with the displacement in extended precision.
 
-A converged force may hold only relative to the largest contact (:mod:`mic.contact.contact_residual`).  With every
-contact scaled to its own force, and ``S f + b`` free of cancellation, a few steps usually make all hold.
+A converged force may hold only relative to the largest contact (:mod:`mic.contact.contact_residual`).  With ``S f +
+b`` free of cancellation, the error of a step is relative to the step, and a few steps usually make all hold.
 """
 
 from __future__ import annotations
@@ -76,8 +76,8 @@ def _linearised(w, parameters, force, law, unit):
 
 
 def _step(S, w, parameters, force, law, unit):
-    """(d m,) Newton step, every contact in units of its own force; None if there are too many unknowns."""
-    (m, d), D = w.shape, unit.ravel()
+    """(d m,) Newton step in scaled variables, as forces; None if there are too many unknowns."""
+    d, D = w.shape[1], unit.ravel()
     phi, A, B, state = _linearised(w, parameters, force, law, unit)
     closed = np.flatnonzero(state != OPEN)
     if len(closed) > LARGEST:
@@ -92,9 +92,7 @@ def _step(S, w, parameters, force, law, unit):
         system = np.einsum("kij,kjl->kil", B[closed], W).reshape(len(rows), -1)
         for place, block in enumerate(A[closed]):
             system[d * place : d * place + d, d * place : d * place + d] += block
-        carried = np.abs(force.reshape(m, d) / unit).max(axis=1) + np.abs(phi).max(axis=1)
-        size = np.repeat(np.where(carried > 0.0, carried, 1.0)[closed], d)
-        step[rows] = size * _solved(system * size / size[:, None], -right.ravel() / size)
+        step[rows] = _solved(system, -right.ravel())
     return step * D
 
 

@@ -4,7 +4,7 @@ It reads the data of a problem and a force, and shares no code with :mod:`mic.co
 (force, displacement) that one contact may have, a union of branches: open, stuck, slipping.  A contact's *breach* is
 the distance from its pair to the nearest branch as a force, displacements counted by the contact's own stiffness
 (normal and tangential apart).  It is related to the contact's own scale: the force that it carries, or, where the
-nearest branch is the open one, the force that would close its gap or push out its own overlap.
+nearest branch is the open one, the force that would close its gap (or push out its overlap, if it carries none).
 
 Tolerances, stated before any solution was judged:
 
@@ -122,7 +122,7 @@ def judge(
     if displacement is not None:
         plain = w if problem.law != "micro-slip" else f @ _symmetric(problem.S) + b
         off = np.abs(np.asarray(displacement, dtype=LONG) - plain)
-        moved = np.asarray((off / (EPS * row + TINY)).max(axis=1, initial=0), dtype=float)
+        moved = np.minimum((off / (EPS * row + TINY)).max(axis=1, initial=0), 1e300).astype(float)
     f, w, row, b = (a.reshape(len(a), m, 3) for a in (f, w, row, b))
     stiff = _stiffness(S, m)
     breach, scale = _breach(problem, f, w, b, row, stiff)
@@ -172,7 +172,7 @@ def _breach(problem, f, w, b, row, stiff):
         gap, reach = w_n - mu * slip, np.maximum(np.abs(w_n), mu * slip)
         per_gap = np.minimum(rho_n, rho_t / np.maximum(mu, TINY))
     opened = carried + per_gap * np.maximum(-gap, 0)
-    own_gap = per_gap * np.maximum(reach, np.abs(b[..., 0]))
+    own_gap = per_gap * np.maximum(reach, np.where(carried > 0, 0, np.abs(b[..., 0])))
     outside = np.maximum(traction - mu * np.maximum(f_n, 0), 0)
     stuck = pull + outside + rho_n * np.abs(w_n) + rho_t * slip
     if problem.law == "frictionless":
