@@ -142,6 +142,18 @@ def test_the_judge_finds_errors_of_a_path(law):
     assert judge_increments(problem, *loads, start, ends, wrong, end)[0].whole.max() > WHOLE
 
 
+def test_contacts_are_certified_one_by_one_unless_nobody_asks():
+    S, b = np.eye(6), np.array([[-1.0, 0.2, 0.0, 0.5, 0.0, 0.0]] * 3)
+    for each in (True, False):
+        solver = ContactSolver(S, 0.3, certify_each=each)
+        found, one = solver.solve(b), solver.solve(b[0])
+        path = solver.follow(np.stack([0 * b, b], axis=1), path=Increments(2))
+        named = found.unresolved, one.unresolved, path.unresolved
+        shapes = [None if values is None else values.shape for values in named]
+        assert shapes == ([(3, 2), (2,), (3, 2)] if each else [None] * 3)
+        assert found.converged.all() and path.converged.all()
+
+
 @pytest.mark.parametrize("law", LAWS)
 def test_refinement_resolves_small_contacts(law):
     """Graded by 1e-12 and coupled; the error of the start is of all contacts, not of the small one."""

@@ -70,7 +70,7 @@ class Certificate:
         Largest ``|μ f_n ‖u_t‖ + f_t·u_t|``, the work by which friction fails to oppose slip [force × length].
     contact_residual : (m,) or (n, m) array
         Error of each contact, relative to its own force or, if it is open, to its own gap [1]; see
-        :mod:`mic.contact.contact_residual`.
+        :mod:`mic.contact.contact_residual`. None if the contacts are not certified one by one.
     """
 
     residual: np.ndarray
@@ -78,7 +78,7 @@ class Certificate:
     cone_violation: np.ndarray
     complementarity: np.ndarray
     slip_error: np.ndarray
-    contact_residual: np.ndarray
+    contact_residual: np.ndarray | None
 
 
 def contact_stiffness(S: np.ndarray, law: Law, dimension: int = 3) -> np.ndarray:
@@ -161,7 +161,7 @@ def series_compliance(law: Law, friction: Friction, dimension: int = 3) -> np.nd
     return series.ravel()
 
 
-def measure(S, b, parameters, force, law, stiffness, dimension, series):
+def measure(S, b, parameters, force, law, stiffness, dimension, series, each=True):
     """Certificate of a batch, for checked arguments and ``S`` that includes the ``series`` compliance.
 
     Returns the certificate and the displacement of the contacts (n, d m), without ``series``.
@@ -183,7 +183,7 @@ def measure(S, b, parameters, force, law, stiffness, dimension, series):
             cone_violation=np.max(traction - bound, axis=1, initial=0.0),
             complementarity=np.max(np.abs(f[..., 0] * u[..., 0]), axis=1, initial=0.0),
             slip_error=np.max(np.abs(work), axis=1, initial=0.0),
-            contact_residual=contact_residuals(S, b, parameters, force, law, dimension, displacement),
+            contact_residual=contact_residuals(S, b, parameters, force, law, dimension, displacement) if each else None,
         )
     return certificate, displacement - force * series if series.any() else displacement
 

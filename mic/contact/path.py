@@ -158,7 +158,8 @@ class PathSolution:
         The :class:`mic.contact.path_record.PathRecord` of the last leg of each sample, if its path is recorded.
     unresolved : (n, m) bool array or None
         Contacts that do not satisfy their law on their own scale in the steps that were certified, see
-        :attr:`mic.contact.solution.ContactSolution.unresolved`; None for working sets of candidates.
+        :attr:`mic.contact.solution.ContactSolution.unresolved`; None if the solver does not certify each contact, and
+        for working sets of candidates.
     """
 
     force: np.ndarray
@@ -262,8 +263,8 @@ def follow(solver, b, force, anchor, path: Path) -> PathSolution:
         leg = solve_leg(solver, b[:, k], b[:, k + 1], force, anchor, path)
         force, anchor = leg.force, leg.anchor
         legs.append(leg)
-    unresolved = np.any([leg.unresolved for leg in legs if leg.unresolved is not None], axis=0)
-    solution = replace(PathSolution.join(legs), unresolved=unresolved)
+    named = [leg.unresolved for leg in legs if leg.unresolved is not None]
+    solution = replace(PathSolution.join(legs), unresolved=np.any(named, axis=0) if named else None)
     solution.converged[outside], solution.residual[outside] = False, np.inf
     solution.status[outside] = Status.OUT_OF_RANGE
     return solution
@@ -316,7 +317,8 @@ def increments(solver, b0, b1, force, anchor, path: Increments) -> PathSolution:
     trace = Trace.start(n, m)
     converged, residual, iterations = np.ones(n, dtype=bool), np.zeros(n), np.zeros(n, dtype=np.int64)
     status, rung = np.full(n, Status.CONVERGED, dtype=object), np.full(n, "increments", dtype=object)
-    force, anchor, unresolved = force.copy(), anchor.copy(), np.zeros((n, m), dtype=bool)
+    force, anchor = force.copy(), anchor.copy()
+    unresolved = np.zeros((n, m), dtype=bool) if solver.certify_each else None
     ends, forces = path.ends, []
     for end, part in zip(ends, np.diff(ends, prepend=0.0)):
         left = np.flatnonzero(converged)  # a sample ends at its first increment without a solution
@@ -336,7 +338,8 @@ def increments(solver, b0, b1, force, anchor, path: Increments) -> PathSolution:
         forces.append(force.copy())
         converged[left], status[left], rung[left] = solution.converged, solution.status, solution.rung
         residual[left] = np.maximum(residual[left], solution.residual)
-        unresolved[left] |= solution.unresolved
+        if unresolved is not None:
+            unresolved[left] |= solution.unresolved
         iterations[left] += solution.iterations
     return PathSolution(
         force=force,

@@ -82,7 +82,8 @@ class ContactSolution(Certificate):
     rung: np.ndarray
 
     @property
-    def unresolved(self) -> np.ndarray:
+    def unresolved(self) -> np.ndarray | None:
         """(m,) or (n, m) bool array: contacts that do not satisfy their law on their own scale, only to within the
-        tolerance of all: their ``contact_residual`` exceeds :data:`mic.contact.contact_residual.RESOLVED`."""
-        return ~(self.contact_residual <= RESOLVED)
+        tolerance of all: their ``contact_residual`` exceeds :data:`mic.contact.contact_residual.RESOLVED`. None if the
+        contacts are not certified one by one."""
+        return None if self.contact_residual is None else ~(self.contact_residual <= RESOLVED)
