@@ -128,7 +128,7 @@ class Scene(Table):
     """defaults for accuracy, see below"""
 
     element: Name = "dkt-opt-curved"
-    """shell element: `dkt-opt-curved`, the production shell; `dkt-opt`, the same on flat triangles; `p2-cr`, an
+    """shell element: `dkt-opt-curved`; `dkmt-opt-curved` for thick parts; `dkt-opt`, on flat triangles; `p2-cr`, an
     independent check; or another of the installed compliance provider"""
 
     stiffness: Literal["nominal", "mean", "first-order"] = "nominal"
