@@ -142,6 +142,11 @@ def test_the_judge_finds_errors_of_a_path(law):
     assert judge_increments(problem, *loads, start, ends, wrong, end)[0].whole.max() > WHOLE
 
 
+def test_forces_whose_squares_are_zero_are_no_remainders():
+    """Sweeps from a guess ended at 1e-172 N; the certificate squares forces."""
+    assert not outcome(draw(213364)).failures
+
+
 def test_contacts_are_certified_one_by_one_unless_nobody_asks():
     S, b = np.eye(6), np.array([[-1.0, 0.2, 0.0, 0.5, 0.0, 0.0]] * 3)
     for each in (True, False):

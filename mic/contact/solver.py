@@ -17,7 +17,7 @@ from mic.contact.laws import Law, find
 from mic.contact.path import Followed, Path, PathSolution, follow, with_samples
 from mic.contact.refinement import refined
 from mic.contact.solution import ContactSolution, Status
-from mic.contact.units import out_of_range, unit
+from mic.contact.units import RANGE, out_of_range, unit
 from mic.system.matrix_product import one_thread
 
 __all__ = ["ContactSolver", "solve"]
@@ -31,6 +31,8 @@ INDEFINITE = 5e-7
 SMALLEST = np.finfo(float).tiny / np.finfo(float).eps
 #: The search for a solution ends at this fraction of the tolerance, so that rounding cannot change the outcome.
 SAFETY = 0.5
+#: Forces below this are remainders of iterations: displacements and compliances within RANGE need larger ones.
+NEGLIGIBLE = 1e-20 * RANGE[0] / RANGE[1]
 #: Overlap of a contact that no force moves, relative to the largest displacement, that counts as rounding.
 ROUNDING = 16.0 * np.finfo(float).eps
 OUTCOMES = np.array([Status.CONVERGED, Status.NOT_CONVERGED, Status.INFEASIBLE], dtype=object)
@@ -208,6 +210,7 @@ class ContactSolver:
             rung = np.full(len(rows), "rigid", dtype=object)
         else:
             force, *both, rung = self.backend.solve(rows, guess)
+            force[np.abs(force) < NEGLIGIBLE] = 0.0
             counts = np.array(both)
         rigid = self._overlaps_rigidly(rows)
         solution = self.certify(rows, force, counts[0], counts[1], rung, rigid)
