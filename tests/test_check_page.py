@@ -10,6 +10,7 @@ from support.pages import unpacked
 from typer.testing import CliRunner
 
 from mic.options import app
+from mic.system.foreign_files import ALSO_READ
 
 LAP = Path(__file__).resolve().parents[1] / "meshes" / "lap_joint"
 
@@ -117,8 +118,9 @@ name = "lower-A1"
 
 
 @pytest.mark.slow
-def test_fixtures_are_drawn_unless_their_mesh_is_missing(tmp_path, cache):
+def test_fixtures_are_drawn_unless_their_mesh_is_missing(tmp_path, cache, monkeypatch):
     """A block from a file; a pad that is set against a part, and hence only where that is meshed; neither, if not."""
+    monkeypatch.setenv(ALSO_READ, str(tmp_path))
     edit = ('[[locators]]\nname = "lower-A1"\n', PAD)
     block = "solid b\n facet normal 0 0 1\n  outer loop\n   vertex 0 0 -5\n   vertex 9 0 -5\n   vertex 0 9 -5\n"
     (tmp_path / "block.stl").write_text(block + "  endloop\n endfacet\nendsolid b\n")

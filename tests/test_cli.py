@@ -175,7 +175,7 @@ def test_an_error_is_one_line_and_the_exit_status_is_two(tmp_path):
     done = subprocess.run([sys.executable, "-m", "mic", "check", "nowhere"], capture_output=True, text=True, timeout=60)
     assert done.returncode == 2 and "Traceback" not in done.stderr
     (line,) = done.stderr.strip().splitlines()
-    assert "nowhere" in line and "no such file" in line
+    assert "nowhere" in line and "this scene does not exist" in line
 
 
 @pytest.mark.slow

@@ -285,7 +285,7 @@ def test_every_invalid_cell_is_reported_with_file_row_and_column(folder, tmp_pat
 
 
 BAD_FILES = {
-    "missing": (None, "there is no file"),
+    "missing": (None, "this table does not exist"),
     "column": ("name,x,y,z,raduis\nW,1,2,3,4\n", "row 1: there is no column 'raduis'"),
     "two coordinates": ("name,x,y\nW,1,2\n", "there is only x and y"),
     "ragged": ("name,x,y,z\nW,1,2,3,4,5\n", "not a table"),
