@@ -14,7 +14,7 @@ import traceback
 from pathlib import Path
 from typing import NoReturn
 
-from mic.errors import MicError, Stopped
+from mic.errors import MicError, RunError, Stopped
 
 __all__ = ["main"]
 
@@ -36,6 +36,7 @@ def main() -> NoReturn:
     try:
         _on_signals(_raise_stopped)
         refuse_library_settings(Path.cwd())
+        _refuse_undecodable(sys.argv)
         world = communicator()
         with silence_other_ranks(world):
             options.app()
@@ -54,6 +55,15 @@ def main() -> NoReturn:
         status, message = 1, traceback.format_exc()
     _on_signals(signal.SIG_DFL)  # nothing is left to save or report
     exit_together(world, status, message)
+
+
+def _refuse_undecodable(arguments) -> None:
+    """Refuse file names that are no UTF-8: they can be neither printed nor written into a scene."""
+    for text in arguments:
+        try:
+            text.encode()
+        except UnicodeEncodeError:
+            raise RunError(f"{ascii(text)}: this name is no valid UTF-8; rename the file") from None
 
 
 def _on_signals(handler) -> None:

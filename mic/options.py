@@ -20,6 +20,7 @@ import typer
 
 from mic import examples
 from mic.contact.laws import LAWS
+from mic.errors import RunError
 from mic.system.foreign_files import ALSO_READ, NO_SCRIPTS
 
 __all__ = ["app"]
@@ -89,6 +90,9 @@ def _set_access(values: dict[str, Any]) -> None:
     if values.pop("no_scripts", False):
         os.environ[NO_SCRIPTS] = "1"
     if folders := values.pop("also_read", None):
+        for folder in folders:
+            if not folder.is_dir():
+                raise RunError(f"--also-read {folder}: there is no such folder; correct the name")
         given = [os.environ[ALSO_READ]] if os.environ.get(ALSO_READ) else []
         os.environ[ALSO_READ] = os.pathsep.join([*given, *map(os.path.abspath, folders)])
 

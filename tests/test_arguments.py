@@ -56,7 +56,7 @@ NEEDED = {
     "init": {"files": []},
 }
 DEVIATIONS = [
-    *(None, "x", [[]], [1], [1, None], [1, "x"], [[1, 2], [3]], [1, 2, 3], 5.0, object(), [np.datetime64("2020"), 1]),
+    *(None, "x", [[]], [1], [1, None], [1, "x"], [[1, 2], [3]], [1, 2, 3], 5.0, {1: 2}, [np.datetime64("2020"), 1]),
     *(np.zeros((2, 3)), np.zeros((1, 1, 2)), np.array(["a", "b"]), np.array([1j, 0]), [True, False]),
     *([NAN, 1], [HUGE, 1]),
     *({"Q": 1}, {3: 1}, {"P": [1, 2], "D": [1, 2, 3]}, {"P": [[1, 2]]}, pd.DataFrame({"Q": [1.0]})),

@@ -101,10 +101,7 @@ def _table(path: Path) -> dict[int, tuple[float, ...]]:
 def _market(path: Path) -> csr_matrix:
     if not any(line.strip() and not line.startswith(b"%") for line in path.read_bytes().splitlines()):
         raise FormatError("it ends with its header; write it again")  # SciPy would loop forever
-    try:
-        return csr_matrix(mmread(path))
-    except Exception as problem:  # SciPy raises various exceptions
-        raise FormatError(f"it cannot be read ({' '.join(str(problem).split())}); write it again") from problem
+    return csr_matrix(mmread(path))
 
 
 def _output4(path: Path) -> csr_matrix:

@@ -28,6 +28,7 @@ GENERATED = Format("generated mesh", 3, ABSENT)
 
 #: Plausible values from a deck, mm and MPa; others have another unit.
 LIKELY = {"thickness": (1e-2, 50.0), "offset": (-5.0, 5.0), "young": (1e3, 1e6), "poisson": (-0.99, 0.499)}
+LARGEST_SOURCE = 10_000_000  # bytes of a Python file
 LISTED_PIECES = 3  # of a part in several pieces
 
 
@@ -243,5 +244,6 @@ def _key(part, path, size, share):
     """Cache key of a generated mesh: hash of the inputs that are known before the script runs."""
     sources = sorted([*path.parent.glob("*.py"), *path.parent.parent.glob("*.py")])
     ours = (Path(structured.__file__), Path(grading.__file__))
-    contents = [source.read_bytes().hex() for source in (*ours, *sources) if source.is_file()]
+    small = [source for source in (*ours, *sources) if source.is_file() and source.stat().st_size < LARGEST_SOURCE]
+    contents = [source.read_bytes().hex() for source in small]
     return fingerprint([part.name, size, graded_sizes(size), share, path.name, contents])

@@ -13,7 +13,6 @@ an error message in a file. Its output is discarded. It is stopped after ``$MIC_
 from __future__ import annotations
 
 import hashlib
-import importlib.util
 import json
 import os
 import sys
@@ -93,14 +92,14 @@ def load_script(path: Path) -> ModuleType:
     ValueError
         If it is no Python file, or defines no ``build``.
     """
-    name = f"mic_geometry_{hashlib.sha256(str(path.resolve()).encode()).hexdigest()[:8]}"
-    spec = importlib.util.spec_from_file_location(name, path)
-    if spec is None or spec.loader is None:
+    if path.suffix != ".py":
         raise ValueError("a geometry script must be a Python file, NAME.py")
-    module = importlib.util.module_from_spec(spec)
+    module = ModuleType(f"mic_geometry_{hashlib.sha256(str(path.resolve()).encode()).hexdigest()[:8]}")
+    name, module.__file__ = module.__name__, str(path)
     sys.modules[name] = module  # dataclasses look their module up
     try:
-        spec.loader.exec_module(module)
+        # The source itself: an import would prefer a compiled file beside it, which may hold another program.
+        exec(compile(path.read_bytes(), path, "exec"), vars(module))
     except BaseException:
         del sys.modules[name]
         raise

@@ -23,7 +23,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from glob import glob
 from pathlib import Path
 from typing import Any
 
@@ -248,7 +247,8 @@ def _without_noise(values: np.ndarray, noise: np.ndarray) -> tuple[np.ndarray, n
 def _files(at: str, pattern: str, folder: Path) -> list[Path]:
     """The files of a name or a pattern, sorted by name."""
     wanted = f"{pattern}/*" if (folder / pattern).is_dir() else pattern
-    matches = map(folder.joinpath, glob(wanted, root_dir=folder, recursive=True))
+    start = Path(Path(wanted).anchor or folder)
+    matches = start.glob(str(Path(wanted).relative_to(Path(wanted).anchor)))  # follows no links to folders
     files = sorted(file for file in matches if file.is_file() and not file.name.startswith("."))
     if not files:
         raise SceneError(f"{at}: files: there is no file {pattern!r} in {folder}; correct the name or the pattern")

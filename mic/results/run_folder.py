@@ -31,7 +31,6 @@ from __future__ import annotations
 
 import platform
 import re
-import shutil
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
@@ -62,6 +61,7 @@ from mic.results.schema import (
 )
 from mic.scene.schema import Report
 from mic.statistics.estimates import Moments
+from mic.system import foreign_files
 from mic.system.files import (
     DAMAGED,
     Format,
@@ -72,11 +72,11 @@ from mic.system.files import (
     load_arrays,
     load_json,
     reading,
-    replacing,
     save_arrays,
     save_json,
     set_aside,
     together,
+    write_text,
 )
 from mic.system.memoise import pack, unpack
 
@@ -466,9 +466,10 @@ class RunFolder:
             self.path / "parts.npz", _PARTS, {"identity": self.record()["identity"], "content": content}, arrays
         )
         published = assembly.scene.folder / PUBLISHED
-        if published.is_file():
-            with replacing(self.path / PUBLISHED) as temporary:
-                shutil.copyfile(published, temporary)
+        if published.is_symlink() or published.is_file():
+            with foreign_files.reading(published, "table of published values", assembly.scene.folder):
+                content = published.read_text(encoding="utf-8")
+            write_text(self.path / PUBLISHED, content)
 
     def parts(self) -> tuple[Part, ...]:
         """The parts as :meth:`store_inputs` wrote them; none if it was not called.

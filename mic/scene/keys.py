@@ -7,6 +7,7 @@ descriptions of keys are the source of the scene reference.
 from __future__ import annotations
 
 import re
+import unicodedata
 from typing import Annotated, Any
 
 import numpy as np
@@ -40,6 +41,7 @@ class Table(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, str_strip_whitespace=True)
 
 
+LONGEST_NAME = 255  # bytes of the name of a file
 LARGEST, SMALLEST = 1e15, 1e-15  # numbers of a scene, in any unit; beyond them squares overflow or vanish
 
 
@@ -72,7 +74,15 @@ class FilePath(str):
     """The name of a file, relative to the scene's folder."""
 
 
-FileName = Annotated[str, Field(min_length=1), AfterValidator(FilePath)]
+def _file_name(name: str) -> FilePath:
+    if any(unicodedata.category(letter) in ("Cc", "Cs") for letter in name):
+        raise ValueError("a file name has no control characters; correct it")
+    if max(len(part.encode()) for part in name.split("/")) > LONGEST_NAME:
+        raise ValueError(f"a file name has at most {LONGEST_NAME} letters; correct it")
+    return FilePath(name)
+
+
+FileName = Annotated[str, Field(min_length=1), AfterValidator(_file_name)]
 Vector = tuple[FiniteFloat, FiniteFloat, FiniteFloat]
 Positive = Annotated[FiniteFloat, Field(gt=0), AfterValidator(_not_tiny)]
 NonNegative = Annotated[FiniteFloat, Field(ge=0), AfterValidator(_not_tiny)]

@@ -21,6 +21,11 @@ from mic.system.foreign_files import reading
 __all__ = ["load_scene", "read_table", "read_toml"]
 
 
+DEPTH = 20  # levels of tables and lists in a TOML file
+TOO_DEEP = "tables or lists are nested too deeply; a scene needs no more than a few levels"
+LISTED = 100  # errors of a scene that are listed
+
+
 @checked
 def load_scene(path) -> Scene:
     """Read and validate a scene file.
@@ -51,11 +56,18 @@ def read_toml(path: Path, kind: str) -> dict[str, Any]:
     """
     with reading(path, kind, error=SceneError):
         try:
-            return tomllib.loads(path.read_bytes().decode())
-        except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+            table = tomllib.loads(path.read_bytes().decode())
+        except ValueError as error:  # of TOML, of UTF-8, or of a number with thousands of digits
             raise SceneError(f"not valid TOML: {error}; correct the syntax there") from None
         except RecursionError:
-            raise SceneError("tables or lists are nested too deeply; a scene needs no more than three levels") from None
+            raise SceneError(TOO_DEEP) from None
+        level: list[Any] = [table]
+        for _ in range(DEPTH):
+            inner = [one for one in level if isinstance(one, (dict, list))]
+            level = [one for outer in inner for one in (outer.values() if isinstance(outer, dict) else outer)]
+        if level:
+            raise SceneError(TOO_DEEP)
+        return table
 
 
 def read_table(table: dict[str, Any], path: Path) -> Scene:
@@ -77,8 +89,10 @@ def read_table(table: dict[str, Any], path: Path) -> Scene:
         between = _between_tables(table)
     except SceneError:  # it is among the errors already
         table, between = {}, []
-    lines = [line for item in found for line in _explain(table, item)]
+    lines = [line for item in found[:LISTED] for line in _explain(table, item)]
     lines += [line for line in between if line not in lines]
+    if len(found) + len(between) > LISTED:
+        lines[LISTED:] = [f"{len(found) + len(between) - LISTED} more errors; correct these first"]
     raise SceneError("\n".join(f"{path}: {line}" for line in lines))
 
 

@@ -9,7 +9,9 @@ from __future__ import annotations
 
 import os
 import shlex
+import shutil
 import signal
+import stat
 import sys
 import sysconfig
 import tempfile
@@ -22,23 +24,28 @@ from pathlib import Path
 
 from mic.errors import FormatError, MicError, RunError
 
+try:
+    import resource
+except ImportError:  # not a POSIX system
+    resource = None  # type: ignore[assignment]
+
 __all__ = [
     "ALSO_READ",
     "NO_SCRIPTS",
-    "TEMPORARY",
     "library_folders",
     "reading",
     "reason_to_refuse",
     "refuse_library_settings",
     "scripts_allowed",
+    "temporary_folder",
 ]
 
 ALSO_READ = "MIC_ALSO_READ"  #: environment variable: folders that scenes may read besides their own, as in PATH
 NO_SCRIPTS = "MIC_NO_SCRIPTS"  #: environment variable: if it is set, geometry scripts are refused
 
-TEMPORARY = "mic-"  #: prefix of the temporary folders of readers
-
 LARGEST = 4_000_000_000  # bytes
+MEMORY = 2_000_000_000  # bytes of address space that a reader may add
+MEMORY_PER_BYTE = 100  # additional bytes per byte of the file
 LIMIT = 60.0  # s that a reader may take; some libraries loop forever on damaged files
 LIMIT_PER_MB = 30.0  # additional s per MB
 
@@ -57,6 +64,7 @@ SETTINGS = {
 
 _WRITING = os.O_WRONLY | os.O_RDWR | os.O_CREAT | os.O_TRUNC | os.O_APPEND
 
+_TEMPORARY = "mic-"  # prefix of the temporary folders of readers
 _gate = threading.local()  # .folders, .others: folders whose files this thread may open inside `reading`
 _hook_installed: list[bool] = []  # an audit hook cannot be removed
 
@@ -86,15 +94,22 @@ def reading(
         Of the class `error`, if the file does not exist, is no regular file, is too large or lies elsewhere, or if
         reading it raises anything or takes too long. Its message begins with the path.
     """
-    if not path.is_file():
-        raise error(f"{path}: this {kind} does not exist; correct the name")
-    size = path.stat().st_size
+    try:
+        status = path.stat()
+    except FileNotFoundError:
+        raise error(f"{path}: this {kind} does not exist; correct the name") from None
+    except (OSError, ValueError) as problem:
+        raise error(f"{path}: this {kind} cannot be read ({_describe(problem)}); correct the name") from None
+    if not stat.S_ISREG(status.st_mode):
+        raise error(f"{path}: this {kind} is no file, but a folder, pipe or device; give a file")
+    size = status.st_size
     if size > LARGEST:
         raise error(f"{path}: this {kind} has {size / 1e9:.3g} GB, more than {LARGEST / 1e9:g}; give a smaller one")
     seconds += LIMIT + LIMIT_PER_MB * size / 1e6
     try:
         folders = (path.parent, path.resolve().parent) if folder is None else (folder,)
-        with _only_from(folders), _time_limit(seconds), _silence():
+        memory = MEMORY + MEMORY_PER_BYTE * size
+        with _memory_limit(memory), _only_from(folders), _time_limit(seconds), _silence():
             if reason := reason_to_refuse(path):
                 raise error(f"it {reason}")
             yield
@@ -104,13 +119,15 @@ def reading(
     except ImportError as problem:
         install = f"install it (pip install {problem.name}), or save the file in another format"
         raise error(f"{path}: reading {path.suffix} files needs the package {problem.name}; {install}") from problem
+    except MemoryError:
+        text = f"needs more than {memory / 1e9:.1f} GB of memory: it is damaged or not what its suffix says"
     except TimeoutError:
         text = f"was not read in {seconds:.0f} s: it is damaged or not what its suffix says"
     except PermissionError:
         raise error(f"{path}: this {kind} cannot be read; give permission") from None
     except (Exception, SystemExit) as problem:  # libraries raise any exception, some exit
         text = f"cannot be read: it is cut short, damaged or not what its suffix says ({_describe(problem)})"
-    raise error(f"{path}: this {kind} {text}; export it again, or in another format")
+    raise error(f"{path}: this {kind} {text}; correct it, or export it again in another format")
 
 
 def reason_to_refuse(path: Path, folder: Path | None = None) -> str | None:
@@ -170,7 +187,7 @@ def _only_from(folders: tuple[Path, ...]) -> Iterator[None]:
         _hook_installed.append(True)
     outer = getattr(_gate, "folders", ())
     # Found before the gate closes: finding the temporary folder opens a file there and holds a lock meanwhile.
-    _gate.others = (*library_folders(), os.path.join(tempfile.gettempdir(), TEMPORARY))
+    _gate.others = (*library_folders(), os.path.join(tempfile.gettempdir(), _TEMPORARY))
     _gate.folders = folders
     try:
         yield
@@ -199,6 +216,34 @@ def _silence() -> Iterator[None]:
     with redirect_stdout(StringIO()), redirect_stderr(StringIO()), warnings.catch_warnings():
         warnings.simplefilter("ignore")
         yield
+
+
+@contextmanager
+def temporary_folder() -> Iterator[Path]:
+    """An empty folder, removed at the end, whose files a reader may open."""
+    folder = tempfile.mkdtemp(prefix=_TEMPORARY)
+    try:
+        yield Path(folder)
+    finally:
+        with _only_from(()):  # removing opens folders by names that are relative to descriptors
+            shutil.rmtree(folder, ignore_errors=True)
+
+
+@contextmanager
+def _memory_limit(more: int) -> Iterator[None]:
+    """Raise MemoryError when the address space of this process grows by a number of bytes; only on Linux."""
+    try:
+        pages = int(Path("/proc/self/statm").read_text().split()[0])
+        old, most = resource.getrlimit(resource.RLIMIT_AS)
+    except (OSError, AttributeError):  # another system
+        yield
+        return
+    limits = [limit for limit in (old, most) if limit != resource.RLIM_INFINITY]
+    resource.setrlimit(resource.RLIMIT_AS, (min([pages * resource.getpagesize() + more, *limits]), most))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_AS, (old, most))
 
 
 @contextmanager

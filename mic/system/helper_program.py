@@ -40,7 +40,7 @@ def run_program(
     output : binary file, optional
         Receives what it prints. Default: that is discarded.
     memory : float, optional
-        Limit of its address space, bytes, on systems that have one (Linux).
+        Limit of its address space, bytes, on systems that have one (Linux); its processor time is then limited, too.
     """
     process = subprocess.Popen(
         command,
@@ -57,6 +57,8 @@ def run_program(
             limit = int(memory) if most == resource.RLIM_INFINITY else min(int(memory), most)
             with suppress(ProcessLookupError):  # it has ended
                 resource.prlimit(process.pid, resource.RLIMIT_AS, (limit, limit))
+                # It ends by itself, too, should this process be killed.
+                resource.prlimit(process.pid, resource.RLIMIT_CPU, (int(seconds) + 1, int(seconds) + 1))
         return process.wait(seconds)
     except subprocess.TimeoutExpired:
         return None

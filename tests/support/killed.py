@@ -70,7 +70,8 @@ def content(folder: Path) -> dict[str, str]:
                 with np.load(path) as data:
                     body = b"".join(name.encode() + data[name].tobytes() for name in sorted(data.files))
             elif path.suffix == ".json":
-                body = json.dumps(json.loads(path.read_text()) | {"wall_time": {}, "checksum": ""}, sort_keys=True).encode()
+                content = json.loads(path.read_text()) | {"wall_time": {}, "checksum": ""}
+                body = json.dumps(content, sort_keys=True).encode()
             else:
                 body = path.read_bytes()
             found[str(path.relative_to(folder))] = hashlib.sha256(body).hexdigest()

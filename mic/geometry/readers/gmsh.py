@@ -5,13 +5,12 @@ from __future__ import annotations
 import re
 from dataclasses import replace
 from pathlib import Path
-from tempfile import TemporaryDirectory
 
 import meshlane
 import numpy as np
 
 from mic.geometry.readers.raw_mesh import RawMesh, from_meshlane
-from mic.system.foreign_files import TEMPORARY
+from mic.system.foreign_files import temporary_folder
 
 __all__ = ["read", "volumes"]
 
@@ -24,8 +23,8 @@ SHEETS = ("triangle", "quad")
 def read(path: Path) -> RawMesh:
     """All elements of a gmsh file, in physical groups or not, and the groups."""
     content = path.read_bytes()
-    with TemporaryDirectory(prefix=TEMPORARY) as folder:  # meshlane reads this format from files only
-        bare = Path(folder) / "mesh.msh"
+    with temporary_folder() as folder:  # meshlane reads this format from files only
+        bare = folder / "mesh.msh"
         bare.write_bytes(_without_parameters(GROUPS.sub(b"", content)))
         mesh = meshlane.gmsh.read(bare)
     raw = from_meshlane(mesh)

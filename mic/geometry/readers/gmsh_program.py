@@ -8,12 +8,11 @@ import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from tempfile import TemporaryDirectory
 
 from mic.errors import FormatError
 from mic.geometry.readers import gmsh
 from mic.geometry.readers.raw_mesh import RawMesh
-from mic.system.foreign_files import TEMPORARY
+from mic.system.foreign_files import temporary_folder
 from mic.system.helper_program import run_program
 
 __all__ = ["CAD_SUFFIXES", "LIMIT", "read_cad", "read_med"]
@@ -66,15 +65,14 @@ def _converted(path: Path, kind: str, options: Sequence[str]) -> Iterator[Path]:
     program = shutil.which("gmsh") or shutil.which("gmsh", path=str(Path(sys.executable).parent))
     if program is None:
         raise FormatError(f"gmsh, which reads {kind} files, is missing; install it: pip install 'mic-contact[mesh]'")
-    with TemporaryDirectory(prefix=TEMPORARY) as name:
-        folder = Path(name)
+    with temporary_folder() as folder:
         source, mesh, printed = folder / f"source{path.suffix.lower()}", folder / "mesh.msh", folder / "printed.txt"
         shutil.copyfile(path, source)
         with open(program, "rb") as file:  # pip installs a script, whose first line may name another Python
             run = [sys.executable, program] if b"python" in file.readline() else [program]
         command = [*run, str(source), *options, "-format", "msh41", "-o", str(mesh), "-nt", "1", "-v", "2"]
         environment = {key: value for key, value in os.environ.items() if key in INHERITED}
-        environment |= dict.fromkeys(("HOME", "GMSH_HOME", "TMPDIR"), name)
+        environment |= dict.fromkeys(("HOME", "GMSH_HOME", "TMPDIR"), str(folder))
         with open(printed, "wb") as output:
             status = run_program(command, LIMIT, environment, folder, output, MEMORY)
         if status is None:

@@ -43,7 +43,7 @@ def _read_off(path: Path) -> RawMesh:
 
 def _read_xdmf(path: Path) -> RawMesh:
     """XDMF; the files of data that it names must lie where files may be read."""
-    for item in ElementTree.parse(path).iter("DataItem"):
+    for item in ElementTree.parse(path).iter():
         text = (item.text or "").strip()
         place = {"HDF": path.parent / text.rpartition(":")[0], "Binary": Path(text)}.get(item.get("Format", ""))
         if place is not None and (reason := reason_to_refuse(place)):
