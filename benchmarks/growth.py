@@ -86,10 +86,10 @@ def main() -> None:
 def write(folder: Path, assembly, model: ReducedModel, evaluation: Evaluation, samples: int) -> None:
     """Results folder of a run, without statistics."""
     store, whose = RunFolder(folder), identity(model, 1)
-    store.store_inputs(assembly)
-    model.save(folder / "model.npz")
     record = {"scene": model.scene.name, "samples": samples, "seed": 1, "laws": [LAW]}
     store.write_record(record | {"identity": whose, "inputs": inputs(model, 1), "versions": versions()})
+    store.store_inputs(assembly)
+    model.save(folder / "model.npz")
     for law, first, count in blocks([LAW], samples, len(model.contacts)):
         block = rows(evaluation, (first + np.arange(count)) % len(evaluation.deviations))
         write_evaluation(store, Block(law, first, count), whose, model, block)

@@ -295,6 +295,7 @@ CLAIMS = {
 
 @pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="only Linux bounds the memory of a reader")
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")  # a reader that is given up
 @pytest.mark.parametrize("name", CLAIMS)
 def test_small_files_do_not_take_gigabytes(tmp_path, monkeypatch, name):
     monkeypatch.setattr(foreign_files, "MEMORY", 300_000_000)

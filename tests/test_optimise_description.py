@@ -12,6 +12,7 @@ from mic.options import app
 from mic.results.schema import COMPARISON, OPTIMA
 from mic.studies.optimisation import BUDGET, FRESH
 from mic.studies.optimisation.description import describe
+from mic.system.foreign_files import ALSO_READ
 
 PLACES = [[float(i), 0.0, 0.0] for i in range(1, 9)]
 WHOLE = {
@@ -66,7 +67,8 @@ def test_the_objective_is_described_with_its_weights():
     assert told[0].startswith("objective: maximise the least Cpk of all measurements ")
 
 
-def test_measured_parts_are_counted_and_a_file_that_is_none_is_refused(tmp_path):
+def test_measured_parts_are_counted_and_a_file_that_is_none_is_refused(tmp_path, monkeypatch):
+    monkeypatch.setenv(ALSO_READ, str(tmp_path))
     (tmp_path / "f.csv").write_text("b\n0.1\n0.2\n0.3\n")
     (tmp_path / "r.csv").write_text("a\n0.1\n0.2\n")
     told = words({}, tmp_path)

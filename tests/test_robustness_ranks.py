@@ -1,5 +1,6 @@
 """A run on several MPI processes gives the bits of one, loses nothing, never hangs, and fails with one message."""
 
+import re
 import shutil
 import signal
 import subprocess
@@ -122,7 +123,7 @@ def test_several_processes_give_the_bits_of_one(one_process, scene, tmp_path):
     code, output = mic_on(3, ["run", scene, "--out", tmp_path / "out"], cache, plant=(1, "cache"))
     assert code == 0 and output.count("report: ") == 1 and blocks(tmp_path / "out") == blocks(one_process), output
     assert output.count("influence coefficients of ") == 2 and output.count(": reused from ") == 1
-    output = output.replace("\x1b[?25h", "")  # the cursor, shown again where the bar ends
+    output = re.sub(r"\x1b\[[?0-9;]*[A-Za-z]", "", output)  # bars erase their line and hide the cursor
     reported = [line for line in output.splitlines() if "it counts as absent and is replaced" in line]
     assert sorted(line.split(": this ")[0] for line in reported) == sorted(map(str, cut)), output
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 import time
 from pathlib import Path
 
@@ -64,7 +65,7 @@ MAX_SOURCES = 40  # sources that are listed
 @first_rank_only
 def check(scene, law, accuracy, converge, normals, overlap, strict, page):
     """``mic check``, with the values of its options (:mod:`mic.options`)."""
-    console = CommandConsole()
+    console, order = CommandConsole(), f"mic order {shlex.quote(str(scene))}"
     scene = with_options(load_scene(scene), law)
     for script in dict.fromkeys(part.geometry for part in scene.parts if part.geometry is not None):
         console.say(f"This scene contains a program: {scene.folder / script} is executed to create its meshes.")
@@ -95,7 +96,7 @@ def check(scene, law, accuracy, converge, normals, overlap, strict, page):
         console.print("[bold]Optimisation[/] (mic optimise)")
         console.say_each(f"• {sentence}" for sentence in optimisation)
     model = _cached_model(assembly)
-    warnings += _few_samples(console, assembly, model)
+    warnings += _few_samples(console, assembly, model, order)
     shapes = _print_sources(console, assembly, model)
     _print_thicknesses(console, assembly, model)
     console.say_each(f"• {sentence}" for sentence in _cost(assembly, plans))
@@ -238,13 +239,14 @@ def _print_thicknesses(console, assembly, model):
         )
 
 
-def _few_samples(console, assembly, model):
-    """Print whether friction and placing matter, if a few samples are cheap; return warnings of their results."""
+def _few_samples(console, assembly, model, order):
+    """Print whether friction and placing matter, if a few samples are cheap, else the command `order` that tells it;
+    return warnings of their results."""
     frictional = len(assembly.contacts) and any(LAWS[law].frictional for law in assembly.scene.report.laws)
-    order_unknown = "Effect of the process order: not computed{}. Run `mic order SCENE`."
+    unknown, advice = "Effect of the process order: not computed", f"Run `{plain(order)}`."
     if model is None:
         if frictional:
-            console.print(order_unknown.format(""), highlight=False)
+            console.print(f"{unknown}. {advice}", highlight=False, soft_wrap=True)
         return ()
     start = time.perf_counter()
     samples = few_samples(model)
@@ -254,10 +256,12 @@ def _few_samples(console, assembly, model):
         console.warn("note", f"none of {len(good)} samples, solved roughly, has a solution: `mic run` may fail, too")
         return ()
     if frictional and seconds > PATIENCE:
-        console.print(order_unknown.format(f", since {len(good)} samples take {seconds:.0f} s"), highlight=False)
+        console.print(
+            f"{unknown}, since {len(good)} samples take {seconds:.0f} s. {advice}", highlight=False, soft_wrap=True
+        )
     elif frictional:
         for doubt in doubts(model, samples):
-            console.warn("note", f"{doubt}; run `mic order SCENE` for numbers")
+            console.warn("note", f"{doubt}; run `{order}` for numbers")
     forces = {
         stage: max(float(np.abs(array[good]).max(initial=0.0)) for array in (one.force, one.reaction))
         for stage, one in samples.resolutions.items()
