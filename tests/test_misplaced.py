@@ -176,12 +176,14 @@ def errors(folder, *edits):
     return str(caught.value).splitlines()
 
 
+@pytest.mark.slow
 def test_the_scene_without_errors_is_assembled(folder):
     assembly = assemble(read_table(edited(), folder / "scene.toml"), folder / "cache")
     assert assembly.labels["locator"] == [item["name"] for item in SCENE["locators"]]
     assert isinstance(mic.check(read_table(edited(), folder / "scene.toml"), folder / "cache"), tuple)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("case", CASES)
 def test_a_misplaced_item_is_named_whatever_refers_to_it(case, folder):
     place, keys, words = CASES[case]

@@ -205,6 +205,7 @@ def test_sets_of_one_deck_are_parts_with_the_thickness_of_the_deck(proposed):
     assert [(part["set"], part["thickness"]) for part in written] == [("BASE", 0.8), ("HAT", 1.2), ("CAP", 1.0)]
 
 
+@pytest.mark.slow
 def test_metres_are_detected_and_written_into_the_scene(proposed):
     folder, proposal, _ = proposed("in metres")
     scene = load_scene(folder)
@@ -223,6 +224,7 @@ def test_a_part_that_touches_nothing_is_reported_and_stays_located(proposed):
     assert len([name for name in keep if name.startswith("far-")]) == 6 and len(keep) == 12
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("case", ["drawn on the faying surface", "three in one deck"])
 def test_every_key_is_explained_where_it_first_stands(proposed, case):
     """A comment on its line or on the line above, by table and key."""
