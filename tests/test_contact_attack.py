@@ -142,7 +142,7 @@ def test_the_judge_finds_errors_of_a_path(law):
     assert judge_increments(problem, *loads, start, ends, wrong, end)[0].whole.max() > WHOLE
 
 
-def test_forces_whose_squares_are_zero_are_no_remainders():
+def test_forces_too_small_to_be_squared_become_zero():
     """Sweeps from a guess ended at 1e-172 N; the certificate squares forces."""
     assert not outcome(draw(213364)).failures
 

@@ -16,11 +16,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from mic.system.files import fingerprint
-from mic.system.foreign_files import library_folders
+from mic.system.foreign_files import library_folders, opened_file
 
 __all__ = ["Dependencies", "opened_files"]
 
-_WRITING = os.O_WRONLY | os.O_RDWR | os.O_CREAT | os.O_TRUNC | os.O_APPEND
 _PROGRAM = os.path.join(Path(__file__).resolve().parents[1], "")
 _SYSTEM = ("/proc", "/sys", "/dev", "/etc")
 
@@ -44,13 +43,9 @@ def opened_files() -> Iterator[list[tuple[str, bool]]]:
 
 def _record(event: str, arguments: tuple) -> None:
     """Audit hook: add an opened file to all recorders."""
-    if event != "open" or not _recorders:
-        return
-    path, mode, flags = arguments
-    if isinstance(path, (str, bytes)):  # otherwise a descriptor of an open file
-        writes = any(letter in mode for letter in "wax+") if isinstance(mode, str) else bool((flags or 0) & _WRITING)
+    if _recorders and (found := opened_file(event, arguments)) is not None:
         for opened in _recorders:
-            opened.append((os.fsdecode(path), writes))
+            opened.append(found)
 
 
 @dataclass

@@ -56,10 +56,15 @@ def find_warnings(
         find = lambda: find_warnings(scene, assembly)
         return memoise(disk_cache, [assembly.identity, key], {}, (SceneWarning,), find)[0]
     if assembly is None:
-        return tuple(sorted(apply_rules(FILE, scene), key=lambda warning: not warning.impossible))
+        return _impossible_first(apply_rules(FILE, scene))
     sheets = [(part, assembly.surfaces[part.name]) for part in assembly.parts]  # as drawn, not as meshed to be solved
-    found = (*apply_rules(FILE, assembly.scene), *apply_rules(PARTS, sheets), *apply_rules(MESHES, assembly))
-    return tuple(sorted(found, key=lambda warning: not warning.impossible))
+    return _impossible_first(
+        [*apply_rules(FILE, assembly.scene), *apply_rules(PARTS, sheets), *apply_rules(MESHES, assembly)]
+    )
+
+
+def _impossible_first(warnings: list[SceneWarning]) -> tuple[SceneWarning, ...]:
+    return tuple(sorted(warnings, key=lambda warning: not warning.impossible))
 
 
 def find_warnings_unplaced(scene: Scene, parts: Sequence[LoadedPart]) -> tuple[SceneWarning, ...]:

@@ -13,6 +13,8 @@ from typing import Annotated, Any
 import numpy as np
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, WrapValidator, model_validator
 
+from mic.system.arguments import LARGEST
+
 __all__ = [
     "Count",
     "Direction",
@@ -42,7 +44,7 @@ class Table(BaseModel):
 
 
 LONGEST_NAME = 255  # bytes of the name of a file
-LARGEST, SMALLEST = 1e15, 1e-15  # numbers of a scene, in any unit; beyond them squares overflow or vanish
+SMALLEST = 1e-15  # number of a scene, in any unit; squares of smaller ones vanish
 
 
 def _bounded(value: float) -> float:

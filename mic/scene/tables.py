@@ -143,36 +143,40 @@ def read_cells(path: Path, folder: Path | None = None) -> tuple[pd.DataFrame, st
         If the file is not a table, or repeats a column.
     """
     with reading(path, "table", folder, SceneError):
-        try:
-            text = path.read_text(encoding="utf-8-sig")
-        except UnicodeDecodeError as error:
-            raise SceneError(f"cannot be read as text ({error}); save it as CSV in UTF-8") from None
-        header = text.partition("\n")[0]
-        separator = max(",;\t", key=header.count)
-        try:
-            with warnings.catch_warnings():
-                warnings.simplefilter("error", pd.errors.ParserWarning)  # pandas would drop surplus cells
-                frame = pd.read_csv(
-                    StringIO(text),
-                    sep=separator,
-                    header=None,  # pandas would rename repeated columns
-                    dtype=str,
-                    keep_default_na=False,
-                    skipinitialspace=True,
-                    skip_blank_lines=False,
-                    index_col=False,
-                ).fillna("")
-        except (ValueError, pd.errors.ParserError, pd.errors.ParserWarning) as error:
-            raise SceneError(
-                f"not a table: {' '.join(str(error).split())}; give each row the same number of cells"
-            ) from None
-        columns = frame.iloc[0].str.strip()
-        repeated = columns[columns.duplicated()]
-        if len(repeated):
-            raise SceneError(f"row 1: column {repeated.iloc[0]!r} is given twice; remove one of them")
-        frame = frame.iloc[1:].reset_index(drop=True)
-        frame.columns = pd.Index(columns)
-        return frame, separator
+        return _cells(path)
+
+
+def _cells(path: Path) -> tuple[pd.DataFrame, str]:
+    try:
+        text = path.read_text(encoding="utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise SceneError(f"cannot be read as text ({error}); save it as CSV in UTF-8") from None
+    header = text.partition("\n")[0]
+    separator = max(",;\t", key=header.count)
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("error", pd.errors.ParserWarning)  # pandas would drop surplus cells
+            frame = pd.read_csv(
+                StringIO(text),
+                sep=separator,
+                header=None,  # pandas would rename repeated columns
+                dtype=str,
+                keep_default_na=False,
+                skipinitialspace=True,
+                skip_blank_lines=False,
+                index_col=False,
+            ).fillna("")
+    except (ValueError, pd.errors.ParserError, pd.errors.ParserWarning) as error:
+        raise SceneError(
+            f"not a table: {' '.join(str(error).split())}; give each row the same number of cells"
+        ) from None
+    columns = frame.iloc[0].str.strip()
+    repeated = columns[columns.duplicated()]
+    if len(repeated):
+        raise SceneError(f"row 1: column {repeated.iloc[0]!r} is given twice; remove one of them")
+    frame = frame.iloc[1:].reset_index(drop=True)
+    frame.columns = pd.Index(columns)
+    return frame, separator
 
 
 def read_number(cell: str, separator: str = ",") -> float:

@@ -19,6 +19,7 @@ import threading
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager, redirect_stderr, redirect_stdout
+from functools import cache
 from io import StringIO
 from pathlib import Path
 
@@ -33,6 +34,7 @@ __all__ = [
     "ALSO_READ",
     "NO_SCRIPTS",
     "library_folders",
+    "opened_file",
     "reading",
     "reason_to_refuse",
     "refuse_library_settings",
@@ -173,10 +175,22 @@ def refuse_library_settings(folder: Path) -> None:
             )
 
 
+@cache
 def library_folders() -> tuple[str, ...]:
     """Folders of Python, its packages and this program, each with a separator at its end."""
     places = {*sysconfig.get_paths().values(), sys.prefix, sys.base_prefix, str(Path(__file__).resolve().parents[2])}
     return tuple(os.path.join(os.path.realpath(place), "") for place in places if place)
+
+
+def opened_file(event: str, arguments: tuple) -> tuple[str, bool] | None:
+    """Path as given, and whether for writing, of an audit event that opens a file by its name; None for any other."""
+    if event != "open":
+        return None
+    path, mode, flags = arguments
+    if not isinstance(path, (str, bytes)):
+        return None  # a descriptor of an open file
+    writes = any(letter in mode for letter in "wax+") if isinstance(mode, str) else bool((flags or 0) & _WRITING)
+    return os.fsdecode(path), writes
 
 
 @contextmanager
@@ -197,13 +211,9 @@ def _only_from(folders: tuple[Path, ...]) -> Iterator[None]:
 
 def _audit(event: str, arguments: tuple) -> None:
     """Audit hook: refuse to open a file that :func:`reading` does not allow."""
-    if event != "open" or not getattr(_gate, "folders", ()):
+    if not getattr(_gate, "folders", ()) or (opened := opened_file(event, arguments)) is None:
         return
-    path, mode, flags = arguments
-    if not isinstance(path, (str, bytes)):
-        return  # a descriptor of an open file
-    writes = any(letter in mode for letter in "wax+") if isinstance(mode, str) else bool((flags or 0) & _WRITING)
-    name = os.fsdecode(path)
+    name, writes = opened
     if writes or name.startswith(_gate.others) or os.path.realpath(name).startswith(_gate.others):
         return
     if reason := reason_to_refuse(Path(name)):
