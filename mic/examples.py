@@ -10,7 +10,7 @@ from mic.errors import RunError, SceneError
 __all__ = ["copy", "folder", "names"]
 
 _ROOT = Path(__file__).with_name("example_scenes")  # a link to meshes/ in a checkout
-_FILES = ("*.toml", "*.py", "*.md", "*.csv")
+_FILES = ("*.toml", "*.py", "*.md", "*.csv", "*.npz")
 
 
 def names() -> list[str]:

@@ -1,5 +1,6 @@
 """The geometries: exact where they claim to be, sound as meshes, the same every time."""
 
+import sys
 import tomllib
 from functools import cache
 
@@ -56,6 +57,30 @@ def test_mesh_is_one_oriented_sheet_of_well_shaped_triangles(case):
     edges = len(np.unique(np.sort(directed, axis=1), axis=0))
     assert n - edges + len(triangles) == 1  # Euler: a disc, without holes
     assert cKDTree(points).query_pairs(1e-6) == set()
+
+
+def test_the_size_that_the_scene_asks_for_needs_no_gmsh(monkeypatch):
+    monkeypatch.setitem(sys.modules, "gmsh", None)
+    assert len(wheelhouse.build("inner", wheelhouse.SIZES["medium"])[0]) == 16315
+    with pytest.raises(ModuleNotFoundError, match="gmsh"):
+        wheelhouse.build("inner", wheelhouse.SIZES["coarse"])
+
+
+@pytest.mark.fem
+@pytest.mark.parametrize("part", wheelhouse.PARTS)
+def test_the_stored_meshes_are_those_of_gmsh(part, monkeypatch, tmp_path):
+    monkeypatch.setattr(wheelhouse, "STORED", tmp_path / "none")
+    assert all(
+        map(np.array_equal, built("wheelhouse", part, "medium"), wheelhouse.build(part, wheelhouse.SIZES["medium"]))
+    )
+
+
+@pytest.mark.parametrize("changed", [("GROWTH", 0.301), ("FLANGE_REFINEMENT", {"inner": 2.401, "outer": 2.7})])
+def test_a_changed_shape_gets_no_stored_mesh(changed, monkeypatch):
+    monkeypatch.setitem(sys.modules, "gmsh", None)
+    monkeypatch.setattr(wheelhouse, *changed)
+    with pytest.raises(ModuleNotFoundError, match="gmsh"):
+        wheelhouse.build("inner", wheelhouse.SIZES["medium"])
 
 
 @pytest.mark.fem

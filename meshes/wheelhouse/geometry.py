@@ -24,6 +24,7 @@ from __future__ import annotations
 
 from bisect import bisect_right
 from functools import cache
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -102,6 +103,18 @@ PRESSINGS = (
 
 # Meshing
 SIZES = {"coarse": 17.5, "medium": 8.0, "fine": 5.0}  # mm
+STORED = Path(__file__).with_name("medium.npz")  # meshes of the plane at size medium, written by `store`
+GMSH_OPTIONS = {
+    "General.Terminal": 0,
+    "General.NumThreads": 1,
+    "Mesh.Algorithm": 6,  # frontal Delaunay
+    "Mesh.ElementOrder": 1,
+    "Mesh.RecombineAll": 0,
+    "Mesh.MeshSizeFromPoints": 0,
+    "Mesh.MeshSizeFromCurvature": 0,
+    "Mesh.MeshSizeExtendFromBoundary": 0,
+    "Mesh.Smoothing": 5,
+}
 FLANGE_REFINEMENT = {"inner": 2.4, "outer": 2.7}  # size / size on the flange; they differ so that meshes do not match
 BEND_REFINEMENT = 1.6  # size / size along a bend
 PRESSING_REFINEMENT = 2.0  # size / size on domes, beads and pads, where the sheet is curved most
@@ -287,10 +300,18 @@ def build(part: str, size: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     normals : ndarray, shape (k, 3, 3)
         Those of the analytic mid-surface at the corners of each triangle.
     """
-    pieces = _profile(part)
     if not 1.0 <= size <= 30.0:
         raise ValueError(f"size must lie between 1 and 30 mm, not {size}")
+    l, rectangle = _rectangle(part, size)
+    uv, triangles = _stored(rectangle) or _mesh_strips(*rectangle)
+    v = rectangle[2]
+    points, normals = _mid_surface(part, uv[:, 0] / ARCH_RADIUS, np.clip(np.interp(uv[:, 1], v, l), 0, l[-1]))
+    return points, triangles, normals[triangles]
 
+
+def _rectangle(part, size):
+    """Samples of ``l`` across a part, and the rectangle that is meshed for a size: the arguments of `_mesh_strips`."""
+    pieces = _profile(part)
     # Conformal coordinates in mm: u = R phi and v = R * integral of dl / r.
     lines = np.array([0.0] + [piece.end for piece in pieces])  # l of the lines that the mesh must follow
     l = np.unique(np.concatenate([np.linspace(a, b, 400) for a, b in zip(lines, lines[1:])]))
@@ -317,11 +338,36 @@ def build(part: str, size: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         at = np.interp(piece.begin + fraction * (piece.end - piece.begin), l, v)
         spots.append((ARCH_RADIUS * np.radians(angle), at, PAD, PAD, min(PAD, size / 2)))
 
-    uv, triangles = _mesh_strips(
-        ARCH_RADIUS * np.radians([ARCH_START, ARCH_END]), np.interp(lines, l, v), v, target / scale, spots
-    )
-    points, normals = _mid_surface(part, uv[:, 0] / ARCH_RADIUS, np.clip(np.interp(uv[:, 1], v, l), 0, lines[-1]))
-    return points, triangles, normals[triangles]
+    return l, (ARCH_RADIUS * np.radians([ARCH_START, ARCH_END]), np.interp(lines, l, v), v, target / scale, spots)
+
+
+def _stored(rectangle):
+    """The stored mesh of a rectangle, None if there is none: the scene's own sizes need no gmsh."""
+    wanted = _numbers(rectangle)
+    if STORED.is_file():
+        with np.load(STORED) as stored:
+            for part in PARTS:
+                numbers = stored[f"{part}_rectangle"]
+                if numbers.shape == wanted.shape and np.abs(numbers - wanted).max() < 1e-4:
+                    return stored[f"{part}_uv"], stored[f"{part}_triangles"].astype(np.int64)
+    return None
+
+
+def _numbers(rectangle):
+    """All numbers that the mesh of a rectangle depends on, one after the other."""
+    *arrays, spots = rectangle
+    return np.concatenate([*arrays, *spots, [GROWTH], list(GMSH_OPTIONS.values())]).astype(np.float32)
+
+
+def store():
+    """Write the meshes of size medium into `STORED`; call it after a change of the shape."""
+    arrays = {}
+    for part in PARTS:
+        _, rectangle = _rectangle(part, SIZES["medium"])
+        uv, triangles = _mesh_strips(*rectangle)
+        mesh = {"rectangle": _numbers(rectangle), "uv": uv, "triangles": triangles.astype(np.uint16)}
+        arrays |= {f"{part}_{name}": array for name, array in mesh.items()}
+    np.savez_compressed(STORED, **arrays)
 
 
 def _mesh_strips(u_range, v_lines, v_samples, sizes, spots):
@@ -344,20 +390,9 @@ def _mesh_strips(u_range, v_lines, v_samples, sizes, spots):
     if ours:
         gmsh.initialize(readConfigFiles=False, interruptible=False)
     previous = None if ours else gmsh.model.getCurrent()
-    options = {
-        "General.Terminal": 0,
-        "General.NumThreads": 1,
-        "Mesh.Algorithm": 6,  # frontal Delaunay
-        "Mesh.ElementOrder": 1,
-        "Mesh.RecombineAll": 0,
-        "Mesh.MeshSizeFromPoints": 0,
-        "Mesh.MeshSizeFromCurvature": 0,
-        "Mesh.MeshSizeExtendFromBoundary": 0,
-        "Mesh.Smoothing": 5,
-    }
-    before = {name: gmsh.option.getNumber(name) for name in options}
+    before = {name: gmsh.option.getNumber(name) for name in GMSH_OPTIONS}
     try:
-        for name, value in options.items():
+        for name, value in GMSH_OPTIONS.items():
             gmsh.option.setNumber(name, value)
         gmsh.model.add("wheelhouse")
         geo = gmsh.model.geo
