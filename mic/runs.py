@@ -5,7 +5,6 @@ The report is drawn afterwards from the folder alone, see :mod:`mic.report.page`
 
 from __future__ import annotations
 
-import os
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext
@@ -42,6 +41,7 @@ from mic.results.schema import ACCURACY, CONDENSED, CONTACTS, FORCES, SUMS, Tabl
 from mic.results.table_writer import write_path_study, write_summary, write_tables
 from mic.scene import Scene
 from mic.system.arguments import checked
+from mic.system.cores import available_cores
 from mic.system.files import clean
 from mic.system.lock import locked
 
@@ -114,7 +114,7 @@ def run(
         laws, samples, seed = scene.report.laws, scene.monte_carlo.samples, scene.monte_carlo.seed
 
         def prepare() -> None:
-            expected = forecast(assembly, laws, samples, cores=len(os.sched_getaffinity(0)))
+            expected = forecast(assembly, laws, samples, cores=available_cores())
             expected.check(folder)
             if expected.seconds > LONG:
                 progress.report(f"{samples} samples under {len(laws)} laws: {expected}")

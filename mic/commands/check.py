@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 from rich.table import Column
 
-from mic.commands.invocation import available_cores, first_rank_only, store_study, with_options
+from mic.commands.invocation import first_rank_only, store_study, with_options
 from mic.commands.output import CommandConsole
 from mic.compliance.cache import influence_coefficients, is_cached
 from mic.compliance.provider import check_element
@@ -51,6 +51,7 @@ from mic.studies.optimisation.moved_items import check_places
 from mic.studies.order import doubts, few_samples
 from mic.studies.thickness import DISTANCE, interpolation_errors
 from mic.system.console import plain
+from mic.system.cores import available_cores
 from mic.system.disk_cache import cache_folder
 from mic.system.files import replacing
 

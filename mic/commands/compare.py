@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
-from mic.commands.invocation import available_cores, first_rank_only, load_model
+from mic.commands.invocation import first_rank_only, load_model
 from mic.commands.output import CommandConsole, interval
 from mic.process.model import ReducedModel
 from mic.report.style import number
@@ -15,6 +15,7 @@ from mic.results.schema import COMPARISON
 from mic.scene import Scene, load_scene
 from mic.studies.comparison import SAMPLES, check_comparable
 from mic.studies.comparison import compare as compare_sides
+from mic.system.cores import available_cores
 
 __all__ = ["compare"]
 

@@ -7,12 +7,13 @@ from pathlib import Path
 
 import numpy as np
 
-from mic.commands.invocation import available_cores, first_rank_only, open_model
+from mic.commands.invocation import first_rank_only, open_model
 from mic.errors import SceneError
 from mic.report.style import number, percent
 from mic.results.schema import EXPLANATION, FURTHER
 from mic.scene.tables import read_cells, read_number
 from mic.studies.explanation import explain as infer_sources
+from mic.system.cores import available_cores
 
 __all__ = ["explain", "read_measured"]
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from contextlib import contextmanager
 from functools import wraps
 
@@ -25,7 +24,6 @@ from mic.system.disk_cache import cache_folder
 
 __all__ = [
     "ConsoleProgress",
-    "available_cores",
     "choose_law",
     "first_rank_only",
     "load_model",
@@ -118,11 +116,6 @@ def open_model(source, law, seed=None):
 def choose_law(model, law):
     """The law of the command line, else the first law of the scene with friction, else its first."""
     return law.value if law else first_frictional(model.scene.report.laws)
-
-
-def available_cores():
-    """Number of cores that this process may use."""
-    return len(os.sched_getaffinity(0))
 
 
 def store_study(console, folder, tables):

@@ -7,7 +7,7 @@ from pathlib import Path
 import pandas as pd
 from rich.progress import Progress
 
-from mic.commands.invocation import available_cores, first_rank_only, open_model, store_study
+from mic.commands.invocation import first_rank_only, open_model, store_study
 from mic.commands.output import interval
 from mic.errors import SceneError, Stopped
 from mic.report.style import number, percent
@@ -17,6 +17,7 @@ from mic.studies.optimisation import Matched, Optimum
 from mic.studies.optimisation import optimise as search_optimum
 from mic.studies.optimisation.description import OBJECTIVES
 from mic.studies.optimisation.scene_changes import scene_text_with_changes
+from mic.system.cores import available_cores
 from mic.system.files import write_text
 
 __all__ = ["optimise"]

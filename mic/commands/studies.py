@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 
-from mic.commands.invocation import available_cores, first_rank_only, open_model, store_study
+from mic.commands.invocation import first_rank_only, open_model, store_study
 from mic.commands.output import interval
 from mic.contact.laws import LAWS
 from mic.errors import SceneError
@@ -32,6 +32,7 @@ from mic.studies.order import variants as read_variants
 from mic.studies.rare import rare as estimate_rare
 from mic.studies.remedy import remedies
 from mic.studies.sensitivity import effects
+from mic.system.cores import available_cores
 from mic.system.files import write_text
 
 __all__ = ["contributors", "friction", "order", "rare", "remedy", "sensitivity"]

@@ -6,7 +6,6 @@ free. Each evaluated block is handed to a callback before the next one begins.
 
 from __future__ import annotations
 
-import os
 import time
 from collections.abc import Callable, Sequence
 from functools import partial
@@ -18,6 +17,7 @@ from mic.execution.ranks import communicator, on_first, wait
 from mic.execution.worker_process import WorkerProcess, has_spare_core
 from mic.process.evaluation import Evaluation
 from mic.statistics.draw import draw
+from mic.system.cores import available_cores
 
 __all__ = ["BLOCK", "MAX_ENTRIES", "SIZES", "blocks", "monte_carlo"]
 
@@ -93,7 +93,7 @@ def monte_carlo(
     dict of str to int
         Number of skipped samples per law.
     """
-    world, pairs, cores = communicator(), len(model.contacts), len(os.sched_getaffinity(0))
+    world, pairs, cores = communicator(), len(model.contacts), available_cores()
     every = blocks(laws, samples, pairs)
     missing = on_first(world, lambda: [block for block in every if done is None or not done(*block)])
     advance, reused, skipped = advance or _ignore, dict.fromkeys(laws, 0), set(every).difference(missing)

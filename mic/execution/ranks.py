@@ -71,7 +71,7 @@ def communicator() -> Any:
     except ImportError as problem:
         raise LaunchError(
             f"{launcher} started several processes, but mpi4py, which they need to share the work, cannot be imported "
-            f"({problem}); install python3-mpi4py or start one process"
+            f"({problem}); install mpi4py (Debian: python3-mpi4py) or start one process"
         ) from problem
     if MPI.COMM_WORLD.size == 1:
         if count is None:

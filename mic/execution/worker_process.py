@@ -23,6 +23,7 @@ from threading import Lock, Thread
 from typing import Any, Generic, Self, TypeVar
 
 from mic.execution.ranks import LaunchError, communicator
+from mic.system.cores import available_cores
 from mic.system.matrix_product import one_thread
 
 __all__ = ["WorkerProcess", "has_spare_core", "run_on_two_cores"]
@@ -145,7 +146,7 @@ def run_on_two_cores(tasks: Sequence[Callable[[], T]]) -> list[T]:
 
 def has_spare_core() -> bool:
     """Whether a worker may run beside this process: a second core, and no other MPI ranks."""
-    if sys.platform != "linux" or len(os.sched_getaffinity(0)) < 2:
+    if sys.platform != "linux" or available_cores() < 2:
         return False
     try:
         return communicator() is None

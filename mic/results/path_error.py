@@ -5,7 +5,6 @@ Both runs use the same assemblies, so their differences contain no sampling scat
 
 from __future__ import annotations
 
-import os
 from dataclasses import replace
 
 import numpy as np
@@ -19,6 +18,7 @@ from mic.results.path_effect import PathStudy
 from mic.results.run_samples import RunSamples
 from mic.results.sample_tables import tables
 from mic.results.schema import SLIPS
+from mic.system.cores import available_cores
 
 __all__ = ["SAMPLES", "study_path", "tighter"]
 
@@ -54,7 +54,7 @@ def study_path(outcome: RunSamples) -> PathStudy | None:
 def _repeat(outcome, law, numbers) -> tuple[pd.DataFrame, pd.DataFrame]:
     """The tables PATH and PATH_ERRORS of one law, for samples with these numbers."""
     model = outcome.model
-    backend, threads = model.scene.monte_carlo.backend, len(os.sched_getaffinity(0))
+    backend, threads = model.scene.monte_carlo.backend, available_cores()
     deviations = np.column_stack(
         [np.zeros((len(numbers), 0)), *(outcome.deviation(law, name, numbers) for name in model.parameters)]
     )

@@ -1,7 +1,8 @@
 """Sample the deviations of a scene: one independent random stream per sample, or per group of samples of a design.
 
-``scipy.stats.qmc`` makes Latin hypercubes and Sobol sequences. Independent and antithetic samples use counter-based
-streams instead, so that a sample depends only on the seed and its number.
+Independent samples use counter-based streams, so that a sample depends only on the seed and its number. Latin
+hypercubes and the scrambling of Sobol sequences are computed here: the random numbers that ``scipy.stats.qmc`` takes
+from a stream depend on its release.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ from mic.scene.samples import DESIGNS
 __all__ = ["at_probabilities", "draw", "from_random_numbers", "number_count", "number_keys"]
 
 EDGE = 1e-16  # distance of probabilities from 0 and 1
+BITS = 30  # of a coordinate of a Sobol sequence
 GROUPS = 1  # counter word that separates streams of groups from those of samples
 
 
@@ -109,8 +111,6 @@ def from_random_numbers(scene, normal: np.ndarray, uniform: np.ndarray, piece: n
 
 def _design_probabilities(design: str, seed: int, first: int, count: int, d: int) -> np.ndarray:
     """(count, d) probabilities of samples of a design."""
-    from scipy.stats import qmc  # slow to import, needed for designs only
-
     size, groups = DESIGNS[design], []
     for group in range(first // size, -(-(first + count) // size)):
         key, counter = np.array([seed, group], dtype=np.uint64), [0, 0, 0, GROUPS]
@@ -119,14 +119,39 @@ def _design_probabilities(design: str, seed: int, first: int, count: int, d: int
             u = stream.random((1, d))
             points = np.concatenate([u, 1 - u])
         elif design == "sobol":
-            points = qmc.Sobol(d, scramble=True, seed=stream).random(size) if d else np.empty((size, 0))
+            points = _sobol(stream, d, size)
         elif design == "latin-hypercube":
-            points = qmc.LatinHypercube(d, seed=stream).random(size) if d else np.empty((size, 0))
+            points = _latin_hypercube(stream, d, size)
         else:
             raise NotImplementedError(f"sampling design {design!r}")
         groups.append(points)
     start = first % size
     return np.concatenate([np.empty((0, d)), *groups])[start : start + count]
+
+
+def _latin_hypercube(stream: np.random.Generator, d: int, size: int) -> np.ndarray:
+    """(size, d) points: one in each of `size` layers of each of the d coordinates."""
+    within = stream.uniform(size=(size, d))
+    layers = np.tile(np.arange(1, size + 1), (d, 1))
+    for row in layers:
+        stream.shuffle(row)
+    return (layers.T - within) / size
+
+
+def _sobol(stream: np.random.Generator, d: int, size: int) -> np.ndarray:
+    """(size, d) first points of a Sobol sequence with Matoušek's scrambling: a random linear map of the bits, and a
+    random shift."""
+    if not d:
+        return np.empty((size, 0))
+    from scipy.stats import qmc  # slow to import, needed for this design only
+
+    shift = stream.integers(2, size=(d, BITS), dtype=np.uint32) @ 2 ** np.arange(BITS)
+    lower = np.tril(stream.integers(2, size=(d, BITS, BITS), dtype=np.uint32), -1)
+    place = np.arange(BITS)[::-1]
+    points = (2**BITS * qmc.Sobol(d, scramble=False).random(size)).astype(np.int64)
+    bits = points[..., None] >> place & 1  # the most significant bit first
+    scrambled = np.einsum("dij,ndj->ndi", lower + np.eye(BITS, dtype=np.uint32), bits) & 1
+    return (scrambled @ 2**place ^ shift) / 2**BITS
 
 
 def _correlate(scene, normal: np.ndarray) -> set[int]:

@@ -9,7 +9,6 @@ on a file system without ``flock`` belongs to an ended process.
 
 from __future__ import annotations
 
-import fcntl
 import json
 import os
 import shlex
@@ -22,9 +21,15 @@ from typing import Any
 
 from mic.errors import RunError, StorageError
 
+if sys.platform == "win32":
+    import msvcrt
+else:
+    import fcntl
+
 __all__ = ["LOCK", "locked"]
 
 LOCK = ".lock"
+BEYOND = 1 << 30  # byte that Windows locks: other processes cannot read it, but the content before it
 
 _held: dict[str, int] = {}  # number of holders in this process, by folder
 
@@ -67,6 +72,7 @@ def locked(folder: Path) -> Iterator[bool]:
             del _held[key]
             if descriptor is not None:
                 with suppress(OSError):
+                    os.ftruncate(descriptor, 0)  # Windows does not remove an open file
                     (folder / LOCK).unlink()
                 os.close(descriptor)
             if created:
@@ -78,7 +84,7 @@ def _acquire(folder: Path) -> tuple[int, bool]:
     """Descriptor of the lock file, locked and written, and whether it was left by an ended process."""
     path = folder / LOCK
     while True:
-        descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW, 0o644)
+        descriptor = os.open(path, os.O_RDWR | os.O_CREAT | getattr(os, "O_NOFOLLOW", 0), 0o644)
         try:
             busy = not _flock(descriptor)
             if not busy and not _is_current(descriptor, path):
@@ -88,7 +94,8 @@ def _acquire(folder: Path) -> tuple[int, bool]:
             if busy or _may_be_alive(owner):
                 raise RunError(_refusal(folder, owner))
             os.ftruncate(descriptor, 0)
-            os.pwrite(descriptor, json.dumps(_this_process(), indent=2).encode() + b"\n", 0)
+            os.lseek(descriptor, 0, os.SEEK_SET)
+            os.write(descriptor, json.dumps(_this_process(), indent=2).encode() + b"\n")
             os.fsync(descriptor)
         except BaseException:
             with suppress(OSError):
@@ -99,8 +106,12 @@ def _acquire(folder: Path) -> tuple[int, bool]:
 
 def _flock(descriptor: int) -> bool:
     try:
-        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
+        if sys.platform == "win32":
+            os.lseek(descriptor, BEYOND, os.SEEK_SET)
+            msvcrt.locking(descriptor, msvcrt.LK_NBLCK, 1)
+        else:
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except (BlockingIOError, PermissionError):  # the latter on Windows
         return False
     except OSError:
         return True  # a file system without locks: the recorded owner decides
@@ -116,7 +127,8 @@ def _is_current(descriptor: int, path: Path) -> bool:
 def _recorded_owner(descriptor: int) -> dict[str, Any] | None:
     """Owner in a lock file; None if there is none or the file is incomplete."""
     with suppress(Exception):
-        owner = json.loads(os.pread(descriptor, 65536, 0))
+        os.lseek(descriptor, 0, os.SEEK_SET)
+        owner = json.loads(os.read(descriptor, 65536))
         return owner if isinstance(owner, dict) else None
     return None
 
