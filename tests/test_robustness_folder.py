@@ -193,7 +193,8 @@ def test_no_folder_of_results_can_be_a_file_or_lie_in_one(lap_model, tmp_path):
 
 def test_without_a_home_the_cache_must_be_named(monkeypatch):
     monkeypatch.delenv("MIC_CACHE", raising=False)
-    monkeypatch.setattr("platformdirs.user_cache_path", lambda name: Path("~/.cache") / name)
+    monkeypatch.delenv("XDG_CACHE_HOME", raising=False)
+    monkeypatch.setattr("os.path.expanduser", lambda path: path)
     with pytest.raises(StorageError, match="no home folder.*MIC_CACHE"):
         mic.cache_folder()
 

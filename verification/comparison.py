@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from mpi4py import MPI
 
 from mic.contact import certify
 from mic.model.assembly import Assembly, assemble
@@ -26,7 +25,7 @@ def reduced_and_assembly(scene: Scene, cache: Path) -> tuple[ReducedModel, Assem
 
 def reduced_model(assembly: Assembly, cache: Path) -> ReducedModel:
     """Reduced model of an assembly with the stiffness stated in its scene, built on this process alone."""
-    return ReducedModel.build(assembly, coefficients(assembly, cache, comm=MPI.COMM_SELF)[0])
+    return ReducedModel.build(assembly, coefficients(assembly, cache)[0])
 
 
 @dataclass(frozen=True)

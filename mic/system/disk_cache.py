@@ -16,6 +16,7 @@ from __future__ import annotations
 import logging
 import os
 import stat
+import sys
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -143,9 +144,12 @@ def cache_folder() -> Path:
     """
     if os.environ.get("MIC_CACHE"):
         return Path(os.environ["MIC_CACHE"])
-    from platformdirs import user_cache_path  # imported at first use: it is slow
-
-    folder = user_cache_path("mic")
+    if sys.platform == "win32":
+        place = os.environ.get("LOCALAPPDATA") or "~/AppData/Local"
+    else:
+        default = "~/Library/Caches" if sys.platform == "darwin" else "~/.cache"
+        place = os.environ.get("XDG_CACHE_HOME") or default
+    folder = Path(os.path.expanduser(place)) / "mic"
     if not folder.is_absolute():  # "~" that could not be expanded
         raise StorageError("there is no home folder for the cache; set MIC_CACHE to a folder that can be written")
     return folder

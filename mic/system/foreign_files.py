@@ -11,6 +11,7 @@ import os
 import shlex
 import shutil
 import signal
+import site
 import stat
 import sys
 import sysconfig
@@ -179,6 +180,7 @@ def refuse_library_settings(folder: Path) -> None:
 def library_folders() -> tuple[str, ...]:
     """Folders of Python, its packages and this program, each with a separator at its end."""
     places = {*sysconfig.get_paths().values(), sys.prefix, sys.base_prefix, str(Path(__file__).resolve().parents[2])}
+    places.add(site.getusersitepackages())  # of pip install --user
     return tuple(os.path.join(os.path.realpath(place), "") for place in places if place)
 
 

@@ -6,7 +6,6 @@ import re
 from dataclasses import replace
 from pathlib import Path
 
-import meshlane
 import numpy as np
 
 from mic.geometry.readers.raw_mesh import RawMesh, from_meshlane
@@ -22,6 +21,8 @@ SHEETS = ("triangle", "quad")
 
 def read(path: Path) -> RawMesh:
     """All elements of a gmsh file, in physical groups or not, and the groups."""
+    import meshlane  # see read_with_meshlane
+
     content = path.read_bytes()
     with temporary_folder() as folder:  # meshlane reads this format from files only
         bare = folder / "mesh.msh"

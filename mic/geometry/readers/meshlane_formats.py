@@ -11,11 +11,9 @@ from io import StringIO
 from pathlib import Path
 from xml.etree import ElementTree
 
-import meshlane
-
 from mic.errors import FormatError
 from mic.geometry.readers.deck_text import text_lines
-from mic.geometry.readers.raw_mesh import RawMesh, from_meshlane
+from mic.geometry.readers.raw_mesh import RawMesh, read_with_meshlane
 from mic.system.foreign_files import reason_to_refuse
 
 __all__ = ["READERS"]
@@ -25,20 +23,20 @@ def _read_ply(path: Path) -> RawMesh:
     """PLY; refuses a file without the end of its header, in which meshlane would loop forever."""
     if b"end_header" not in path.read_bytes():
         raise FormatError("the header has no end: the file is cut short; export it again")
-    return from_meshlane(meshlane.ply.read(path))
+    return read_with_meshlane("ply", path)
 
 
 def _read_obj(path: Path) -> RawMesh:
     """Points and faces of a Wavefront OBJ; textures and normals need not be given by point, and are ignored."""
     lines = [line for line in text_lines(path) if line.split(maxsplit=1)[:1] in (["v"], ["f"])]
-    return from_meshlane(meshlane.obj.read(StringIO("\n".join(lines) + "\n")))
+    return read_with_meshlane("obj", StringIO("\n".join(lines) + "\n"))
 
 
 def _read_off(path: Path) -> RawMesh:
     """Triangles of an OFF file; refuses a bare header, in which meshlane would loop forever."""
     if sum(bool(line.split("#")[0].strip()) for line in text_lines(path)) < 2:
         raise FormatError("it ends with its header, and holds no mesh; export it again")
-    return from_meshlane(meshlane.off.read(path))
+    return read_with_meshlane("off", path)
 
 
 def _read_xdmf(path: Path) -> RawMesh:
@@ -48,17 +46,17 @@ def _read_xdmf(path: Path) -> RawMesh:
         place = {"HDF": path.parent / text.rpartition(":")[0], "Binary": Path(text)}.get(item.get("Format", ""))
         if place is not None and (reason := reason_to_refuse(place)):
             raise FormatError(f"it names {text}, which {reason}")
-    return from_meshlane(meshlane.xdmf.read(path))
+    return read_with_meshlane("xdmf", path)
 
 
 READERS: dict[str, Callable[[Path], RawMesh]] = {
-    ".mesh": lambda path: from_meshlane(meshlane.medit.read(path)),
-    ".meshb": lambda path: from_meshlane(meshlane.medit.read(path)),
+    ".mesh": lambda path: read_with_meshlane("medit", path),
+    ".meshb": lambda path: read_with_meshlane("medit", path),
     ".obj": _read_obj,
     ".off": _read_off,
     ".ply": _read_ply,
-    ".stl": lambda path: from_meshlane(meshlane.stl.read(path)),
-    ".su2": lambda path: from_meshlane(meshlane.su2.read(path)),
-    ".vtk": lambda path: from_meshlane(meshlane.vtk.read(path)),
+    ".stl": lambda path: read_with_meshlane("stl", path),
+    ".su2": lambda path: read_with_meshlane("su2", path),
+    ".vtk": lambda path: read_with_meshlane("vtk", path),
     ".xdmf": _read_xdmf,
 }

@@ -12,7 +12,7 @@ import numpy as np
 from mic.errors import FormatError
 from mic.geometry.deck import Sheet
 
-__all__ = ["RawMesh", "from_meshlane"]
+__all__ = ["RawMesh", "from_meshlane", "read_with_meshlane"]
 
 SOLIDS = ("tetra", "hexa", "wedge", "pyramid", "polyhedron")  # prefixes of meshlane's names of solid elements
 
@@ -129,6 +129,20 @@ class RawMesh:
 def _renumbered(sets: dict[str, np.ndarray], number: np.ndarray) -> dict[str, np.ndarray]:
     """Sets with new numbers of their members; those with the number -1 are left out."""
     return {name: number[members][number[members] >= 0] for name, members in sets.items()}
+
+
+def read_with_meshlane(name: str, source: Any) -> RawMesh:
+    """The shell elements of a file, and its sets.
+
+    Parameters
+    ----------
+    name : str
+        Module of meshlane that reads the format.
+    source : Path or text file
+    """
+    import meshlane  # takes as long to import as numpy and pandas together, and many scenes have no such file
+
+    return from_meshlane(getattr(meshlane, name).read(source))
 
 
 def from_meshlane(mesh: Any) -> RawMesh:

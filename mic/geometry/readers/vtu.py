@@ -5,11 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 from pathlib import Path
 
-import meshlane
 import numpy as np
 
 from mic.errors import FormatError
-from mic.geometry.readers.raw_mesh import RawMesh, from_meshlane
+from mic.geometry.readers.raw_mesh import RawMesh, read_with_meshlane
 from mic.system.files import Group, replacing
 
 __all__ = ["read", "read_vtu", "write_vtu"]
@@ -17,7 +16,7 @@ __all__ = ["read", "read_vtu", "write_vtu"]
 
 def read(path: Path) -> RawMesh:
     """Cells of an unstructured grid."""
-    return from_meshlane(meshlane.vtu.read(path))
+    return read_with_meshlane("vtu", path)
 
 
 def write_vtu(
@@ -40,6 +39,8 @@ def write_vtu(
     group : optional
         As :func:`mic.system.files.replacing` takes it.
     """
+    import meshlane  # see read_with_meshlane
+
     # Not compressed: of places and fields that saves a tenth, and takes fifteen times as long.
     mesh = meshlane.Mesh(points, [("triangle", triangles.astype(np.int32))], point_data=dict(point_data or {}))
     with replacing(Path(path), durable=False, group=group) as temporary:
@@ -57,6 +58,8 @@ def read_vtu(path: Path) -> dict[str, np.ndarray]:
     """
     if not Path(path).is_file():
         raise FileNotFoundError(path)
+    import meshlane
+
     try:
         return dict(meshlane.vtu.read(path).point_data)
     except Exception as problem:  # meshlane raises whatever its parsing trips over
