@@ -26,6 +26,7 @@ import resource
 import time
 
 import numpy as np
+from mpi4py import MPI
 from petsc4py import PETSc
 from threadpoolctl import threadpool_limits
 
@@ -87,10 +88,10 @@ def bare(K):
 
 def petsc_cholesky(K):
     matrix = PETSc.Mat().createAIJ(
-        K.shape, csr=(K.indptr.astype("i4"), K.indices.astype("i4"), K.data), comm=PETSc.COMM_SELF
+        K.shape, csr=(K.indptr.astype("i4"), K.indices.astype("i4"), K.data), comm=MPI.COMM_SELF
     )
     matrix.setOption(PETSc.Mat.Option.SPD, True)
-    pc = PETSc.PC().create(PETSc.COMM_SELF)
+    pc = PETSc.PC().create(MPI.COMM_SELF)
     pc.setOperators(matrix)
     pc.setType("cholesky")
     pc.setFactorSolverType("mumps")

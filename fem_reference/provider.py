@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from mpi4py import MPI
 
+from fem_reference.shell.compat import versions
 from fem_reference.shell.influence import compute_influence
 from fem_reference.shell.part import ELEMENTS, ShellPart
 from mic.compliance.coefficients import InfluenceCoefficients
@@ -42,6 +43,7 @@ class Shells:
                 "nodes": len(part.surface.points),
                 "triangles": len(part.surface.triangles),
                 "memory": memory,
+                "versions": versions(),
             }
             found[part.name] = InfluenceCoefficients(part.name, *computed[part.name], provenance)
         return found

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from mic.compliance.coefficients import InfluenceCoefficients
+from mic.compliance.coefficients import InfluenceCoefficients, solver_versions
 from mic.errors import SceneError
 from mic.execution.monte_carlo import blocks, monte_carlo
 from mic.execution.ranks import communicator, on_first, shared
@@ -125,6 +125,7 @@ def run(
         with clock("influence coefficients"):
             influence, cached = coefficients(assembly, cache, report_line, world)
             reused = [name for name, hit in cached.items() if hit]
+            on_first(world, lambda: RunFolder(folder).add_to_record("versions", solver_versions(influence.values())))
             if reused:
                 progress.report(f"influence coefficients of {', '.join(reused)}: reused from {cache}")
         if scene.report.accuracy:
@@ -395,7 +396,8 @@ def conclude(
         with clock("fields"):
             if outcome.model.scene.report.fields:
                 write_fields(folder, outcome, cache)
-        outcome.record.update(RunFolder(folder).add_wall_time((wall_time or {}) | clock.seconds))
+        seconds = {phase: round(s, 3) for phase, s in ((wall_time or {}) | clock.seconds).items()}
+        outcome.record.update(RunFolder(folder).add_to_record("wall_time", seconds))
         write_summary(outcome)
     return outcome
 

@@ -154,7 +154,7 @@ def test_only_the_first_process_writes_the_cache(springs, tmp_path):
 
 def test_a_part_without_provider_is_refused_with_the_remedy(springs):
     springs.elements = ("springs", "beams")
-    words = r"part 'p': .*theirs does not accept it.*apt-get install python3-dolfinx"
+    words = r"part 'p': .*theirs does not accept it.*install finite elements"
     with pytest.raises(MissingProvider, match=words):
         provider.find(part(element="beams"))
 

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 import ufl
-from dolfinx import fem
 from mpi4py import MPI
+from dolfinx import fem
 from petsc4py import PETSc
 from support import pressings
 from support.panels import NU, PLACES, E, functionals, grid, panel, some_normals

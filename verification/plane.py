@@ -17,8 +17,8 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.sparse as sp
 import ufl
-from dolfinx import fem
 from mpi4py import MPI
+from dolfinx import fem
 from petsc4py import PETSc
 from scipy.sparse.linalg import splu
 

@@ -18,13 +18,14 @@ from contextlib import contextmanager
 import dolfinx
 import numpy as np
 import ufl
+from mpi4py import MPI
 from dolfinx import fem
 from dolfinx import mesh as dmesh
 from dolfinx.fem import petsc as fem_petsc
-from mpi4py import MPI
 from petsc4py import PETSc
 
-from fem_reference.shell.versions import supported
+from fem_reference.shell import mumps
+from fem_reference.shell.versions import UnsupportedVersion, supported
 
 __all__ = [
     "assemble_matrix",
@@ -36,14 +37,23 @@ __all__ = [
     "p2_crouzeix_raviart",
     "quadratic_plane",
     "shell_mesh",
+    "versions",
 ]
 
 _VERSION = supported(dolfinx.__version__)
 _LEGACY = _VERSION < (0, 6)  # UFL's own element classes, adjacency lists; afterwards basix.ufl and plain arrays
 if not _LEGACY:
     import basix.ufl
+if np.dtype(PETSc.ScalarType) != np.float64:
+    raise UnsupportedVersion("this PETSc has complex numbers; install dolfinx with real ones (dolfinx-solver-real)")
 
 _COMPILER_TIMEOUT = 120  # s; with one process per part, all but one wait for the compiler
+
+
+def versions() -> dict[str, str]:
+    """Versions of the libraries that compute the shells, by name."""
+    petsc = ".".join(map(str, PETSc.Sys.getVersion()))
+    return {"dolfinx": dolfinx.__version__, "PETSc": petsc, "MUMPS": mumps.version()}
 
 
 @contextmanager

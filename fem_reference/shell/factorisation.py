@@ -227,7 +227,7 @@ def _give_freed_memory_back() -> None:
 
     After the assembly of a sheet it exceeds the memory of mesh and stiffness.
     """
-    trim = getattr(ctypes.CDLL(None), "malloc_trim", None)  # glibc only
+    trim = getattr(ctypes.pythonapi, "malloc_trim", None)  # glibc only; pythonapi is the process itself
     if trim is not None:
         trim(0)
 

@@ -1,30 +1,35 @@
 """Direct interface to MUMPS, for a user-defined elimination order (PERM_IN), which PETSc does not support.
 
-MUMPS and its caller share one structure, whose layout depends on the version. It is read from the installed header
-(`dmumps_c.h`); the version that MUMPS reports in that layout must be the header's. The library is that loaded by PETSc.
+MUMPS and its caller share one structure, whose layout depends on the version. Its first four fields never moved, so
+MUMPS is started with them; the version that it then writes must stand where the layout of that version has it. The
+library is that loaded by PETSc, so no header file is needed.
 """
 
 from __future__ import annotations
 
 import ctypes
 import re
-import sys
 from functools import cache
-from pathlib import Path
 from typing import Any
 
-import cffi
 import numpy as np
-import petsc4py
 from mpi4py import MPI
 from petsc4py import PETSc
 
-__all__ = ["Instance", "MumpsFailure", "Unavailable"]
+__all__ = ["Instance", "MumpsFailure", "Unavailable", "version"]
 
-_STRUCTURE = "DMUMPS_STRUC_C"
-_ROOM = 1 << 16  # bytes behind the structure: a library of another version writes there, not into what is ours
-_POINTERS = {np.dtype(np.int32): "int *", np.dtype(np.float64): "double *"}
-_REMEDY = "install the headers of the MUMPS that PETSc was built with (Debian: libmumps-headers-dev)"
+_BYTES = 1 << 16  # at least five times the structure of any version
+# Byte offsets in the structure of double precision with 32-bit integers (PETSc builds with no other)
+_HEAD = {"sym": 0, "par": 4, "job": 8, "comm_fortran": 12, "icntl": 16, "n": 5416, "nnz": 5432}
+_HEAD |= {"irn": 5440, "jcn": 5448, "a": 5456, "perm_in": 5552}
+_TAIL = ("rhs", "rhs_sparse", "irhs_sparse", "irhs_ptr", "nrhs", "lrhs", "nz_rhs", "infog")
+_TAIL += ("size_schur", "listvar_schur", "schur", "version_number")
+_OFFSETS = {
+    "5.5": (5600, 5616, 5640, 5648, 5672, 5676, 5684, 6048, 7032, 7040, 7048, 7072),
+    "5.7": (5640, 5656, 5688, 5696, 5736, 5740, 5748, 6120, 7112, 7120, 7128, 7144),
+}
+_OFFSETS["5.8"] = _OFFSETS["5.7"]
+LAYOUTS = {series: _HEAD | dict(zip(_TAIL, offsets, strict=True)) for series, offsets in _OFFSETS.items()}
 
 
 class Unavailable(Exception):
@@ -47,50 +52,47 @@ class Instance:
     Raises
     ------
     Unavailable
-        If there is no header, if it cannot be read, or if it is another version's than the library.
+        If PETSc has no MUMPS, or one of a version whose structure is not in `LAYOUTS`.
     """
 
     def __init__(self, symmetry: int):
-        ffi, version = layout()
         self._function = _library()
-        self._ffi = ffi
-        self._memory = ffi.new("char[]", ffi.sizeof(_STRUCTURE) + _ROOM)
-        self._fields: Any = ffi.cast(f"{_STRUCTURE} *", self._memory)
+        self._memory = ctypes.create_string_buffer(_BYTES)
+        self._offset = _HEAD
         self._arrays: dict[str, np.ndarray] = {}
-        self._fields.sym, self._fields.par, self._fields.comm_fortran = symmetry, 1, MPI.COMM_SELF.py2f()
+        self.set(sym=symmetry, par=1, comm_fortran=MPI.COMM_SELF.py2f())
         self._call(-1)
-        found = ffi.string(self._fields.version_number).decode("ascii", "replace").strip()
-        if found != version:
-            raise Unavailable(f"the header of MUMPS is of version {version}, its library of another; {_REMEDY}")
         self._alive = True
         for stream in (1, 2, 3):  # errors come as numbers, and nothing is printed
             self.control(stream, -1)
         self.control(4, 0)
+        self._offset = self._layout()
 
     def control(self, number: int, value: int) -> None:
         """Set ICNTL(`number`)."""
-        self._fields.icntl[number - 1] = value
+        self._field("icntl", ctypes.c_int, number - 1).value = value
 
     def information(self, number: int) -> int:
         """INFOG(`number`)."""
-        return self._fields.infog[number - 1]
+        return self._field("infog", ctypes.c_int, number - 1).value
 
     def set(self, **values: int) -> None:
         """Set integer fields of the structure."""
         for name, value in values.items():
-            setattr(self._fields, name, value)
+            self._field(name, ctypes.c_int64 if name == "nnz" else ctypes.c_int).value = value
 
     def give(self, **arrays: np.ndarray) -> None:
         """Let fields of the structure point to contiguous arrays of 32-bit integers or doubles."""
         for name, array in arrays.items():
             assert array.flags.c_contiguous or array.flags.f_contiguous, f"{name} must be contiguous"
-            setattr(self._fields, name, self._ffi.cast(_POINTERS[array.dtype], array.ctypes.data))
+            assert array.dtype in (np.int32, np.float64), f"{name} must hold 32-bit integers or doubles"
+            self._field(name, ctypes.c_void_p).value = array.ctypes.data
             self._arrays[name] = array
 
     def take_back(self, *names: str) -> None:
         """Let fields of the structure point nowhere: MUMPS needs these arrays no more."""
         for name in names:
-            setattr(self._fields, name, self._ffi.NULL)
+            self._field(name, ctypes.c_void_p).value = None
             self._arrays.pop(name, None)
 
     def run(self, job: int) -> None:
@@ -110,8 +112,21 @@ class Instance:
         self.close()
 
     def _call(self, job: int) -> None:
-        self._fields.job = job
-        self._function(int(self._ffi.cast("uintptr_t", self._fields)))
+        self.set(job=job)
+        self._function(ctypes.addressof(self._memory))
+
+    def _field(self, name: str, kind: Any, entry: int = 0) -> Any:
+        return kind.from_buffer(self._memory, self._offset[name] + entry * ctypes.sizeof(kind))
+
+    def _layout(self) -> dict[str, int]:
+        """The layout of the version that MUMPS has written, if it stands where that layout has it."""
+        found = re.search(rb"(\d+\.\d+)\.\d+", self._memory.raw)
+        layout = LAYOUTS.get(found.group(1).decode(), {}) if found else {}
+        if found and layout.get("version_number") == found.start():
+            self.version = found.group().decode()
+            return layout
+        version, known = found.group().decode() if found else "(unknown version)", ", ".join(LAYOUTS)
+        raise Unavailable(f"the structure of MUMPS {version} is not known; install a PETSc with MUMPS {known}")
 
 
 @cache
@@ -126,40 +141,9 @@ def _library() -> Any:
 
 
 @cache
-def layout() -> tuple[cffi.FFI, str]:
-    """The structure's layout and the version of MUMPS, from the first header found."""
-    config = petsc4py.get_config()
-    petsc = Path(config["PETSC_DIR"], config.get("PETSC_ARCH", ""), "include")
-    for folder in (petsc, Path(sys.base_prefix, "include"), Path("/usr/include")):
-        if (folder / "dmumps_c.h").exists():
-            return read_header(folder)
-    raise Unavailable(f"the header of MUMPS, dmumps_c.h, is missing; {_REMEDY}")
-
-
-def read_header(folder: Path) -> tuple[cffi.FFI, str]:
-    """The layout of MUMPS's structure and its version, of the headers in a folder.
-
-    Raises
-    ------
-    Unavailable
-        If the header is not of the form that is known, or MUMPS was built with 64-bit integers throughout.
-    """
-    header = folder / "dmumps_c.h"
-    text = header.read_text(encoding="utf-8", errors="replace")
-    integers = folder / "mumps_int_def.h"
-    if integers.exists() and re.search(r"^\s*#\s*define\s+MUMPS_INTSIZE64", integers.read_text(), re.MULTILINE):
-        raise Unavailable(f"{integers} declares 64-bit integers, which are not supported")
-    version = re.search(r'#\s*define\s+MUMPS_VERSION\s+"([^"]+)"', text)
-    length = re.search(r"#\s*define\s+MUMPS_VERSION_MAX_LEN\s+(\d+)", text)
-    structure = re.search(rf"typedef\s+struct\s*\{{[^{{}}]*\}}\s*{_STRUCTURE}\s*;", text)
-    if not (version and length and structure):
-        raise Unavailable(f"{header} has an unknown form; {_REMEDY}")
-    ffi = cffi.FFI()
+def version() -> str:
+    """Version of the MUMPS that PETSc has loaded; "unknown" if it cannot be called directly."""
     try:
-        ffi.cdef(
-            "typedef int MUMPS_INT; typedef int64_t MUMPS_INT8; typedef double DMUMPS_REAL, DMUMPS_COMPLEX;"
-            + structure.group().replace("MUMPS_VERSION_MAX_LEN", length.group(1))
-        )
-    except (cffi.CDefError, cffi.FFIError) as problem:
-        raise Unavailable(f"{header} cannot be read ({str(problem).splitlines()[0]}); {_REMEDY}") from problem
-    return ffi, version.group(1)
+        return Instance(symmetry=1).version
+    except Unavailable:
+        return "unknown"

@@ -6,11 +6,11 @@ Freedoms with the same row pattern (the six of a vertex, the three of an edge) f
 from __future__ import annotations
 
 import ctypes
-import ctypes.util
 from functools import cache
 from typing import Any
 
 import numpy as np
+from petsc4py import PETSc
 from scipy.sparse import csr_matrix
 
 __all__ = ["nested_dissection"]
@@ -19,7 +19,7 @@ _OK = 1  # METIS_OK
 
 
 def nested_dissection(pattern: csr_matrix) -> np.ndarray | None:
-    """(m,) position of each row in the elimination order, from 0; None if METIS is not installed.
+    """(m,) position of each row in the elimination order, from 0; None if PETSc has no METIS.
 
     `pattern` (m, m) is the upper triangle of a symmetric matrix, with a full diagonal.
     """
@@ -61,10 +61,10 @@ def _condensed(pattern: csr_matrix) -> tuple[np.ndarray, csr_matrix]:
 
 @cache
 def _metis() -> Any:
-    """METIS_NodeND; None if METIS is missing or its integers do not have 32 bits."""
+    """METIS_NodeND of the METIS that PETSc has loaded; None if there is none or its integers do not have 32 bits."""
     try:
-        function = ctypes.CDLL(ctypes.util.find_library("metis")).METIS_NodeND
-    except (OSError, AttributeError, TypeError):  # TypeError: no library was found
+        function = ctypes.CDLL(PETSc.__file__).METIS_NodeND  # symbols are looked up in its dependencies as well
+    except (OSError, AttributeError):
         return None
     function.argtypes = [ctypes.c_void_p] * 7
     # a graph of one node: METIS with 64-bit integers would overwrite the second 32-bit entry too

@@ -13,8 +13,8 @@ from typing import Any
 
 import numpy as np
 import scipy.linalg
-from dolfinx import fem
 from mpi4py import MPI
+from dolfinx import fem
 from petsc4py import PETSc
 from scipy.sparse import coo_matrix, csr_matrix, vstack
 from scipy.sparse.csgraph import connected_components

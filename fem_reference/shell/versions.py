@@ -11,12 +11,13 @@ otherwise says what to do.
 from __future__ import annotations
 
 import sys
-from importlib.metadata import PackageNotFoundError, version
+from importlib.metadata import PackageNotFoundError, packages_distributions, version
 
-__all__ = ["READ", "TRIED", "UnsupportedVersion", "supported"]
+__all__ = ["READ", "TRIED", "UnsupportedVersion", "installed", "supported"]
 
-TRIED = {(0, 5): "Debian 12", (0, 9): "Debian 13", (0, 11): "Debian unstable"}
+TRIED = {(0, 5): "Debian 12", (0, 9): "Debian 13", (0, 11): "wheel dolfinx-solver-real"}
 READ = ((0, 10),)
+REMEDY = "apt-get install python3-dolfinx (Debian), or pip install dolfinx-solver-real (Linux, Python 3.12 or later)"
 
 
 class UnsupportedVersion(ImportError):
@@ -36,21 +37,31 @@ def supported(text: str) -> tuple[int, int]:
         return major, minor
     known = sorted([*TRIED, *READ])
     names = [f"{a}.{b}" + (f" ({TRIED[a, b]})" if (a, b) in TRIED else "") for a, b in known]
-    raise UnsupportedVersion(
-        f"dolfinx {text} is not supported; install one of {', '.join(names)}, on Debian with: "
-        "apt-get install python3-dolfinx"
-    )
+    raise UnsupportedVersion(f"dolfinx {text} is not supported; install one of {', '.join(names)}: {REMEDY}")
+
+
+def installed() -> str | None:
+    """Version of the installed dolfinx, found without importing it; None if there is none.
+
+    A wheel may have any name (dolfinx-solver-real); the package of Debian has the usual one, and lists no files.
+    """
+    for name in ("fenics-dolfinx", *packages_distributions().get("dolfinx", ())):
+        try:
+            return version(name)
+        except PackageNotFoundError:
+            continue
+    return None
 
 
 def main() -> int:
+    found = installed()
     try:
-        supported(version("fenics-dolfinx"))
-    except PackageNotFoundError:
-        print("dolfinx is not installed; on Debian: apt-get install python3-dolfinx", file=sys.stderr)
+        if found is not None:
+            supported(found)
+            return 0
+        print(f"dolfinx is not installed; {REMEDY}", file=sys.stderr)
     except UnsupportedVersion as problem:
         print(problem, file=sys.stderr)
-    else:
-        return 0
     return 1
 
 

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from mic.compliance.thickness import Thicknesses
 
-__all__ = ["InfluenceCoefficients", "InfluenceDerivative"]
+__all__ = ["InfluenceCoefficients", "InfluenceDerivative", "solver_versions"]
 
 
 @dataclass(frozen=True)
@@ -51,7 +51,7 @@ class InfluenceCoefficients:
         Readings of the six rigid-body modes (translations along x, y, z, rotations about x, y, z through the
         centroid).
     provenance : dict
-        Element, mesh sizes and versions, for the record.
+        Element, mesh sizes, and `versions` of the finite-element program and its solver by name, for the record.
     thicknesses : Thicknesses, optional
         Coefficients at other thicknesses, for a part whose thickness varies.
     deviated : ((v, 6) array, InfluenceCoefficients), optional
@@ -80,3 +80,12 @@ class InfluenceCoefficients:
             raise ValueError(f"part {self.part!r}: H {self.H.shape} and G {self.G.shape} do not fit together")
         if not (np.isfinite(self.H).all() and np.isfinite(self.G).all()):
             raise ValueError(f"part {self.part!r}: the influence coefficients hold values that are not finite")
+
+
+def solver_versions(coefficients: Iterable[InfluenceCoefficients]) -> dict[str, str]:
+    """Versions of the programs that computed coefficients, by name; several of one program as a list in text."""
+    found: dict[str, set[str]] = {}
+    for one in coefficients:
+        for name, text in one.provenance.get("versions", {}).items():
+            found.setdefault(name, set()).add(text)
+    return {name: " and ".join(sorted(texts)) for name, texts in found.items()}

@@ -21,7 +21,7 @@ from mic.errors import MissingProvider, SceneError
 __all__ = ["GROUP", "Provider", "check_element", "find", "installed"]
 
 GROUP = "mic.compliance"  #: of the entry points
-REMEDY = "on Debian: apt-get install python3-dolfinx; or copy a cache folder from a machine that has it"
+REMEDY = "install finite elements (docs/install.md), or copy a cache folder from a machine that has them"
 
 
 @runtime_checkable

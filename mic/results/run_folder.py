@@ -34,6 +34,7 @@ import re
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from importlib.metadata import requires
 from pathlib import Path
 from typing import Any
 
@@ -47,7 +48,7 @@ from mic.geometry.surface import Patch, Surface
 from mic.results.contact_sums import ContactSums
 from mic.results.low_rank_forces import CompressedForces
 from mic.results.parquet import read_identity, read_table, write_table
-from mic.results.run_identity import differences, installed_version
+from mic.results.run_identity import NOT_INSTALLED, differences, installed_version, program_version
 from mic.results.schema import (
     CONDENSED,
     CONTACTS,
@@ -181,10 +182,10 @@ class RunFolder:
         """Write ``run.json``."""
         save_json(self.path / "run.json", _RUN, record)
 
-    def add_wall_time(self, seconds: Mapping[str, float]) -> dict[str, Any]:
-        """Add the wall time of phases, s, to the record, replacing that of the same phases; returns the record."""
+    def add_to_record(self, key: str, values: Mapping[str, Any]) -> dict[str, Any]:
+        """Add entries to a table of the record, replacing those of the same names; returns the record."""
         record = self.record()
-        record["wall_time"] = record.get("wall_time", {}) | {phase: round(s, 3) for phase, s in seconds.items()}
+        record[key] = record.get(key, {}) | values
         self.write_record(record)
         return record
 
@@ -537,10 +538,17 @@ def stores_pairs(report: Report, block: Block) -> bool:
     return block.first == 0 or block.first < report.contacts
 
 
+_TASKS = ("test", "check", "docs")  # extras of development, without effect on results
+
+
 def versions() -> dict[str, str]:
-    """Versions of Python and the libraries that the numbers depend on."""
-    packages = ("mic-contact", "numpy", "scipy", "numba", "fenics-dolfinx", "petsc4py")
-    return {"python": platform.python_version()} | {name: installed_version(name) for name in packages}
+    """Versions of Python, of this program and of its direct dependencies; those that are installed."""
+    found = {"python": platform.python_version(), "mic-contact": program_version()}
+    for requirement in requires("mic-contact") or () if found["mic-contact"] != NOT_INSTALLED else ():
+        name, extra = re.match(r"[\w.-]+", requirement), re.search(r"extra == .(\w+)", requirement)
+        if name and not (extra and extra.group(1) in _TASKS):
+            found[name.group()] = installed_version(name.group())
+    return {name: text for name, text in found.items() if text != NOT_INSTALLED}
 
 
 def _set_aside(path: Path) -> str:

@@ -92,9 +92,12 @@ def program_version() -> str:
     return installed_version("mic-contact")
 
 
+NOT_INSTALLED = "not installed"  #: in place of a version
+
+
 def installed_version(package: str) -> str:
-    """Installed version of a package, or "not installed"."""
+    """Installed version of a package, or `NOT_INSTALLED`."""
     try:
         return version(package)
     except PackageNotFoundError:
-        return "not installed"
+        return NOT_INSTALLED
