@@ -166,40 +166,48 @@ class Team:
     def taken(self, sizes: Sequence[float], room: float = math.inf) -> Iterator[int]:
         """Indices of the items that this rank works on, assigned one by one.
 
-        A rank gets the first free item that fits into `room` together with the active items of the other ranks, or any
-        free item if no other rank is active. Every rank must call this and iterate to the end, where it waits for the
-        others.
+        A rank gets the first free item that fits into `room` together with the active items of the other ranks of its
+        node, or any free item if none of them is active; nodes share the items equally. Every rank must call this and
+        iterate to the end, where it waits for the others.
 
         Parameters
         ----------
         sizes : sequence of float
             Size of each item.
         room : float
-            Limit on the total size of active items.
+            Limit on the total size of the active items of a node.
         """
         if self.size == 1:
             yield from range(len(sizes))
             return
         from mpi4py import MPI  # imported here because the import starts MPI
 
-        # size of the active item of each rank, then for each item whether it is assigned
-        state = np.zeros(self.size + len(sizes))
-        window = MPI.Win.Allocate(state.nbytes if self.rank == 0 else 0, state.itemsize, comm=self.comm)
-        if self.rank == 0:
-            np.frombuffer(window.tomemory(), dtype=state.dtype)[:] = 0
+        node = self.comm.Split_type(MPI.COMM_TYPE_SHARED)
+        nodes = self.comm.allgather(node.allreduce(self.rank, MPI.MIN))  # number of each rank's node
+        different = sorted(set(nodes))
+        # a flag that is 1 while a rank changes the rest: the size of the active item of each rank, and for each item
+        # whether it is assigned
+        entries = 1 + node.size + len(sizes)
+        window = MPI.Win.Allocate_shared(8 * entries if node.rank == 0 else 0, 8, comm=node)
+        held, known = np.split(np.frombuffer(window.Shared_query(0)[0])[1:entries], [node.size])
+        if node.rank == 0:
+            np.frombuffer(window.tomemory())[:] = 0
+            known[:] = np.arange(len(sizes)) % len(different) != different.index(
+                nodes[self.rank]
+            )  # items of other nodes
+        window.Lock_all(MPI.MODE_NOCHECK)
         self.wait()
         while True:
-            window.Lock(0, MPI.LOCK_EXCLUSIVE)
-            window.Get(state, 0)
-            window.Flush(0)
-            held, known = state[: self.size], state[self.size :]
-            held[self.rank] = 0.0
+            # MPI.Win.Lock would wait until rank 0 calls MPI, with MPICH; an atomic operation on shared memory does not
+            while not _exchanged(window, 0, 1):
+                time.sleep(1e-3)
+            held[node.rank] = 0.0
             left = np.flatnonzero(known == 0)
             fitting = [i for i in left if not held.any() or held.sum() + sizes[i] <= room]
             if fitting:
-                held[self.rank], known[fitting[0]] = sizes[fitting[0]], 1.0
-            window.Put(state, 0)
-            window.Unlock(0)
+                held[node.rank], known[fitting[0]] = sizes[fitting[0]], 1.0
+            window.Sync()
+            _exchanged(window, 1, 0)
             if fitting:
                 yield int(fitting[0])
             elif len(left):
@@ -207,7 +215,9 @@ class Team:
             else:
                 break
         self.wait()
+        window.Unlock_all()
         window.Free()
+        node.Free()
 
     def from_first(self, value):
         """The value of the first rank, on every rank."""
@@ -220,6 +230,15 @@ class Team:
     def wait(self) -> None:
         """Wait for all ranks without using the processor."""
         wait(self.comm)
+
+
+def _exchanged(window, old: int, new: int) -> bool:
+    """Whether the first entry of a window had the value `old`, in whose place it then has `new`."""
+    found = np.empty(1, dtype=np.int64)
+    window.Compare_and_swap(np.array([new], dtype=np.int64), np.array([old], dtype=np.int64), found, 0, 0)
+    window.Flush(0)
+    window.Sync()
+    return bool(found[0] == old)
 
 
 @dataclass(frozen=True)
