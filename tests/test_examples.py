@@ -1,9 +1,7 @@
 """The example scenes: found by name, copied out whole, and carried by the wheel."""
 
-import shutil
 import subprocess
 import sys
-import zipfile
 from pathlib import Path
 
 import pytest
@@ -37,7 +35,7 @@ def test_a_copy_holds_all_files_and_gives_the_same_meshes(tmp_path, cache):
     out = examples.copy("lap_joint", tmp_path / "deep" / "mine")
     assert {path.name for path in out.iterdir()} == {"scene.toml", "geometry.py"}
     wheelhouse = examples.copy("wheelhouse", tmp_path / "wheelhouse")
-    more = {"watched.toml", "README.md", "paper.toml", "medium.npz"}
+    more = {"watched.toml", "README.md", "paper.toml", "meshes.npz"}
     assert {path.name for path in wheelhouse.iterdir()} == {"scene.toml", "geometry.py"} | more
     copied, shipped = (assemble(mic.load_scene(path), cache) for path in (out, examples.folder("lap_joint")))
     for one, other in zip(copied.parts, shipped.parts):
@@ -72,26 +70,3 @@ def test_init_names_the_copied_folder_and_the_next_command(tmp_path, monkeypatch
     result = CliRunner().invoke(app, ["init", "--example", "hat_on_plate", "--out", str(out)])
     assert result.exit_code == 0 and f"mic check {out}" in result.stdout
     assert (out / "scene.toml").is_file()
-
-
-@pytest.mark.slow
-def test_the_wheel_carries_the_examples_and_no_generic_name(tmp_path):
-    source = tmp_path / "source"
-    source.mkdir()
-    for name in ("mic", "fem_reference", "verification", "meshes"):
-        shutil.copytree(ROOT / name, source / name, symlinks=True, ignore=shutil.ignore_patterns("__pycache__"))
-    for path in ROOT.glob("*"):
-        if path.is_file():
-            shutil.copy(path, source)
-    command = f"{sys.executable} -m pip wheel . --no-deps --no-build-isolation -q -w {tmp_path}".split()
-    subprocess.run(command, cwd=source, check=True, timeout=300)
-    (wheel,) = tmp_path.glob("*.whl")
-    files = zipfile.ZipFile(wheel).namelist()
-    top = {name.split("/")[0].split("-")[0] for name in files}
-    assert top == {"mic", "fem_reference", "verification", "mic_contact"}
-    for example in examples.names():
-        for path in examples.folder(example).glob("*.*"):
-            assert f"mic/example_scenes/{example}/{path.name}" in files
-    data = [path for end in ("css", "html", "toml") for path in (ROOT / "mic").glob(f"*/*.{end}")]
-    assert len(data) > 10 and {str(path.relative_to(ROOT)) for path in data} <= set(files)
-    assert not any("__pycache__" in name for name in files)

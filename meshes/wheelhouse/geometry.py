@@ -24,6 +24,7 @@ from __future__ import annotations
 
 from bisect import bisect_right
 from functools import cache
+from itertools import product
 from pathlib import Path
 from typing import NamedTuple
 
@@ -103,7 +104,7 @@ PRESSINGS = (
 
 # Meshing
 SIZES = {"coarse": 17.5, "medium": 8.0, "fine": 5.0}  # mm
-STORED = Path(__file__).with_name("medium.npz")  # meshes of the plane at size medium, written by `store`
+STORED = Path(__file__).with_name("meshes.npz")  # plane meshes of two sizes, written by `store`
 GMSH_OPTIONS = {
     "General.Terminal": 0,
     "General.NumThreads": 1,
@@ -342,14 +343,14 @@ def _rectangle(part, size):
 
 
 def _stored(rectangle):
-    """The stored mesh of a rectangle, None if there is none: the scene's own sizes need no gmsh."""
+    """The stored mesh of a rectangle, None if there is none; the usual sizes need no gmsh therefore."""
     wanted = _numbers(rectangle)
     if STORED.is_file():
         with np.load(STORED) as stored:
-            for part in PARTS:
-                numbers = stored[f"{part}_rectangle"]
+            for name in filter(lambda name: name.endswith("rectangle"), stored.files):
+                numbers, mesh = stored[name], name.removesuffix("rectangle")
                 if numbers.shape == wanted.shape and np.abs(numbers - wanted).max() < 1e-4:
-                    return stored[f"{part}_uv"], stored[f"{part}_triangles"].astype(np.int64)
+                    return stored[f"{mesh}uv"], stored[f"{mesh}triangles"].astype(np.int64)
     return None
 
 
@@ -360,13 +361,13 @@ def _numbers(rectangle):
 
 
 def store():
-    """Write the meshes of size medium into `STORED`; call it after a change of the shape."""
+    """Write the meshes of sizes coarse and medium into `STORED`; call it after a change of the shape."""
     arrays = {}
-    for part in PARTS:
-        _, rectangle = _rectangle(part, SIZES["medium"])
+    for part, size in product(PARTS, ("coarse", "medium")):
+        _, rectangle = _rectangle(part, SIZES[size])
         uv, triangles = _mesh_strips(*rectangle)
         mesh = {"rectangle": _numbers(rectangle), "uv": uv, "triangles": triangles.astype(np.uint16)}
-        arrays |= {f"{part}_{name}": array for name, array in mesh.items()}
+        arrays |= {f"{part}_{size}_{name}": array for name, array in mesh.items()}
     np.savez_compressed(STORED, **arrays)
 
 
