@@ -10,8 +10,8 @@ __all__ = ["gmsh_model", "rectangles"]
 
 @contextmanager
 def gmsh_model() -> Iterator:
-    """The module gmsh with an empty model; the test is skipped where it is not installed."""
-    gmsh = pytest.importorskip("gmsh")
+    """The module gmsh with an empty model; the test is skipped where it, or a library that it needs, is missing."""
+    gmsh = pytest.importorskip("gmsh", exc_type=(ImportError, OSError))
     gmsh.initialize()
     try:
         gmsh.option.setNumber("General.Terminal", 0)
