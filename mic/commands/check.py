@@ -43,8 +43,8 @@ from mic.results.run_folder import RunFolder
 from mic.results.run_identity import identity
 from mic.results.schema import DENSITY
 from mic.scene import load_scene
+from mic.scene.deviation import deviation_unit
 from mic.studies import pair_convergence
-from mic.studies.exploration import deviation_unit
 from mic.studies.optimisation.description import describe as optimisation_sentences
 from mic.studies.optimisation.design import Space
 from mic.studies.optimisation.moved_items import check_places

@@ -18,11 +18,16 @@ TINY = float(np.finfo(float).tiny)
 
 
 class ContactState(IntEnum):
-    """State of one contact."""
+    """State of one contact, the integer in every array ``state``: ``resolution.state == ContactState.SLIP``."""
 
     OPEN = 0
+    """carries no force: the parts are apart, or touch without pressing"""
+
     STICK = 1
+    """presses, and friction holds it: the tangential force is below its bound"""
+
     SLIP = 2
+    """presses and slides: the tangential force is at its bound, which is zero without friction"""
 
     @property
     def label(self) -> str:

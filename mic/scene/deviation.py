@@ -37,6 +37,7 @@ __all__ = [
     "ShapeDeviation",
     "TemperatureDeviation",
     "ThicknessDeviation",
+    "deviation_unit",
     "targets",
 ]
 
@@ -388,6 +389,14 @@ Deviation = Annotated[
 def targets(item: Any) -> list[str]:
     """Names of the items that a deviation moves, of a kind with `moves`."""
     return [item.target] if isinstance(item.target, str) else item.target
+
+
+def deviation_unit(item: Any, scene: Any) -> str:
+    """Unit of the amplitude of a deviation, as N or mm; empty for factors and shapes."""
+    if item.kind == "clamp":
+        first = targets(item)[0]
+        return "N" if next(clamp for clamp in scene.clamps if clamp.name == first).force is not None else "mm"
+    return {"force": "N", "locator": "mm", "thickness": "mm", "temperature": "K"}.get(item.kind, "")
 
 
 class Correlation(Table):

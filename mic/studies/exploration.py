@@ -27,7 +27,7 @@ from mic.errors import ArgumentError, SceneError
 from mic.process.evaluation import Evaluation
 from mic.process.model import ReducedModel
 from mic.process.process import TOLERANCE, Process
-from mic.scene.deviation import FrictionDeviation
+from mic.scene.deviation import FrictionDeviation, deviation_unit
 from mic.scene.distribution import quantile
 from mic.scene.zone import Zone
 from mic.statistics.draw import draw
@@ -35,7 +35,7 @@ from mic.studies.adjustment import FACTOR, SHIM, Adjustment, adjustments, deviat
 from mic.studies.samples import half_tolerances, valid
 from mic.system.arguments import checked, number
 
-__all__ = ["COARSE", "GROUPS", "ExploredAssembly", "Control", "Exploration", "deviation_unit", "explore"]
+__all__ = ["COARSE", "GROUPS", "ExploredAssembly", "Control", "Exploration", "explore"]
 
 #: Factor on the path tolerance of a preliminary evaluation. On the wheelhouse its error is a hundredth to a thirtieth
 #: of a standard deviation, and it takes less than half the time.
@@ -383,11 +383,3 @@ def _frictions(scene, model: ReducedModel, law: str) -> list[tuple[Zone, Frictio
 def _side(parts: Sequence[str], name: str) -> int:
     """-1 for the first body of a zone, 1 for the second, 0 for one that is neither, or both."""
     return [-1, 1][list(parts).index(name)] if list(parts).count(name) == 1 else 0
-
-
-def deviation_unit(item, scene) -> str:
-    """Unit of the amplitude of a deviation, as N or mm; empty for factors and shapes."""
-    if item.kind == "clamp":
-        first = item.target if isinstance(item.target, str) else item.target[0]
-        return "N" if next(clamp for clamp in scene.clamps if clamp.name == first).force is not None else "mm"
-    return {"force": "N", "locator": "mm", "thickness": "mm", "temperature": "K"}.get(item.kind, "")
