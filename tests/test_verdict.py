@@ -2,6 +2,7 @@
 
 import json
 import shutil
+from dataclasses import replace
 
 import numpy as np
 import pandas as pd
@@ -57,8 +58,38 @@ def test_the_yield_is_that_of_all_characteristics_together(folder):
     told = json.loads((folder / "summary.json").read_text())["laws"]["coulomb"]["all_within"]
     assert told["share"] == pytest.approx(good) and told["outside_ppm"] == pytest.approx(1e6 * (1 - good))
     assert told["share_ci"][0] < good < told["share_ci"][1]
+    by = f"counted among the samples ({out.any(axis=1).sum()} of {SAMPLES})."
+    assert any(f" {100 * (1 - good):.1f} % (" in one and one.endswith(by) for one in verdict(outcome).sentences)
+
+
+@pytest.mark.slow
+def test_report_and_summary_state_the_same_verdict(folder):
+    outcome = read_outcome(folder)
+    told = json.loads((folder / "summary.json").read_text())["laws"]["coulomb"]
     first = verdict(outcome).sentences[0]
-    assert first.startswith(f"In {100 * good:.1f} % of the assemblies (") and "all 2 key characteristics" in first
+    worst = min(told["measurements"], key=lambda name: told["measurements"][name]["cpk"])
+    assert told["verdict"]["verdict"] == "not capable" == told["measurements"][worst]["verdict"]
+    assert first.startswith(f"Not capable: Cpk of {worst} is ") and "required at least 1.33" in first
+    assert told["verdict"]["target_cpk"] == 1.33 and told["verdict"]["samples_needed"] is None
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "target, opening",
+    [
+        ({"target_cpk": 0.05}, "Capable: Cpk of least capable, "),
+        ({"target_cpk": 0.45}, f"Not decided by {SAMPLES} samples: Cpk of "),
+        ({"target_outside": 0.9}, "Capable: the share outside limits is "),
+        ({"target_outside": 0.001}, "Not capable: the share outside limits is "),
+    ],
+)
+def test_the_requirement_of_the_scene_decides(folder, target, opening):
+    outcome = read_outcome(folder)
+    scene = outcome.model.scene
+    scene = scene.model_copy(update={"report": scene.report.model_copy(update=target)})
+    first = verdict(read_outcome(folder, replace(outcome.model, scene=scene))).sentences[0]
+    assert first.startswith(opening)
+    assert ("samples would decide if" in first) == opening.startswith("Not decided")
 
 
 def test_the_worst_characteristic_is_first_and_missing_studies_name_their_commands(copied):
@@ -78,8 +109,8 @@ def test_the_worst_characteristic_is_first_and_missing_studies_name_their_comman
     line |= {"law": "coulomb", "measurement": worst, "samples": 9, "failed": 0, "evaluations": 9, "linear": False}
     LINEARITY.write(copied, pd.DataFrame([line]))
     found = verdict(outcome)
-    assert f"the worst is {worst}" in found.sentences[0]
-    assert found.sentences[0].endswith("main contributors: F2 70 %, F1 30 %.")
+    assert f"Cpk of {worst} is" in found.sentences[0]
+    assert f"Main contributors of {worst}: F2 70 %, F1 30 %." in found.sentences
     assert "A linear analysis would mislead here" in " ".join(found.sentences)
 
 
@@ -128,7 +159,7 @@ def test_the_verdict_shows_a_computed_rare_miss(copied):
     row |= {"levels": 5, "evaluations": 5000, "failed": 0, "first_order": 2e-5, "agrees": True}
     RARE.write(copied, pd.DataFrame([row]))
     said = verdict(read_outcome(copied)).sentences
-    assert "Assemblies outside a limit, by subset simulation: 25 ppm (10 to 60)." in said
+    assert "Expected assemblies outside a limit: 25 ppm (10 to 60), by subset simulation." in said
     assert not any("first-order estimate" in each for each in said)
     RARE.write(copied, pd.DataFrame([row | {"first_order": 2e-6, "agrees": False}]))
     said = verdict(read_outcome(copied)).sentences

@@ -1,4 +1,4 @@
-"""The verdict that opens the report: share within limits, worst characteristic, contributors, estimated errors."""
+"""The verdict that opens the report: capability, expected share outside, contributors, estimated errors."""
 
 from __future__ import annotations
 
@@ -9,17 +9,18 @@ import numpy as np
 
 from mic.plausibility import Results, find_warnings_of_results
 from mic.report.driver_sentences import adjusted, named
-from mic.report.style import change, number, percent, probability
+from mic.report.style import change, number, probability
+from mic.results.capability_verdict import COUNTED, CapabilityVerdict, capability_verdict
 from mic.results.error_sources import Source, error_budget
 from mic.results.outcome import Outcome
 from mic.results.schema import CONTRIBUTORS, FRICTION_EFFECTS, LINEARITY, RARE, REMEDIES
-from mic.results.statistic_tables import whole_yield
+from mic.statistics.decision import CAPABLE, NOT_CAPABLE, NOT_DECIDED
 
 __all__ = ["SHOWN", "Verdict", "verdict"]
 
 SHOWN = 10  # characteristics in the first table, the least capable ones
 FEW = 10  # independent groups of samples: fewer give very wide intervals
-CAPABLE = 1.0  # lower end of the interval of a Cpk: all but 3 in a thousand are inside
+MARKS = {CAPABLE: "in", NOT_DECIDED: "close", NOT_CAPABLE: "out"}
 
 
 @dataclass(frozen=True)
@@ -34,7 +35,8 @@ class Verdict:
         The first is the verdict itself.
     rows : list of dict
         By key characteristic, the least capable first: the columns of
-        :data:`mic.results.schema.MEASUREMENT_STATISTICS`, ``verdict`` (``in``, ``close`` or ``out``) and ``drivers``.
+        :data:`mic.results.schema.MEASUREMENT_STATISTICS`, with the interval of Cpk that decides; ``verdict`` (``in``,
+        ``close`` or ``out``; empty if a share outside is required) and ``drivers``.
     more : int
         Number of further characteristics.
     budget : list of Source
@@ -60,38 +62,74 @@ def verdict(outcome: Outcome) -> Verdict | None:
     if law is None or not outcome.model.scene.measurements:
         return None
     table = outcome.measurement_statistics
-    rows = table[table["law"] == law].sort_values("cpk", kind="stable", na_position="last").to_dict("records")
+    judged = capability_verdict(outcome, law, table)
+    if judged is None:
+        return None
+    own_rows = table[table["law"] == law].to_dict("records")
+    by_characteristic = judged.target_cpk is not None
+    for k, row in enumerate(own_rows):
+        row |= {"cpk_low": judged.cpk.low[k], "cpk_high": judged.cpk.high[k]}
+        row["verdict"] = MARKS[judged.decision.each[k]] if by_characteristic else ""
+    rows = sorted(own_rows, key=lambda row: np.nan_to_num(row["cpk"], nan=np.inf, posinf=np.inf, neginf=-np.inf))
     drivers = outcome.study(CONTRIBUTORS)
     own = CONTRIBUTORS.empty() if drivers is None else drivers[drivers["law"] == law]
     for row in rows:
         shares = own[own["measurement"] == row["measurement"]]
-        row["verdict"] = _verdict(row)
         row["drivers"] = (named(shares, "total") or "none: it hardly varies") if len(shares) else None
     budget = error_budget(outcome, law)
-    sentences = [_first(outcome, law, rows), *_implausible(outcome, rows)]
-    sentences += [*_further(outcome, law, rows), *_trust(outcome, law, budget)]
+    sentences = [_first(judged, rows), *_outside(judged, outcome, law, rows), *_implausible(outcome, rows)]
+    sentences += [*_further(outcome, law, rows, judged), *_trust(outcome, law, budget)]
     return Verdict(law, sentences, rows[:SHOWN], max(0, len(rows) - SHOWN), budget)
 
 
-def _verdict(row: dict[Any, Any]) -> str:
-    if row["share_outside"] > 0:
-        return "out"
-    return "in" if row["cpk_low"] >= CAPABLE or np.isinf(row["cpk"]) else "close"
+def _first(judged: CapabilityVerdict, rows: list[dict[Any, Any]]) -> str:
+    """Capable, not capable or not decided, with the figure that decides, its interval and the requirement."""
+    count, worst, opening = len(rows), rows[0], judged.verdict.capitalize()
+    if judged.verdict == NOT_DECIDED:
+        opening = f"Not decided by {judged.samples} sample{'s' * (judged.samples > 1)}"
+    if judged.target_cpk is None:
+        figure, required = "the share outside limits", f"at most {probability(judged.target_outside)}"
+        ends = (judged.outside.value, judged.outside.low, judged.outside.high)
+        text, stays = f"{figure} is {probability(*map(float, ends))}", "the share stays there"
+    else:
+        if judged.verdict == NOT_DECIDED:  # the least capable of those that are not decided
+            worst = next(row for row in rows if row["verdict"] == MARKS[NOT_DECIDED])
+        required, stays = f"at least {number(judged.target_cpk)}", "this Cpk stays there"
+        cpk, low, high = (number(worst[f"cpk{end}"]) for end in ("", "_low", "_high"))
+        interval = f" ({low} to {high})" if np.isfinite(worst["cpk_low"]) else ""
+        least = "least capable, " if judged.verdict == CAPABLE and count > 1 else ""
+        text = f"Cpk of {least}{worst['measurement']} is {cpk}{interval}"
+    sentence = f"{opening}: {text}, required {required}"
+    failing = sum(row["verdict"] == MARKS[NOT_CAPABLE] for row in rows)
+    if failing > 1:
+        sentence += f"; {failing} of {count} key characteristics are not capable"
+    if judged.verdict != NOT_DECIDED:
+        return f"{sentence}."
+    if judged.needed is not None:
+        return f"{sentence}. {judged.needed} samples would decide if {stays}."
+    return f"{sentence}. {_undecidable(judged)}"
 
 
-def _first(outcome: Outcome, law: str, rows: list[dict[Any, Any]]) -> str:
-    """Share of assemblies within all limits, the worst characteristic and its contributors, in one sentence."""
-    good, count = whole_yield(outcome, law), len(rows)
-    what = f"all {count} key characteristics are" if count > 1 else f"{rows[0]['measurement']} is"
-    limits = "their limits" if count > 1 else "its limits"
-    share, low, high = (percent(float(x), 1) for x in (good.value, good.low, good.high))
-    interval = f" ({low} to {high})" if good.low == good.low else ""
-    sentence = f"In {share} of the assemblies{interval} {what} within {limits}"
-    worst = rows[0]
-    if count > 1 and np.isfinite(worst["cpk"]):
-        outside = f", {percent(worst['share_outside'], 1)} outside" if worst["share_outside"] > 0 else ""
-        sentence += f"; the worst is {worst['measurement']} (Cpk {number(worst['cpk'], 2)}{outside})"
-    return sentence + (f"; main contributors: {worst['drivers']}." if worst["drivers"] else ".")
+def _undecidable(judged: CapabilityVerdict) -> str:
+    if np.isinf(judged.decision.needed):
+        return "It is so close that more than ten million samples would be needed."
+    return "So few samples, or groups of samples, give no interval: draw more."
+
+
+def _outside(judged: CapabilityVerdict, outcome: Outcome, law: str, rows: list[dict[Any, Any]]) -> list[str]:
+    """Expected share outside with its estimator, and the contributors of the least capable characteristic."""
+    value, low, high = (float(x) for x in (judged.outside.value, judged.outside.low, judged.outside.high))
+    if value == 0 and high > 0:
+        share = f"at most {probability(high)}"
+    else:
+        share = probability(value, *((low, high) if low == low else (None, None)))
+    by = judged.estimator
+    if by == COUNTED:
+        by += f" ({outcome.accumulators[law].counts['any outside',]} of {judged.samples})"
+    sentences = [f"Expected assemblies outside a limit: {share}, {by}."]
+    if rows[0]["drivers"]:
+        sentences.append(f"Main contributors of {rows[0]['measurement']}: {rows[0]['drivers']}.")
+    return sentences
 
 
 def _implausible(outcome: Outcome, rows: list[dict[Any, Any]]) -> list[str]:
@@ -102,15 +140,13 @@ def _implausible(outcome: Outcome, rows: list[dict[Any, Any]]) -> list[str]:
     return [f"Warning: {warning}." for warning in find_warnings_of_results(Results(scene, extent, mean, six_sigma))]
 
 
-def _further(outcome: Outcome, law: str, rows: list[dict[Any, Any]]) -> list[str]:
+def _further(outcome: Outcome, law: str, rows: list[dict[Any, Any]], judged: CapabilityVerdict) -> list[str]:
     """Rare misses, contributors, remedies and friction: results, or the command that computes them."""
     command = f"results/{outcome.folder.name}" if outcome.folder.parent.name == "results" else str(outcome.folder)
     sentences = []
     rare = outcome.study(RARE)
     own = [] if rare is None else rare[(rare["law"] == law) & (rare["measurement"] == "")].to_dict("records")
     for row in own:
-        share = probability(row["outside"], row["outside_low"], row["outside_high"])
-        sentences.append(f"Assemblies outside a limit, by subset simulation: {share}.")
         if not row["agrees"] and np.isfinite(row["first_order"]):
             first_order = probability(row["first_order"])
             sentences.append(f"The first-order estimate differs, {first_order}: the limits are curved.")
@@ -128,8 +164,9 @@ def _further(outcome: Outcome, law: str, rows: list[dict[Any, Any]]) -> list[str
         moves = ", ".join(map(adjusted, last))
         which = "all characteristics" if last[0]["remedy"] == "together" else "the worst characteristic"
         sentences.append(f"Remedy: {moves} brings {which} within limits.")
-    elif table is None and any(row["verdict"] == "out" for row in rows):
-        sentences.append(f"Remedy: not computed. Run `mic remedy {command}`.")
+    elif table is None and judged.verdict == NOT_CAPABLE:
+        required = f" --capability {judged.target_cpk:g}" if judged.target_cpk is not None else ""
+        sentences.append(f"Remedy: not computed. Run `mic remedy {command}{required}`.")
     if outcome.study(FRICTION_EFFECTS) is None and outcome.has_slip and outcome.model.contacts.frictional:
         sentences.append(f"Effect of friction: not computed. Run `mic friction {command}`.")
     return sentences

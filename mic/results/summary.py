@@ -9,6 +9,7 @@ import numpy as np
 import pandas as pd
 
 from mic.contact.states import STATES
+from mic.results.capability_verdict import capability_verdict
 from mic.results.run_samples import RunSamples
 from mic.results.statistic_tables import whole_yield
 from mic.statistics import estimates
@@ -37,6 +38,9 @@ def summary(
             entry = _entry(row, *_ZONE_KEYS, *STATES) | {"path": {state: row[state] for state in STATES}}
             zone = {"contacts": row["contacts"], "friction": row["friction"], **entry, "stages": {}}
             zones.setdefault(row["zone"], zone)["stages"][row["stage"]] = entry
+        judged = capability_verdict(outcome, law, measurement_table)
+        verdicts = judged.decision.each if judged and judged.target_cpk is not None else ()
+        each = dict(zip((item.name for item in outcome.model.scene.measurements), verdicts))
         laws[law] = {
             "samples": len(outcome.sample_numbers(law)),
             "worst_residual": outcome.worst_residual(law),
@@ -46,9 +50,11 @@ def summary(
             "unseen_penetration": _unseen(outcome, law),
             "path": _path(outcome, law) | {"repeated": study.repeated(law) if study else 0},
             "zones": zones,
+            "verdict": judged.as_dict() if judged else None,
             "all_within": _all_within(outcome, law),
             "measurements": {
                 row["measurement"]: _entry(row, "law", "measurement", "samples")
+                | ({"verdict": each[row["measurement"]]} if each else {})
                 for row in _rows(measurement_table, law)
             },
             "limits": [{name: row[name] for name in row if name != "law"} for row in _rows(limit_table, law)],
