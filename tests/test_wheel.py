@@ -1,0 +1,114 @@
+"""The wheel: what it carries, and that it works in an environment that sees no finite elements."""
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+import venv
+import zipfile
+from pathlib import Path
+
+import pytest
+from packaging.requirements import Requirement
+
+from mic import examples
+
+ROOT = Path(__file__).resolve().parents[1]
+FINITE_ELEMENTS = ("dolfinx", "petsc4py", "mpi4py", "gmsh")
+#: Tests that depend on the versions of NumPy, SciPy and pandas; CONTRIBUTING.md has the command for all.
+TESTS = ("test_montecarlo.py", "test_statistics.py", "test_superelements.py")
+
+EVALUATE = """
+import importlib.util, json, sys
+import mic
+assert not [name for name in sys.argv[3:] if importlib.util.find_spec(name)], "this environment is not empty"
+assert mic.__file__.startswith(sys.prefix), mic.__file__
+model = mic.ReducedModel.load(sys.argv[1])
+print(json.dumps(model.evaluate(json.loads(sys.argv[2]), "coulomb").measurements.tolist()))
+"""
+
+
+def run(command, folder):
+    """Output of a program that does not see this tree; an error shows it."""
+    hidden = ("PYTHONPATH", "VIRTUAL_ENV", "PYTHONHOME")
+    environment = {name: text for name, text in os.environ.items() if name not in hidden}
+    both = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
+    done = subprocess.run(command, cwd=folder, env=environment | {"MPLBACKEND": "agg"}, **both, text=True, timeout=600)
+    assert done.returncode == 0, f"{command}\n{done.stdout}{done.stderr}"
+    return done.stdout
+
+
+@pytest.fixture(scope="module")
+def wheel(tmp_path_factory):
+    """The wheel of this tree, built from a copy: building writes into its folder."""
+    folder = tmp_path_factory.mktemp("wheel")
+    source = folder / "source"
+    source.mkdir()
+    for name in ("mic", "fem_reference", "verification", "meshes"):
+        shutil.copytree(ROOT / name, source / name, symlinks=True, ignore=shutil.ignore_patterns("__pycache__"))
+    for path in ROOT.glob("*"):
+        if path.is_file():
+            shutil.copy(path, source)
+    run([sys.executable, *"-m pip wheel . --no-deps -q -w".split(), folder], source)
+    (path,) = folder.glob("*.whl")
+    return path
+
+
+@pytest.fixture(scope="module")
+def python(wheel, tmp_path_factory):
+    """Python of an environment that holds the wheel, its dependencies and a test runner, and nothing of the system."""
+    folder = tmp_path_factory.mktemp("empty")
+    venv.create(folder, with_pip=True)
+    python = next(path for path in (folder / "bin" / "python", folder / "Scripts" / "python.exe") if path.exists())
+    install = "-m pip install --quiet --no-compile --disable-pip-version-check --constraint".split()
+    run([python, *install, ROOT / "script" / "constraints.txt", wheel, "pytest", "hypothesis"], folder)
+    return python
+
+
+@pytest.mark.slow
+def test_the_wheel_carries_the_examples_and_no_generic_name(wheel):
+    files = zipfile.ZipFile(wheel).namelist()
+    top = {name.split("/")[0].split("-")[0] for name in files}
+    assert top == {"mic", "fem_reference", "verification", "mic_contact"}
+    for example in examples.names():
+        for path in examples.folder(example).glob("*.*"):
+            assert f"mic/example_scenes/{example}/{path.name}" in files
+    data = [path for end in ("css", "html", "toml") for path in (ROOT / "mic").glob(f"*/*.{end}")]
+    assert len(data) > 10 and {str(path.relative_to(ROOT)) for path in data} <= set(files)
+    assert not any("__pycache__" in name for name in files)
+    assert wheel.name.endswith("-py3-none-any.whl")
+
+
+@pytest.mark.slow
+def test_the_extra_of_finite_elements_holds_a_wheel_where_there_is_one(wheel):
+    with zipfile.ZipFile(wheel) as archive:
+        (name,) = (name for name in archive.namelist() if name.endswith(".dist-info/METADATA"))
+        lines = archive.read(name).decode().splitlines()
+    (needed,) = (Requirement(line.split(": ")[1]) for line in lines if line.startswith("Requires-Dist: dolfinx"))
+    linux = {"extra": "fem", "sys_platform": "linux", "platform_machine": "x86_64", "python_version": "3.12"}
+    others = ({"extra": ""}, {"sys_platform": "darwin"}, {"platform_machine": "aarch64"}, {"python_version": "3.11"})
+    assert needed.marker.evaluate(linux) and not any(needed.marker.evaluate(linux | other) for other in others)
+
+
+@pytest.mark.slow(100)  # the contact solver is compiled there
+def test_a_saved_model_gives_the_same_numbers_in_an_empty_environment(python, lap_model, tmp_path):
+    lap_model.save(tmp_path / "model.npz")
+    deviations = {"F1": -7.0, "D1": 0.08}
+    command = [python, "-c", EVALUATE, tmp_path / "model.npz", json.dumps(deviations), *FINITE_ELEMENTS]
+    found = json.loads(run(command, tmp_path).splitlines()[-1])
+    assert found[0] == pytest.approx(lap_model.evaluate(deviations, "coulomb").measurements[0].tolist(), rel=1e-9)
+
+
+@pytest.mark.slow
+def test_the_notebook_without_finite_elements_runs_in_an_empty_environment(python, tmp_path):
+    """sphinx-gallery writes the notebook from this page, cell by cell."""
+    page = shutil.copy(ROOT / "docs" / "gallery" / "without_finite_elements.py", tmp_path)
+    assert run([python, page], tmp_path).startswith("[")
+
+
+@pytest.mark.slow
+def test_tests_without_finite_elements_pass_in_an_empty_environment(python, tmp_path):
+    options = ["-p", "no:cacheprovider", "-m", "not slow and not fem", f"--basetemp={tmp_path}"]
+    tests = [ROOT / "tests" / name for name in TESTS]
+    assert " passed" in run([python.with_name("pytest"), *options, *tests], ROOT)
