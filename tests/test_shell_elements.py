@@ -87,7 +87,7 @@ def test_patch(element, field, stretch):
     part = ShellPart(surface, T, E, NU, element)
     exact, energy = field(part, frame, stretch)
     u = supported_solution(part, [on_rim(part, frame, stretch)], np.zeros(part.ndof), exact)
-    rounding = 1e-9 * stretch**1.5
+    rounding = 3e-9 * stretch**1.5  # 0.4e-9 to 1.1e-9 seen, by compiler and libraries
     for rotations in (False, True):  # of either kind relative to its own size
         kind = (part.dof_component >= 3) == rotations
         assert abs(u - exact)[kind].max() < rounding * abs(exact[kind]).max()

@@ -27,6 +27,7 @@ _TAIL += ("size_schur", "listvar_schur", "schur", "version_number")
 _OFFSETS = {
     "5.5": (5600, 5616, 5640, 5648, 5672, 5676, 5684, 6048, 7032, 7040, 7048, 7072),
     "5.7": (5640, 5656, 5688, 5696, 5736, 5740, 5748, 6120, 7112, 7120, 7128, 7144),
+    "5.9": (5640, 5656, 5688, 5696, 5736, 5740, 5748, 6120, 7108, 7112, 7120, 7136),
 }
 _OFFSETS["5.8"] = _OFFSETS["5.7"]
 LAYOUTS = {series: _HEAD | dict(zip(_TAIL, offsets, strict=True)) for series, offsets in _OFFSETS.items()}

@@ -15,7 +15,7 @@ from importlib.metadata import PackageNotFoundError, packages_distributions, ver
 
 __all__ = ["READ", "TRIED", "UnsupportedVersion", "installed", "supported"]
 
-TRIED = {(0, 5): "Debian 12", (0, 9): "Debian 13", (0, 11): "wheel dolfinx-solver-real"}
+TRIED = {(0, 5): "Debian 12", (0, 9): "Debian 13", (0, 11): "wheel dolfinx-solver-real, Debian unstable"}
 READ = ((0, 10),)
 REMEDY = "apt-get install python3-dolfinx (Debian), or pip install dolfinx-solver-real (Linux, Python 3.12 or later)"
 
