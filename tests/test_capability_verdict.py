@@ -24,6 +24,8 @@ POPULATIONS = {
     "uniform": (lambda rng, size: rng.uniform(-1, 1, size), 0.0, 3**-0.5),
     "skewed": (lambda rng, size: rng.gamma(4.0, size=size), 4.0, 2.0),
     "skewed away": (lambda rng, size: -rng.gamma(4.0, size=size), -4.0, 2.0),
+    "long tail": (lambda rng, size: rng.exponential(size=size), 1.0, 1.0),
+    "long tail away": (lambda rng, size: -rng.exponential(size=size), -1.0, 1.0),
     "contact": (
         lambda rng, size: kinked(rng.standard_normal(size)),
         2 / 3 / (2 * np.pi) ** 0.5,

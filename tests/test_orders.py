@@ -80,7 +80,7 @@ def test_a_file_of_variants_changes_the_keys_of_the_stages_that_it_names(hat_mod
 
 BROKEN = {
     "no file": (None, ["does not exist", "correct the name"]),
-    "no TOML": ("[[orders", ["not valid TOML", "correct the syntax"]),
+    "no TOML": ("[[orders", ["not valid TOML", "expected a closing ]"]),
     "no orders": ('name = "x"', ["must contain at least one [[orders]]"]),
     "no stages": ('[[orders]]\nname = "x"', ["orders[0]", "give name and stages"]),
     "no such stage": ('[[orders]]\nname = "x"\nstages.clmp.order = [["C1"]]', ["orders[0].stages", "'clmp'", "clamp"]),

@@ -3,13 +3,15 @@
 import json
 import shutil
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
-from support.runs import fail
+from support.runs import fail, skip_pictures
 from typer.testing import CliRunner
 
+from mic.commands import run as run_command
 from mic.options import app
 from mic.report.style import change
 from mic.report.verdict import verdict
@@ -20,6 +22,7 @@ from mic.results.statistic_tables import whole_yield
 from mic.runs import run
 
 SAMPLES = 30
+LAP = Path(__file__).resolve().parents[1] / "meshes" / "lap_joint"
 
 
 @pytest.fixture(scope="module")
@@ -77,7 +80,7 @@ def test_report_and_summary_state_the_same_verdict(folder):
 @pytest.mark.parametrize(
     "target, opening",
     [
-        ({"target_cpk": 0.05}, "Capable: Cpk of least capable, "),
+        ({"target_cpk": 0.05}, "Capable: Cpk of "),
         ({"target_cpk": 0.45}, f"Not decided by {SAMPLES} samples: Cpk of "),
         ({"target_outside": 0.9}, "Capable: the share outside limits is "),
         ({"target_outside": 0.001}, "Not capable: the share outside limits is "),
@@ -173,6 +176,18 @@ def test_the_verdict_shows_only_a_remedy_that_suffices(copied):
     assert "Remedy: locators.A1 −0.12 mm brings all characteristics within limits." in said
     REMEDIES.write(copied, pd.DataFrame([row | {"reached": False, "rounds": 3}]))
     assert not any("brings" in each for each in verdict(read_outcome(copied)).sentences)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("cheap, computed", [(1e6, True), (0.0, False)])
+def test_a_run_computes_contributors_where_they_are_cheap(cheap, computed, tmp_path, cache, monkeypatch):
+    skip_pictures(monkeypatch.setattr)
+    monkeypatch.setattr(run_command, "CHEAP", cheap)
+    arguments = ["run", str(LAP), "--samples", "10", "--law", "coulomb", "--out", str(tmp_path / "run")]
+    done = CliRunner().invoke(app, arguments, env={"MIC_CACHE": str(cache), "COLUMNS": "200"})
+    assert done.exit_code == 0, done.output
+    assert (CONTRIBUTORS.read(tmp_path / "run", "") is not None) == computed
+    assert ("Main contributors of " in done.output) == computed != ("Run `mic contributors " in done.output)
 
 
 def test_a_folder_with_the_model_of_another_run_is_refused(copied, hat_model):

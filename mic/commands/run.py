@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import shlex
 import sys
+import time
 from pathlib import Path
 
 import typer
 
-from mic.commands.invocation import ConsoleProgress, first_rank_only, with_options
+from mic.commands.invocation import ConsoleProgress, choose_law, first_rank_only, with_options
 from mic.commands.output import CommandConsole
 from mic.errors import RunError, Stopped
 from mic.execution.ranks import communicator, on_first
@@ -16,12 +17,19 @@ from mic.report.background_pictures import BackgroundPictures
 from mic.report.style import change, number
 from mic.results.excel import write_excel
 from mic.results.run_folder import EXCEL
+from mic.results.schema import CONTRIBUTORS, LINEARITY
 from mic.runs import conclude, finished, hold
 from mic.runs import run as run_scene
 from mic.scene import load_scene
+from mic.statistics.draw import draw
+from mic.studies import contributors as contributor_study
+from mic.system.cores import available_cores
 from mic.system.disk_cache import cache_folder
 
 __all__ = ["ReportProgress", "report", "run"]
+
+CHEAP = 0.1  # of the time of the run: contributors that take less are computed without request
+PROBED = 8  # assemblies that are evaluated to estimate this
 
 
 class ReportProgress(ConsoleProgress):
@@ -51,11 +59,12 @@ def run(scene, samples, seed, law, backend, out, replace, strict):
     scene = on_first(world, lambda: with_options(load_scene(scene), law, samples, seed, backend and backend.value))
     if out is None and scene.name.strip(".") == "":
         raise RunError(f"scene name {scene.name!r}: not usable as the name of a results folder; give one with --out")
-    folder, progress = out or Path("results") / scene.name, ReportProgress(console)
+    folder, progress, start = out or Path("results") / scene.name, ReportProgress(console), time.perf_counter()
     try:
         with hold(folder, progress):
             outcome = run_scene(scene, folder, cache_folder(), progress, replace, strict)
             if outcome is not None:
+                _add_contributors(console, outcome, time.perf_counter() - start)
                 _report(console, outcome, progress.pictures)
     except (KeyboardInterrupt, Stopped) as interrupt:
         laws, count = scene.report.laws, scene.monte_carlo.samples
@@ -66,6 +75,28 @@ def run(scene, samples, seed, law, backend, out, replace, strict):
         raise typer.Exit(getattr(interrupt, "status", 130)) from None
     finally:
         progress.stop()
+
+
+def _add_contributors(console, outcome, seconds):
+    """Compute the contributors of a run that took some seconds, if they are expected to take less than a tenth of it.
+
+    A few assemblies are evaluated for the estimate.
+    """
+    model, scene = outcome.model, outcome.model.scene
+    count = contributor_study.evaluation_count(scene) if scene.deviations else None
+    if not scene.measurements or count is None or scene.monte_carlo.values is not None:
+        return
+    if outcome.study(CONTRIBUTORS) is not None:
+        return
+    affordable = CHEAP * seconds * PROBED / count  # s, for the assemblies of the estimate
+    law, seed, threads = choose_law(model, None), scene.monte_carlo.seed, available_cores()
+    start = time.perf_counter()
+    model.process(law, threads=threads).attempt(draw(scene, seed, 0, PROBED))
+    if time.perf_counter() - start < affordable:
+        with console.progress_bar(f"contributors under {law}", count) as advance:
+            found = contributor_study.contributors(model, law, seed=seed, threads=threads, progress=advance)
+        CONTRIBUTORS.write(outcome.folder, found.table)
+        LINEARITY.write(outcome.folder, found.linearity)
 
 
 @first_rank_only

@@ -26,7 +26,6 @@ from mic.results.schema import (
 from mic.studies import contributors as contributor_study
 from mic.studies import friction as friction_study
 from mic.studies.adjustment import adjustment_tables
-from mic.studies.input_screening import MANY
 from mic.studies.order import PERMUTATIONS, STATED, compare, orders
 from mic.studies.order import variants as read_variants
 from mic.studies.rare import rare as estimate_rare
@@ -108,9 +107,7 @@ def contributors(source, samples, seed, law):
             f"scene {scene.name!r}: its samples are given in a table, from which the effect of a single deviation does "
             "not follow; remove monte_carlo.table, so that samples are drawn"
         )
-    groups = len(contributor_study.groups(scene))
-    varying = sum(item.sigma > 0 for item in scene.deviations)
-    count = samples * (groups + 2) + 2 * varying if groups <= MANY else None
+    count = contributor_study.evaluation_count(scene, samples)
     with console.progress_bar(f"evaluations under {law}", count) as advance:
         found = contributor_study.contributors(model, law, samples, seed, available_cores(), advance)
     _print_contributors(console, scene, found)

@@ -20,6 +20,7 @@ from mic.plausibility import SceneWarning, validity
 from mic.process.description import opening, sentences
 from mic.process.plan import StagePlan
 from mic.report.source_pictures import draw_shapes
+from mic.report.space_pictures import draw_assembly
 from mic.report.style import MARK_COLOURS, number
 from mic.report.template import render
 from mic.report.viewer_data import arrow_group, packed, point_group, view
@@ -84,6 +85,7 @@ def write_check(
         verdict=validity(warnings, errors),
         shapes=draw_shapes(surfaces, shapes) if shapes else None,
         largest={shape.name: f"{number(shape.largest[2])} mm" for shape in shapes},
+        still=draw_assembly(bodies, scene, contacts if touching else None) if bodies else None,
         viewer=packed(json.dumps(_view(bodies, scene, warnings, contacts if touching else None))) if bodies else None,
         plotly=packed(get_plotlyjs()) if bodies else None,
     )

@@ -23,10 +23,12 @@ from mic.report.mesh_decimation import MOST, thinned
 from mic.report.picture import MOST_PANELS, Picture, panels, png, wide
 from mic.report.style import MARK_COLOURS, RULE_COLOURS, RULE_WORDS, number, part_colour, zone_colour
 from mic.results.outcome import Outcome
+from mic.scene import Scene
 
 __all__ = [
     "ARROW",
     "assembly_picture",
+    "draw_assembly",
     "draw_fields",
     "draw_normals",
     "draw_overlap",
@@ -141,9 +143,11 @@ def draw_fields(
 
 def assembly_picture(outcome: Outcome, context: Context) -> Picture | None:
     """The parts with locators, clamps, welds, contact pairs and measurement points."""
-    surfaces, scene, contacts = context.surfaces, outcome.model.scene, outcome.model.contacts
-    if not surfaces:
-        return None
+    return draw_assembly(context.surfaces, outcome.model.scene, outcome.model.contacts) if context.surfaces else None
+
+
+def draw_assembly(surfaces: Mapping[str, Surface], scene: Scene, contacts: Contacts | None) -> Picture:
+    """Surfaces with the items of a scene, as far as they are placed, and its contact pairs, if any."""
     view = _View(surfaces.values())
     fig, ax = wide(6.6)
     view.draw(ax, [np.array(to_rgb(part_colour(i))) for i in range(len(surfaces))], 0.5)
@@ -151,13 +155,17 @@ def assembly_picture(outcome: Outcome, context: Context) -> Picture | None:
         Line2D([], [], marker="s", ls="", ms=9, color=part_colour(i), label=name) for i, name in enumerate(surfaces)
     ]
     for z, zone in enumerate(scene.zones):
-        own = view.flat(contacts.point[contacts.zone == z])
+        own = view.flat(np.zeros((0, 3)) if contacts is None else contacts.point[contacts.zone == z])
         if len(own):
             ax.plot(*own.T, "o", ms=4, mew=0.3, mec="white", color=zone_colour(z))
             label = f"{zone.name}: {len(own)} pairs"
             handles.append(Line2D([], [], marker="o", ls="", ms=6, color=zone_colour(z), label=label))
     length = ARROW * max(surface.diameter for surface in surfaces.values())
-    for kind, items in (("locator", scene.locators), ("clamp", scene.clamps)):
+    placed = {
+        kind: [item for item in items if item.point is not None and not isinstance(item.direction, str)]
+        for kind, items in (("locator", scene.locators), ("clamp", scene.clamps))
+    }
+    for kind, items in placed.items():
         for item in items:
             _arrow(ax, view, item, length, MARK_COLOURS[kind])
         if items:
@@ -165,21 +173,22 @@ def assembly_picture(outcome: Outcome, context: Context) -> Picture | None:
             handles.append(Line2D([], [], marker=">", ls="-", ms=5, color=MARK_COLOURS[kind], label=label))
     measured = [point for measurement in scene.measurements for _, point in measurement.places]
     for kind, points, mark, ms, mew in (
-        ("weld", [weld.point for weld in scene.welds], "o", 9, 1.2),
+        ("weld", [weld.point for weld in scene.welds if weld.point is not None], "o", 9, 1.2),
         ("measurement", measured, "D", 5, 1.0),
     ):
         if points:
             x, y = view.flat(np.array(points)).T
             label = f"{kind} ({len(points)})"
             handles += ax.plot(x, y, mark, ms=ms, color=MARK_COLOURS[kind], mec=INK, mew=mew, label=label)
-    for measurement in scene.measurements[:MOST_PANELS]:
+    for measurement in [item for item in scene.measurements if item.places][:MOST_PANELS]:
         place = view.flat(np.array([measurement.places[0][1]]))[0]
         ax.annotate(measurement.name, place, xytext=(5, 4), textcoords="offset points", fontsize=8)
     fig.legend(handles=handles, loc="outside right upper", fontsize=9)
     kinds: dict[str, Sized] = {"part": surfaces, "locator": scene.locators, "clamp": scene.clamps, "weld": scene.welds}
-    kinds |= {"contact pair": contacts, "measurement point": measured}
+    kinds |= {"contact pair": () if contacts is None else contacts, "measurement point": measured}
     counts = [f"{len(own)} {kind}{'s' * (len(own) != 1)}" for kind, own in kinds.items() if len(own)]
-    text = f"{counts[0]} with {', '.join(counts[1:])}. Arrows point the way a locator or clamp acts."
+    others = f" with {', '.join(counts[1:])}" if len(counts) > 1 else ""
+    text = f"{counts[0]}{others}. Arrows point the way a locator or clamp acts."
     return png(fig, "The assembly", text, 110)
 
 

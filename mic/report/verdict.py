@@ -84,25 +84,24 @@ def verdict(outcome: Outcome) -> Verdict | None:
 
 def _first(judged: CapabilityVerdict, rows: list[dict[Any, Any]]) -> str:
     """Capable, not capable or not decided, with the figure that decides, its interval and the requirement."""
-    count, worst, opening = len(rows), rows[0], judged.verdict.capitalize()
+    count, opening = len(rows), judged.verdict.capitalize()
     if judged.verdict == NOT_DECIDED:
         opening = f"Not decided by {judged.samples} sample{'s' * (judged.samples > 1)}"
-    if judged.target_cpk is None:
-        figure, required = "the share outside limits", f"at most {probability(judged.target_outside)}"
-        ends = (judged.outside.value, judged.outside.low, judged.outside.high)
-        text, stays = f"{figure} is {probability(*map(float, ends))}", "the share stays there"
+    if judged.target_outside is not None:
+        required, stays = f"at most {probability(judged.target_outside)}", "the share stays there"
+        text = f"the share outside limits is {_share(judged)}"
     else:
-        if judged.verdict == NOT_DECIDED:  # the least capable of those that are not decided
-            worst = next(row for row in rows if row["verdict"] == MARKS[NOT_DECIDED])
+        worst = next(row for row in rows if row["verdict"] == MARKS[judged.verdict])  # the least capable of these
         required, stays = f"at least {number(judged.target_cpk)}", "this Cpk stays there"
         cpk, low, high = (number(worst[f"cpk{end}"]) for end in ("", "_low", "_high"))
         interval = f" ({low} to {high})" if np.isfinite(worst["cpk_low"]) else ""
-        least = "least capable, " if judged.verdict == CAPABLE and count > 1 else ""
-        text = f"Cpk of {least}{worst['measurement']} is {cpk}{interval}"
+        least = ", the least capable," if judged.verdict == CAPABLE and count > 1 else ""
+        text = f"Cpk of {worst['measurement']}{least} is {cpk}{interval}"
     sentence = f"{opening}: {text}, required {required}"
     failing = sum(row["verdict"] == MARKS[NOT_CAPABLE] for row in rows)
     if failing > 1:
-        sentence += f"; {failing} of {count} key characteristics are not capable"
+        which = f"all {count}" if failing == count else f"{failing} of {count}"
+        sentence += f"; {which} key characteristics are not capable"
     if judged.verdict != NOT_DECIDED:
         return f"{sentence}."
     if judged.needed is not None:
@@ -116,17 +115,20 @@ def _undecidable(judged: CapabilityVerdict) -> str:
     return "So few samples, or groups of samples, give no interval: draw more."
 
 
-def _outside(judged: CapabilityVerdict, outcome: Outcome, law: str, rows: list[dict[Any, Any]]) -> list[str]:
-    """Expected share outside with its estimator, and the contributors of the least capable characteristic."""
+def _share(judged: CapabilityVerdict) -> str:
+    """The share outside limits with its interval."""
     value, low, high = (float(x) for x in (judged.outside.value, judged.outside.low, judged.outside.high))
     if value == 0 and high > 0:
-        share = f"at most {probability(high)}"
-    else:
-        share = probability(value, *((low, high) if low == low else (None, None)))
+        return f"at most {probability(high)}"
+    return probability(value, low, high) if low == low else probability(value)
+
+
+def _outside(judged: CapabilityVerdict, outcome: Outcome, law: str, rows: list[dict[Any, Any]]) -> list[str]:
+    """Expected share outside with its estimator, and the contributors of the least capable characteristic."""
     by = judged.estimator
     if by == COUNTED:
         by += f" ({outcome.accumulators[law].counts['any outside',]} of {judged.samples})"
-    sentences = [f"Expected assemblies outside a limit: {share}, {by}."]
+    sentences = [f"Expected assemblies outside a limit: {_share(judged)}, {by}."]
     if rows[0]["drivers"]:
         sentences.append(f"Main contributors of {rows[0]['measurement']}: {rows[0]['drivers']}.")
     return sentences

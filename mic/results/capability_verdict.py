@@ -99,12 +99,12 @@ def capability_verdict(outcome: RunSamples, law: str, table: pd.DataFrame) -> Ca
 def _cpk(outcome: RunSamples, law: str, table: pd.DataFrame) -> tuple[Estimate, float]:
     """Cpk of each key characteristic, and the degrees of freedom of the interval."""
     if outcome.together == 1:
-        moments = outcome.accumulators[law].moments["measurements",]
-        return cautious_capability(moments, *_bounds(outcome)), math.inf
+        moments, (lower, upper) = outcome.accumulators[law].moments["measurements",], _bounds(outcome)
+        return cautious_capability(moments, lower, upper), math.inf
     rows = table[table["law"] == law]
-    ends = (rows[name].to_numpy(dtype=float) for name in ("cpk", "cpk_low", "cpk_high"))
+    value, low, high = (rows[name].to_numpy(dtype=float) for name in ("cpk", "cpk_low", "cpk_high"))
     groups = min(math.ceil(len(outcome.sample_numbers(law)) / outcome.together), GROUPS)
-    return Estimate(*ends, rows["samples"].to_numpy(), np.zeros(len(rows), dtype=int)), groups - 1
+    return Estimate(value, low, high, rows["samples"].to_numpy(), np.zeros(len(rows), dtype=int)), groups - 1
 
 
 def _bounds(outcome: RunSamples) -> np.ndarray:
@@ -130,8 +130,8 @@ def _outside(outcome: RunSamples, law: str) -> tuple[Estimate, str]:
     few = int(accumulator.counts["any outside",]) < COUNTABLE
     if not few or outcome.together > 1 or not np.all(looks_normal(moments)):
         return counted, COUNTED
-    bounds = _bounds(outcome)
-    shares = normal_share_outside(moments, *bounds, level=1 - (1 - LEVEL) / bounds.shape[1])
+    lower, upper = _bounds(outcome)
+    shares = normal_share_outside(moments, lower, upper, 1 - (1 - LEVEL) / len(lower))
     total, high = (min(float(np.sum(x)), 1.0) for x in (shares.value, shares.high))
     return Estimate(total, float(np.max(shares.low)), high, samples, 0), NORMAL  # type: ignore[arg-type]
 

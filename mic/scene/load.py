@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import re
 import tomllib
 from pathlib import Path
 from types import SimpleNamespace
@@ -23,6 +24,7 @@ __all__ = ["load_scene", "read_table", "read_toml"]
 
 DEPTH = 20  # levels of tables and lists in a TOML file
 TOO_DEEP = "tables or lists are nested too deeply; a scene needs no more than a few levels"
+INTERNAL = {name for name, field in Scene.model_fields.items() if field.exclude}  # keys that are no keys of a file
 LISTED = 100  # errors of a scene that are listed
 
 
@@ -55,10 +57,12 @@ def read_toml(path: Path, kind: str) -> dict[str, Any]:
         If it cannot be read.
     """
     with reading(path, kind, error=SceneError):
+        text = b""
         try:
-            table = tomllib.loads(path.read_bytes().decode())
+            text = path.read_bytes()
+            table = tomllib.loads(text.decode())
         except ValueError as error:  # of TOML, of UTF-8, or of a number with thousands of digits
-            raise SceneError(f"not valid TOML: {error}; correct the syntax there") from None
+            raise SceneError(f"not valid TOML: {error}; {_expected(str(error), text)}") from None
         except RecursionError:
             raise SceneError(TOO_DEEP) from None
         level: list[Any] = [table]
@@ -70,6 +74,34 @@ def read_toml(path: Path, kind: str) -> dict[str, Any]:
         return table
 
 
+#: What TOML expects where it reports one of these.
+EXPECTED = {
+    "Invalid value": 'expected a number (1.5), "text" in quotes, true, false, or a list [1, 2]',
+    "Expected '=' after a key": "expected key = value; a heading is [table] or [[table]]",
+    "Expected newline or end": 'expected one key = value per line; decimals have a point, texts "quotes"',
+    "Unclosed array": "expected a closing ] and commas between the values of the list",
+    "Unclosed inline table": "expected key = value pairs with commas between them, and a closing }",
+    "Expected ']": "expected a closing ] after the name of the table, ]] after [[",
+    "Illegal character '": "expected a closing quote on the same line",
+    "Unterminated string": "expected a closing quote on the same line",
+    "Unescaped '": "expected \\\\ for each backslash in a text, or the text in single quotes",
+    "Invalid hex value": "expected \\\\ for each backslash in a text, or the text in single quotes",
+    "Cannot overwrite": "expected each key once in a table; a further item starts with its own [[table]]",
+    "Cannot declare": "expected each [table] once; several items have [[table]]",
+    "Cannot mutate": "expected either {…} or [table] for it, not both",
+    "Invalid statement": "expected key = value, [table], [[table]] or # comment",
+    "'utf-8' codec": "save the file as UTF-8",
+}
+
+
+def _expected(error: str, text: bytes) -> str:
+    """What a TOML file should have where `error` says, with the line there."""
+    remedy = next((words for start, words in EXPECTED.items() if error.startswith(start)), "correct the syntax there")
+    line = re.search(r"at line (\d+)", error)
+    written = text.decode(errors="replace").splitlines()[int(line[1]) - 1].strip()[:80] if line else ""
+    return f"{remedy}, found: {written}" if written else remedy
+
+
 def read_table(table: dict[str, Any], path: Path) -> Scene:
     """The scene of a table, as if read from the file `path`.
 
@@ -78,8 +110,8 @@ def read_table(table: dict[str, Any], path: Path) -> Scene:
     SceneError
         As :func:`load_scene`.
     """
-    if "folder" in table:
-        raise SceneError(f"{path}: folder: unknown key; remove it")
+    for key in INTERNAL & table.keys():
+        raise SceneError(f"{path}: {key}: unknown key; remove it")
     try:
         return Scene(**table, folder=path.parent.resolve())
     except ValidationError as error:
@@ -90,10 +122,23 @@ def read_table(table: dict[str, Any], path: Path) -> Scene:
     except SceneError:  # it is among the errors already
         table, between = {}, []
     lines = [line for item in found[:LISTED] for line in _explain(table, item)]
-    lines += [line for line in between if line not in lines]
+    lines = _folded([*lines, *(line for line in between if line not in lines)])
     if len(found) + len(between) > LISTED:
         lines[LISTED:] = [f"{len(found) + len(between) - LISTED} more errors; correct these first"]
     raise SceneError("\n".join(f"{path}: {line}" for line in lines))
+
+
+#: An error of an item of a table: the table, the key, the name of the item, what is wrong.
+OF_ITEM = re.compile(r"(\w+)\[\d+\]([\w.]*)(?: \([^()]*\))?(: .*)")
+
+
+def _folded(lines: list[str]) -> list[str]:
+    """Lines of errors, with equal ones of the items of a table as one, and their count."""
+    counts: dict[tuple[str, ...], list[str]] = {}
+    for line in lines:
+        item = OF_ITEM.fullmatch(line)
+        counts.setdefault(item.groups() if item else (line,), []).append(line)
+    return [first + f" (and in {len(more)} more)" * bool(more) for first, *more in counts.values()]
 
 
 def _between_tables(table: dict[str, Any]) -> list[str]:
@@ -161,7 +206,7 @@ def _spelling_hint(location) -> str:
         inner = [_table_types(kind.model_fields[step].annotation) for kind in tables if step in kind.model_fields]
         tagged = {kind for kind in tables if "kind" in kind.model_fields and step in _kinds(kind)}
         tables = set().union(*inner) or tagged or tables
-    keys = sorted({name for kind in tables for name in kind.model_fields} - {"folder"})
+    keys = sorted({name for kind in tables for name in kind.model_fields} - INTERNAL)
     near = difflib.get_close_matches(str(key), keys, 1)
     return f"did you mean {near[0]!r}?" if near else "remove it or correct its spelling"
 
@@ -190,7 +235,7 @@ def _name(table: dict[str, Any], keys: list[str | int]) -> str:
 
 
 #: Prefixes of the tags by which pydantic, and this schema, distinguish the alternatives of one key.
-ALTERNATIVES = ("literal[", "constrained", "float", "str", "function", "friction-")
+ALTERNATIVES = ("literal[", "constrained", "float", "str", "function", "friction-", "point-")
 
 
 def _keys(location) -> list[str | int]:

@@ -8,10 +8,12 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from pydantic import BaseModel, Field, field_validator, model_validator
 
 from mic.contact.laws import LAWS
+from mic.scene import notebook
 from mic.scene.checks import find_errors
 from mic.scene.deviation import Correlation, Deviation
 from mic.scene.fixture import Clamp, Fixture, Locator
-from mic.scene.keys import Count, FileName, FiniteFloat, Flag, Name, Table
+from mic.scene.frame import Frame, FramePoint
+from mic.scene.keys import Count, FileName, FiniteFloat, Flag, Name, Positive, Table
 from mic.scene.measurement import Measurement
 from mic.scene.optimisation import Optimisation
 from mic.scene.part import Part
@@ -56,6 +58,12 @@ class Report(Table):
 
     fields: Flag = False
     """mean and 6σ displacement fields, for the report and ParaView"""
+
+    target_cpk: Positive = 1.33
+    """required Cpk of every key characteristic, for the verdict"""
+
+    target_outside: Annotated[float, Field(gt=0, lt=1)] | None = None
+    """or the largest permitted share of assemblies outside any limit, such as 0.001"""
 
     contacts: Annotated[Count, Field(ge=0)] = 2000
     """number of samples per law with stored contact pairs (`contacts/`: forces, gaps, states), in whole blocks, at
@@ -146,12 +154,29 @@ class Scene(Table):
     deviations: list[Deviation] = []
     correlations: list[Correlation] = []
     measurements: list[Measurement] = []
+    frames: list[Frame] = []
     path: FollowedPath = FollowedPath()
     monte_carlo: MonteCarlo = MonteCarlo()
     report: Report = Report()
     optimise: Optimisation | None = None
     folder: Path = Field(Path("."), exclude=True)
     """set by load_scene: where relative file names start"""
+
+    tables_read: list[str] = Field([], exclude=True)
+    """set by load_scene: how the columns of files were read, where their headers are not the keys"""
+
+    def __repr__(self) -> str:
+        return "\n".join(self._lines)
+
+    __str__ = __repr__
+
+    def _repr_html_(self) -> str:
+        """HTML for notebooks."""
+        return notebook.html(self, self._lines)
+
+    @property
+    def _lines(self) -> list[str]:
+        return notebook.lines(self, "Scene", notebook.named(self.zones, "contact zone"))
 
     @model_validator(mode="before")
     @classmethod
@@ -164,6 +189,15 @@ class Scene(Table):
         if found:
             raise ValueError("\n".join(found))
         return self
+
+    def frame_of(self, item: Measurement) -> Frame | None:
+        """The frame in which a measurement is read; None for the assembly as it stands, or a best fit of its own."""
+        name = item.frame or next((frame.name for frame in self.frames if frame.all and item.best_fit is None), None)
+        return next((frame for frame in self.frames if frame.name == name), None)
+
+    def points_of(self, frame: Frame) -> list[str | FramePoint]:
+        """The points of a frame: names of measurements and locators, and points of its own."""
+        return frame.points or [item.name for item in self.measurements if item.kind == "point"]
 
 
 #: Tables that may stand for several items.

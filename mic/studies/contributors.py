@@ -23,7 +23,7 @@ from mic.studies.input_screening import MANY, bounds, negligible
 from mic.studies.samples import Progress, key_characteristics
 from mic.system.arguments import checked
 
-__all__ = ["Contributors", "contributors", "groups", "joint_ranking"]
+__all__ = ["Contributors", "contributors", "evaluation_count", "groups", "joint_ranking"]
 
 SAMPLES = 128  #: samples of each of the two sets
 DRAWS = 20_000  #: samples of the deviations alone, for the moments of their linear effects
@@ -62,6 +62,16 @@ def groups(scene: Scene) -> dict[str, list[int]]:
     return grouped
 
 
+def evaluation_count(scene: Scene, samples: int = SAMPLES) -> int | None:
+    """Number of evaluations of :func:`contributors`; None if it depends on their results."""
+    found = groups(scene)
+    return (
+        samples * (len(found) + 2) + 2 * sum(item.sigma > 0 for item in scene.deviations)
+        if len(found) <= MANY
+        else None
+    )
+
+
 @checked
 def contributors(
     model: ReducedModel,
@@ -83,8 +93,8 @@ def contributors(
         than :data:`mic.studies.input_screening.MANY` contributors, the negligible ones are joined into one.
     seed : int
     threads : int
-    progress : callable, optional
-        Called with the number of evaluations after each set.
+    progress : callable or bool, optional
+        Called with the number of evaluations after each set; or whether a bar is shown.
 
     Raises
     ------
