@@ -173,6 +173,8 @@ def explain(
     source: Path,
     measured: Path,
     gauge: float | None = None,
+    piece: str | None = None,
+    align: bool = False,
     friction: float | None = None,
     seed: int | None = None,
     law: Law | None = None,
@@ -327,8 +329,10 @@ def init(
     example: str | None = None,
     out: Path | None = None,
     thickness: list[str] | None = None,
+    name: list[str] | None = None,
     welds: Path | None = None,
     points: Path | None = None,
+    table: str | None = None,
 ):
     """Write a first scene for your own meshes, or copy an example.
 

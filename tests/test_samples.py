@@ -101,7 +101,7 @@ def test_a_queue_names_the_measured_pieces(kind, measured, table, tmp_path):
         ({"up": "u9"}, "row 2, column up: there is no measured piece 'u9'; known: u1, u2, u3"),
         ({"up": ""}, "row 2, column up.mean: '' is not a finite number"),
         ({"up": "u1", "up.1": 0.0}, "row 1: there are columns 'up' and 'up.1'; give the piece, or its scores"),
-        ({"Up": "u1"}, "there is no deviation called 'Up'"),
+        ({"upp": "u1"}, "there is no deviation called 'upp'"),
         ({}, "row 1: there are no columns 'up.mean', 'up.1', 'up.2'; add them, with a value in each row"),
     ],
 )
@@ -163,7 +163,7 @@ BAD = {
         ],
         r"its values are .* give deviations\[0\] .* in the same unit",
     ),
-    "no text": (b"\xff\xfe\x00\x01", "cannot be read as text"),
+    "no text": (b"\xff\xfe\x00\x01\x00", "cannot be read as text"),
 }
 
 

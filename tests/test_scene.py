@@ -121,11 +121,8 @@ def test_every_problem_of_the_stages_is_reported(tmp_path):
     (tmp_path / "scene.toml").write_text(text.replace("force = 60", 'force = 60\nstage = "clmp"'))
     with pytest.raises(mic.SceneError) as caught:
         mic.load_scene(tmp_path)
-    lines = str(caught.value).splitlines()
-    assert [line.partition("scene.toml: ")[2].partition(":")[0] for line in lines] == [
-        "clamps[0].stage (C1-upper)",
-        "clamps[1].stage (C1-lower)",
-    ]
+    (line,) = str(caught.value).splitlines()
+    assert "scene.toml: clamps[0].stage (C1-upper): " in line and line.endswith(" (and in 1 more)")
 
 
 def test_every_problem_between_tables_is_reported(tmp_path):
@@ -135,7 +132,9 @@ def test_every_problem_between_tables_is_reported(tmp_path):
     with pytest.raises(mic.SceneError) as caught:
         mic.load_scene(tmp_path)
     lines = str(caught.value).splitlines()
-    assert sum("no part called 'uper'" in line for line in lines) == text.count('part = "upper"') == 10
+    same = [line for line in lines if "no part called 'uper'" in line]
+    more = [int(found[1]) for line in same if (found := re.search(r"\(and in (\d+) more\)$", line))]
+    assert len(same) + sum(more) == text.count('part = "upper"') == 10 and len(same) == 4
     assert sum("no locator called 'upper-C2'" in line for line in lines) == 1
     assert sum("(upper): its 0 locators" in line for line in lines) == 1
 

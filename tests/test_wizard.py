@@ -15,7 +15,7 @@ from mic.options import app
 from mic.plausibility import find_warnings
 from mic.scene import load_scene
 from mic.scene.measurement import Measurement
-from mic.scene.tables import read_rows
+from mic.scene.table_rows import read_rows
 from mic.scene.weld import Weld
 from mic.statistics.draw import draw
 from mic.wizard import write_scene
@@ -251,7 +251,7 @@ def test_a_missing_thickness_is_refused_with_the_option_to_give(tmp_path):
         write_scene(files, tmp_path / "scene")
     with pytest.raises(mic.SceneError, match="thickness of b"):
         write_scene(files, tmp_path / "scene", {"a": 1.0})
-    with pytest.raises(mic.SceneError, match="there is no part of that name; the parts are a, b"):
+    with pytest.raises(mic.SceneError, match="--thickness c=…: there is no part called 'c'; known: a, b"):
         write_scene(files, tmp_path / "scene", {"c": 1.0})
     assert not (tmp_path / "scene").exists()
 
@@ -294,13 +294,13 @@ def test_listed_welds_and_points_are_taken_and_find_their_parts(tmp_path):
 def test_a_list_may_have_decimal_commas_where_commas_do_not_separate_its_cells(tmp_path):
     """As a spreadsheet writes it where numbers have commas, with a byte-order mark; names keep theirs."""
     (tmp_path / "w.csv").write_bytes("\ufeffname;x;y;z\r\nS1;65,5;1,5e1;0,5\r\n".encode())
-    (tmp_path / "p.csv").write_text("name\tx\ty\tz\tdirection\tset\nM1\t5,0\t25\t0\t0,0 0,0 1,0\t1,2\n")
-    (weld,) = (row for _, row in read_rows(tmp_path / "w.csv", Weld))
+    (tmp_path / "p.csv").write_text("name\tx\ty\tz\tdirection\tpart\nM1\t5,0\t25\t0\t0,0 0,0 1,0\t1,2\n")
+    (weld,) = (row for _, row in read_rows(tmp_path / "w.csv", Weld)[0])
     assert weld == {"name": "S1", "point": [65.5, 15.0, 0.5]}
-    (point,) = (row for _, row in read_rows(tmp_path / "p.csv", Measurement))
-    assert point == {"name": "M1", "point": [5.0, 25, 0], "direction": [0.0, 0.0, 1.0], "set": "1,2"}
+    (point,) = (row for _, row in read_rows(tmp_path / "p.csv", Measurement)[0])
+    assert point == {"name": "M1", "point": [5.0, 25, 0], "direction": [0.0, 0.0, 1.0], "part": "1,2"}
     (tmp_path / "q.csv").write_text('x,y,z\n"1,500",15,0.5\n')  # a thousand and a half, or one and a half
-    with pytest.raises(mic.SceneError, match="row 2: x, y and z must be numbers, mm; got 1,500, 15, 0.5"):
+    with pytest.raises(mic.SceneError, match=r"'1,500' is 1.5 or 1500, .* say which by --table, decimal = \",\" or"):
         propose(FLAT, tmp_path, tmp_path / "q.csv")
 
 
@@ -329,7 +329,29 @@ def test_all_invalid_rows_of_the_lists_are_reported_together(tmp_path):
     (tmp_path / "p.csv").write_text("part,x,y,z\nc,5,25,0\na,5,25,90\n")
     with pytest.raises(mic.SceneError) as told:
         propose(FLAT, tmp_path, None, tmp_path / "p.csv")
-    assert "row 2, column part: there is no part 'c'" in str(told.value) and "row 3: (5, 25, 90)" in str(told.value)
+    assert "row 2, column part: there is no part called 'c'; known: a, b" in str(
+        told.value
+    ) and "row 3: (5, 25, 90)" in str(told.value)
+
+
+@pytest.mark.slow
+def test_tables_call_renamed_parts_by_the_names_of_their_decks(tmp_path):
+    (tmp_path / "w.csv").write_text("Weld ID;X [mm];Y [mm];Z [mm];Part 1;Part 2\nS1;65,5;15;0,5;A.INP;B\n")
+    (tmp_path / "p.csv").write_text("Point,Part,X,Y,Z,Tol ±\nM1,a,5,25,0,0.25\n")
+    lists = tmp_path / "w.csv", tmp_path / "p.csv"
+    folder, proposal = write_scene(laid(tmp_path), tmp_path / "scene", {None: 1.0, "A": 1.5}, *lists, {"a.inp": "rail"})
+    scene = load_scene(folder)
+    assert [(part.name, part.thickness) for part in scene.parts] == [("rail", 1.5), ("b", 1.0)]
+    assert [(weld.name, weld.parts, weld.point) for weld in scene.welds] == [("S1", ("rail", "b"), (65.5, 15, 0.5))]
+    (point,) = scene.measurements
+    assert (point.name, point.part, point.lower, point.upper) == ("M1", "rail", -0.25, 0.25)
+    assert (
+        proposal.sentences[0].startswith("w.csv: I read your columns so: x from 'X [mm]'") and scene.tables_read == []
+    )
+    with pytest.raises(mic.SceneError, match="--name c=…: there is no part called 'c'; known: a, b"):
+        write_scene(laid(tmp_path), tmp_path / "other", {None: 1.0}, renamed={"c": "rail"})
+    with pytest.raises(mic.SceneError, match="--name: the parts would be b, b; give each a name of its own"):
+        write_scene(laid(tmp_path), tmp_path / "other", {None: 1.0}, renamed={"a": "b"})
 
 
 def test_a_weld_of_three_sheets_is_two(tmp_path):
@@ -401,6 +423,8 @@ def test_the_command_prints_its_proposal_and_the_next_command(tmp_path):
         (["--example", "lap_joint", "--thickness", "1"], "go with mesh files"),
         (["a.inp", "--thickness", "thick"], "--thickness thick: give mm"),
         (["a.inp", "--thickness", "-1"], "--thickness -1: give mm"),
+        (["a.inp", "--name", "rail"], "--name rail: give --name OLD=NEW"),
+        (["a.inp", "--table", "decimal = 3"], "--table decimal = 3: Input should be '.' or ','"),
         (["a.inp", "--thickness", "1"], "a.inp: this mesh file does not exist"),
     ],
 )

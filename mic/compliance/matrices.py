@@ -11,7 +11,6 @@
 
 from __future__ import annotations
 
-import csv
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -22,6 +21,8 @@ from scipy.sparse import coo_matrix, csr_matrix
 from mic.compliance.output4 import matrices
 from mic.errors import FormatError
 from mic.geometry.readers import nastran
+from mic.scene.table_columns import Columns
+from mic.scene.table_file import parse_table
 from mic.system.foreign_files import reading
 
 __all__ = ["NodalMatrix", "read_matrix"]
@@ -79,22 +80,19 @@ def read_matrix(path: Path, folder: Path | None = None) -> NodalMatrix:
 
 
 def _table(path: Path) -> dict[int, tuple[float, ...]]:
+    columns = ("node", "x", "y", "z")
+    table = parse_table(path, Columns.of_file(columns), default=columns)
+    if missing := [key for key in columns if key not in table.key_of]:
+        raise FormatError(f"its node table {path.name} has no column {missing[0]}; it needs {', '.join(columns)}")
+    if any(table.factor(key) != 1 for key in columns):
+        raise FormatError(f"its node table {path.name} names a unit; give the unit of the mesh file, and no other")
     places: dict[int, tuple[float, ...]] = {}
-    with open(path, newline="", encoding="utf-8", errors="replace") as file:
-        for line, row in enumerate(csv.reader(file), 1):
-            if not row or row[0].lstrip().startswith("#"):
-                continue
-            try:
-                number, place = int(row[0]), tuple(float(text) for text in row[1:4])
-            except ValueError:
-                if line == 1:
-                    continue  # header
-                number, place = 0, ()
-            if len(place) != 3 or not np.isfinite(place).all():
-                raise FormatError(f"line {line} of its node table {path.name} is not a number with x, y and z")
-            if number in places:
-                raise FormatError(f"line {line} of its node table {path.name} gives node {number} again")
-            places[number] = place
+    for (line, _), number, *place in zip(table.rows, *map(table.numbers, columns)):
+        if not np.isfinite([number, *place]).all() or number != int(number):
+            raise FormatError(f"line {line} of its node table {path.name} is not a number with x, y and z")
+        if number in places:
+            raise FormatError(f"line {line} of its node table {path.name} gives node {int(number)} again")
+        places[int(number)] = tuple(place)
     return places
 
 

@@ -24,6 +24,7 @@ from mic.scene.keys import OnPart, OnSheet, Table, Vector
 from mic.scene.measurement import OtherPoint
 from mic.scene.schema import Scene
 from mic.scene.settings import SETTINGS
+from mic.scene.table_file import TableSettings
 
 __all__ = ["reference"]
 
@@ -47,7 +48,8 @@ def reference() -> str:
     )
     page = Path(__file__).with_suffix(".md").read_text(encoding="utf-8")
     places, top = _keys(OnPart, PLACES), _keys(Scene, plain)
-    return page.format(places=places, top=top, rows=settings, tables="\n".join(tables)).rstrip() + "\n"
+    read = _keys(TableSettings, TableSettings.model_fields)
+    return page.format(places=places, settings=read, top=top, rows=settings, tables="\n".join(tables)).rstrip() + "\n"
 
 
 def _table(title: str, kinds: list[type[BaseModel]]) -> str:

@@ -13,7 +13,8 @@ from mic.scene.checks import entry
 from mic.scene.deviation import ShapeDeviation
 from mic.scene.schema import DESIGNS, Scene
 from mic.scene.stages import unknown
-from mic.scene.tables import read_cells, read_number
+from mic.scene.table_columns import Columns
+from mic.scene.table_file import TableFile, open_table
 from mic.system.files import fingerprint
 from mic.system.foreign_files import reading
 
@@ -101,8 +102,7 @@ def _expand_pieces(path: Path, frame: pd.DataFrame, scene: Scene) -> pd.DataFram
         for row, cell in zip(frame.index, cells):
             if cell and cell not in names:
                 raise SceneError(
-                    f"{path}: row {row + 2}, column {batch}: there is no measured piece {cell!r}; known: "
-                    f"{', '.join(names)}"
+                    f"{path}: row {row}, column {batch}: there is no measured piece {cell!r}; known: {', '.join(names)}"
                 )
         frame = frame.drop(columns=batch)
         for item in of_batch:
@@ -117,32 +117,44 @@ def _scored(scene: Scene) -> list[ShapeDeviation]:
 
 
 def _read_values(path: Path, scene: Scene) -> np.ndarray:
-    """(n, p) values of a CSV or Parquet file."""
-    parquet, separator = path.suffix == ".parquet", ","
-    if parquet:
-        cells = _read_parquet(path, scene.folder)
-    else:
-        cells, separator = read_cells(path, scene.folder)
-    cells = _expand_pieces(path, cells, scene)
-    names = _columns(path, cells.columns, scene)
-    cells = cells[names]
-    if parquet:
+    """(n, p) values of a table, or of a Parquet file."""
+    if path.suffix == ".parquet":
+        cells = _expand_pieces(path, _read_parquet(path, scene.folder), scene)
+        cells = cells[_columns(path, cells.columns, scene)]
         values = cells.apply(pd.to_numeric, errors="coerce").to_numpy(dtype=float)
     else:
-        cells = cells[(cells.apply(lambda column: column.str.strip()) != "").any(axis=1)]
-        values = np.array([[read_number(cell, separator) for cell in row] for row in cells.to_numpy()])
+        known = [*(item.name for item in scene.deviations), *{item.batch for item in _scored(scene) if item.batch}]
+        table = open_table(path, Columns({name: () for name in known}), scene.folder)
+        heads = list(table.header.headers)
+        for name, column in table.key_of.items():
+            heads[column] = name
+        cells = pd.DataFrame(
+            [cells for _, cells in table.rows], columns=heads, index=[n for n, _ in table.rows], dtype=object
+        )
+        cells = _expand_pieces(path, cells, scene)
+        cells = cells[_columns(path, cells.columns, scene)]
+        try:
+            values = np.array([_numbers(table, str(name), column) for name, column in cells.items()]).T
+        except SceneError as problem:
+            raise SceneError(f"{path}: {problem}") from None
     if not len(cells):
         raise SceneError(f"{path}: there is no row below the header; add rows, or remove the table")
     for row, column in np.argwhere(~np.isfinite(values)):
-        number, cell = row if parquet else cells.index[row] + 2, cells.iloc[row, column]
-        what = f"is {cell}, not a finite number" if parquet else f"{str(cell).strip()!r} is not a finite number"
-        raise SceneError(f"{path}: row {number}, column {names[column]}: {what}; correct it, or remove the row")
+        cell, name = cells.iloc[row, column], cells.columns[column]
+        what = f"{cell!r} is not a finite number" if isinstance(cell, str) else f"is {cell}, not a finite number"
+        raise SceneError(f"{path}: row {cells.index[row]}, column {name}: {what}; correct it, or remove the row")
     return values
+
+
+def _numbers(table: TableFile, name: str, cells: pd.Series) -> list[float]:
+    """The numbers of a column of the table, or of one that the program wrote."""
+    return table.numbers(name) if name in table.key_of else [float(cell) if cell else np.nan for cell in cells]
 
 
 def _read_parquet(path: Path, folder: Path) -> pd.DataFrame:
     with reading(path, "table of samples", folder, SceneError):
-        return pd.read_parquet(BytesIO(path.read_bytes()))  # pyarrow's own reading would pass the gate by
+        frame = pd.read_parquet(BytesIO(path.read_bytes()))  # pyarrow's own reading would pass the gate by
+        return frame.set_axis(range(1, len(frame) + 1))
 
 
 def _check_units(at: str, scene: Scene, values: np.ndarray) -> None:

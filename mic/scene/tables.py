@@ -1,57 +1,61 @@
-"""Tables of a scene that stand for several items: rows of a CSV file, or a weld at each of several points.
+"""Tables of a scene that stand for several items: rows of a file, or a weld at each of several points.
 
-A table with ``file`` stands for one item per row of that file. Its other keys apply to every row; columns are keys and
-override them. ``x``, ``y`` and ``z`` together are ``point``; members of a list are separated by
-spaces in one cell; an empty cell omits the key.
+A table with ``file`` stands for one item per row of that file (:mod:`mic.scene.table_rows`). Its other keys apply to
+every row; columns override them; an empty cell omits the key.
 """
 
 from __future__ import annotations
 
 import re
-import warnings
 from collections.abc import Iterator, Mapping
-from io import StringIO
+from itertools import pairwise
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any
 
-import pandas as pd
 from pydantic import BaseModel, ValidationError
 
 from mic.errors import SceneError
-from mic.scene.stages import unknown
-from mic.system.foreign_files import reading
+from mic.scene.fixture import Locator
+from mic.scene.part_names import PartNames, other_names
+from mic.scene.table_file import TableSettings
+from mic.scene.table_rows import AXES, WrongRows, read_rows
 
-__all__ = ["read_cells", "read_number", "read_rows", "expand_tables"]
+__all__ = ["expand_tables"]
 
-AXES = ("x", "y", "z")
-#: A decimal comma.
-DECIMAL = re.compile(r"(?<=\d),(?=\d)")
+#: Directions that a hole or face locks, such as ``xz``, or ``hxyfz`` of a reference point system.
+SEVERAL_AXES = re.compile(r"(?:[fht]?[xyz]+)+")
 
 
 def expand_tables(table: Any, kinds: Mapping[str, type[BaseModel]]) -> Any:
     """A scene's table with one table per item; malformed tables are left to the schema.
 
+    Parts may be named by their mesh files, element sets or property numbers, in any case.
+
     Parameters
     ----------
     table : dict
-        With ``folder``, to which file names are relative.
+        With ``folder``, to which file names are relative. How the columns of files were read is added as
+        ``tables_read``, where that is not obvious.
     kinds : mapping of str to type
         The tables that may stand for several items, and their schemas.
 
     Raises
     ------
     SceneError
-        One line for each wrong cell, with file, row and column; for an empty list of points.
+        One line for each wrong cell, with file, row and column, equal ones together; for an empty list of points.
     """
     if not isinstance(table, dict):
         return table
-    names = {
-        item["name"]
-        for key in ("parts", "fixtures")
-        for item in (table[key] if isinstance(table.get(key), list) else [])
-        if isinstance(item, dict) and isinstance(item.get("name"), str)
-    }
+    parts = PartNames(
+        {
+            item["name"]: other_names(item)
+            for key in ("parts", "fixtures")
+            for item in (table[key] if isinstance(table.get(key), list) else [])
+            if isinstance(item, dict) and isinstance(item.get("name"), str)
+        }
+    )
     problems: list[str] = []
+    said: list[str] = []
     changed: dict[str, list[Any]] = {}
     for key, kind in kinds.items():
         if not isinstance(table.get(key), list):
@@ -60,58 +64,114 @@ def expand_tables(table: Any, kinds: Mapping[str, type[BaseModel]]) -> Any:
         for i, item in enumerate(table[key]):
             if isinstance(item, dict) and "file" in item:
                 location = f"{key}[{i}].file"
-                changed[key] += _from_file(location, item, kind, Path(table.get("folder") or "."), names, problems)
-            elif isinstance(item, dict) and key == "welds" and isinstance(item.get("points"), list):
+                folder = Path(table.get("folder") or ".")
+                try:
+                    changed[key] += _from_file(location, item, kind, folder, parts, said)
+                except SceneError as error:
+                    problems += str(error).splitlines()
+            elif (
+                isinstance(item, dict)
+                and isinstance(item.get("points"), list)
+                and (key == "welds" or item.get("kind") in getattr(kind, "BETWEEN", ()))
+            ):
                 changed[key] += _from_points(f"{key}[{i}]", item, problems)
             else:
                 changed[key].append(item)
+    for key, items in (table | changed).items():
+        if key != "parts" and isinstance(items, list):
+            changed[key] = [_with_parts(item, parts) if isinstance(item, dict) else item for item in items]
     if problems:
         raise SceneError("\n".join(problems))
-    return table | changed
+    return table | changed | ({"tables_read": said} if said else {})
+
+
+def _with_parts(item: dict[str, Any], parts: PartNames) -> dict[str, Any]:
+    """An item with the names of its parts in place of others by which they are known."""
+    part, several = item.get("part"), item.get("parts")
+    if isinstance(part, str):
+        item = item | {"part": parts.find(part) or part}
+    if isinstance(several, list):
+        item = item | {"parts": [parts.find(name) or name if isinstance(name, str) else name for name in several]}
+    if isinstance(item.get("to"), dict):
+        item = item | {"to": _with_parts(item["to"], parts)}
+    if isinstance(points := item.get("points"), list):
+        item = item | {"points": [_with_parts(point, parts) if isinstance(point, dict) else point for point in points]}
+    return item
 
 
 def _from_points(key, item: dict[str, Any], problems) -> Iterator[dict[str, Any]]:
-    """One weld per point, numbered from 1."""
+    """One weld or measurement per point, numbered from 1."""
+    what = key.partition("[")[0].removesuffix("s")
     if "point" in item:
-        problems.append(f"{key}: give either point, for one weld, or points, for one weld at each, not both")
+        problems.append(f"{key}: give either point, for one {what}, or points, for one {what} at each, not both")
     if not item["points"]:
-        problems.append(f"{key}.points: the list is empty; give at least one point, or remove the weld")
+        problems.append(f"{key}.points: the list is empty; give at least one point, or remove the {what}")
     rest = {key: value for key, value in item.items() if key != "points"}
     for number, point in enumerate(item["points"], 1):
         yield rest | {"point": point} | ({"name": f"{rest['name']}-{number}"} if "name" in rest else {})
 
 
-def _from_file(key, item, kind, folder, names, problems) -> list[dict[str, Any]]:
-    """The items of a file's rows, checked one by one; errors are added to `problems`."""
-    common = {name: value for name, value in item.items() if name != "file"}
+def _from_file(key, item, kind, folder: Path, parts: PartNames, said: list[str]) -> list[dict[str, Any]]:
+    """The items of a file's rows, checked one by one; raises SceneError with one line for each distinct error."""
     if not isinstance(item["file"], str):
-        problems.append(f"{key}: give the name of a CSV file")
-        return []
-    path = folder / item["file"]
+        raise SceneError(f"{key}: give the name of a table, CSV or Excel")
+    path, fields = folder / item["file"], TableSettings.model_fields
     try:
-        rows = read_rows(path, kind, folder)
+        settings = TableSettings(**{name: item[name] for name in fields if name in item})
+    except ValidationError as error:
+        first = error.errors()[0]
+        raise SceneError(
+            f"{key.removesuffix('file')}{first['loc'][0]}: {first['msg']}; got {first['input']!r}"
+        ) from None
+    try:
+        rows, read = read_rows(path, kind, folder, settings, parts)
     except SceneError as error:
-        problems.append(f"{key}: {error}")
-        return []
-    stem = common.get("name") or path.stem
-    items = []
+        raise SceneError("\n".join(f"{key}: {line}" for line in str(error).splitlines())) from None
+    said += [f"{item['file']}: {read}"] * bool(read)
+    common = {name: value for name, value in item.items() if name not in ("file", "name", *fields)}
+    stem = item.get("name") or re.sub(r"[^A-Za-z0-9_.+-]+", "_", path.stem)
+    items, wrong = [], WrongRows(path)
     for count, (number, row) in enumerate(rows, 1):
-        merged = {"name": f"{stem}-{count}"} | {k: v for k, v in common.items() if k != "name"} | row
+        merged = {"name": f"{stem}-{count}"} | common | row
         if {"node", "set", "hole"} & row.keys():
             merged = {name: value for name, value in merged.items() if name != "point" or name in row}
-        items.append(merged)
-        for wrong in _errors(kind, merged):
-            column, text = _column(wrong["loc"]), wrong["msg"].removeprefix("Value error, ")
-            if text == "Field required":
-                text = "is required; fill it in"
-            elif column:
-                text += f"; got {wrong['input']!r}, correct it"
-            problems.append(f"{path}: row {number}{column and f', column {column}'}: {text}")
-        for column in ("part", "parts"):
-            given = row.get(column) or []
-            for name in [given] if isinstance(given, str) else given:
-                problems += unknown(f"{path}: row {number}, column {column}", name, names, "part")
+        for one in _single_items(merged, kind):
+            items.append(one)
+            for column, text in _row_errors(kind, one, row, parts):
+                wrong.add(number, column, text)
+    wrong.raise_all()
     return items
+
+
+def _single_items(item: dict[str, Any], kind: type[BaseModel]) -> list[dict[str, Any]]:
+    """The items of a row: welds of neighbours in a stack of three or more parts; a locator for each of several axes."""
+    parts, direction = item.get("parts"), item.get("direction")
+    if isinstance(parts, list) and len(parts) > 2:
+        pairs = zip("abcdefgh", pairwise(parts))
+        return [item | {"name": f"{item['name']}{letter}", "parts": [*pair]} for letter, pair in pairs]
+    if kind is Locator and isinstance(direction, str) and SEVERAL_AXES.fullmatch(direction):
+        axes = dict.fromkeys(re.findall("[xyz]", direction))
+        return [
+            item | {"name": f"{item['name']}-{axis}", "direction": [float(axis == other) for other in AXES]}
+            for axis in axes
+        ]
+    return [item]
+
+
+def _row_errors(kind, item: dict[str, Any], row: dict[str, Any], parts: PartNames) -> Iterator[tuple[str, str]]:
+    """Column and text of each error of a row."""
+    for wrong in _errors(kind, item):
+        column, text = _column(wrong["loc"]), wrong["msg"].removeprefix("Value error, ")
+        if text == "Field required":
+            text = "is required; fill it in"
+        elif column:
+            text += f"; got {wrong['input']!r}, correct it"
+        yield column, text
+    for column in ("part", "parts"):
+        given = row.get(column) or []
+        for name in [given] if isinstance(given, str) else given:
+            if name not in parts.names:
+                yield column, parts.unknown(name)
 
 
 def _errors(kind: type[BaseModel], row: dict[str, Any]) -> list[Any]:
@@ -129,133 +189,3 @@ def _column(location: tuple[Any, ...]) -> str:
     if location[0] == "point" and len(location) > 1 and isinstance(location[1], int):
         return AXES[location[1]]
     return str(location[0])
-
-
-def read_cells(path: Path, folder: Path | None = None) -> tuple[pd.DataFrame, str]:
-    """The cells of a CSV file as text, with its first row as column names, and the separator.
-
-    Row i of the frame is row i + 2 of the file, empty rows included. `folder` is that of the scene that names the file,
-    see :func:`mic.system.foreign_files.reading`.
-
-    Raises
-    ------
-    SceneError
-        If the file is not a table, or repeats a column.
-    """
-    with reading(path, "table", folder, SceneError):
-        return _cells(path)
-
-
-def _cells(path: Path) -> tuple[pd.DataFrame, str]:
-    try:
-        text = path.read_text(encoding="utf-8-sig")
-    except UnicodeDecodeError as error:
-        raise SceneError(f"cannot be read as text ({error}); save it as CSV in UTF-8") from None
-    header = text.partition("\n")[0]
-    separator = max(",;\t", key=header.count)
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("error", pd.errors.ParserWarning)  # pandas would drop surplus cells
-            frame = pd.read_csv(
-                StringIO(text),
-                sep=separator,
-                header=None,  # pandas would rename repeated columns
-                dtype=str,
-                keep_default_na=False,
-                skipinitialspace=True,
-                skip_blank_lines=False,
-                index_col=False,
-            ).fillna("")
-    except (ValueError, pd.errors.ParserError, pd.errors.ParserWarning) as error:
-        raise SceneError(
-            f"not a table: {' '.join(str(error).split())}; give each row the same number of cells"
-        ) from None
-    columns = frame.iloc[0].str.strip()
-    repeated = columns[columns.duplicated()]
-    if len(repeated):
-        raise SceneError(f"row 1: column {repeated.iloc[0]!r} is given twice; remove one of them")
-    frame = frame.iloc[1:].reset_index(drop=True)
-    frame.columns = pd.Index(columns)
-    return frame, separator
-
-
-def read_number(cell: str, separator: str = ",") -> float:
-    """The number in a cell, else NaN; unless commas separate the cells, they may be decimal commas."""
-    try:
-        return float(cell if separator == "," else DECIMAL.sub(".", cell)) if "_" not in cell else float("nan")
-    except ValueError:
-        return float("nan")
-
-
-def read_rows(path: Path, kind: type[BaseModel], folder: Path | None = None) -> list[tuple[int, dict[str, Any]]]:
-    """Rows of a CSV file as tables of the scene, with their numbers in the file; the header is row 1.
-
-    Commas, semicolons or tabs separate the cells; with the latter two, numbers may have a decimal comma.
-
-    Parameters
-    ----------
-    path : Path
-    kind : type
-        Schema of one row: its keys are the possible columns.
-    folder : Path, optional
-        As for :func:`read_cells`.
-
-    Raises
-    ------
-    SceneError
-        If the file is not a table, or has other columns.
-    """
-    frame, separator = read_cells(path, folder)
-    known = [name for name in kind.model_fields if name != "point"]
-    unknown = [name for name in frame.columns if name not in (*known, *AXES)]
-    if unknown:
-        raise SceneError(
-            f"{path}: row 1: there is no column {unknown[0]!r}; columns are {', '.join((*AXES, *known))}, "
-            "separated by commas, semicolons or tabs"
-        )
-    given = [axis for axis in AXES if axis in frame.columns]
-    if given and len(given) < 3:
-        raise SceneError(
-            f"{path}: row 1: x, y and z belong together, and there is only {' and '.join(given)}; give all three"
-        )
-    rows = []
-    for number, record in enumerate(frame.to_dict("records"), 2):
-        cells = {str(column): text for column, cell in record.items() if (text := str(cell).strip())}
-        if cells:
-            rows.append((number, _row(cells, kind, separator)))
-    if not rows:
-        raise SceneError(f"{path}: there is no row below the header; add rows, or remove the table")
-    return rows
-
-
-def _row(cells: dict[str, str], kind: type[BaseModel], separator: str) -> dict[str, Any]:
-    """The keys of a row; unless commas separate the cells, numbers may have decimal commas."""
-    number = lambda text: _number(text if separator == "," else DECIMAL.sub(".", text))
-    row: dict[str, Any] = {}
-    for column, cell in cells.items():
-        words = [number(word) for word in cell.split()]
-        if column == "parts":
-            row[column] = cell.split()
-        elif column == "hole" or column == "direction" and not any(isinstance(word, str) for word in words):
-            row[column] = words
-        elif column == "direction" or column not in AXES and _is_text(kind.model_fields[column].annotation):
-            row[column] = cell
-        elif column not in AXES:  # a text if it cannot be converted, which the schema rejects
-            row[column] = {"true": True, "false": False}.get(cell.lower(), number(cell))
-    if any(axis in cells for axis in AXES):
-        row["point"] = [number(cells.get(axis, "")) for axis in AXES]
-    return row
-
-
-def _number(cell: str) -> Any:
-    """The number in a cell; the cell if it holds none."""
-    for read in (int, float):
-        try:
-            return read(cell)
-        except ValueError:
-            continue
-    return cell
-
-
-def _is_text(annotation: Any) -> bool:
-    return annotation is str or any(map(_is_text, get_args(annotation)))

@@ -5,18 +5,22 @@ from __future__ import annotations
 import os
 import shutil
 import sys
-from collections.abc import Iterator, Mapping, Sequence
+import tomllib
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pandas as pd
-from pydantic import BaseModel
+from pydantic import BaseModel, ValidationError
 
 from mic.errors import RunError, SceneError
 from mic.geometry.script_dependencies import opened_files
 from mic.scene.measurement import Measurement
-from mic.scene.tables import read_rows
+from mic.scene.part_names import PartNames
+from mic.scene.table_file import LINE, TableSettings
+from mic.scene.table_rows import WrongRows, read_rows
 from mic.scene.weld import Weld
 from mic.system.arguments import checked
 from mic.system.files import replacing
@@ -35,6 +39,8 @@ def write_scene(
     thickness: Mapping[str | None, float] | None = None,
     welds: Path | None = None,
     points: Path | None = None,
+    renamed: Mapping[str, str] | None = None,
+    table: str | None = None,
 ) -> tuple[Path, Proposal]:
     """Propose a scene for the parts in mesh files, and write it, with copies of the files that it reads.
 
@@ -48,12 +54,17 @@ def write_scene(
     thickness : mapping of str or None to float, optional
         mm, by part; the value of None applies to parts that are not named and whose mesh file has no thickness.
     welds, points : Path, optional
-        CSV files with the coordinates of welds and of measured points.
+        Tables, CSV or Excel, with the coordinates of welds and of measured points.
+    renamed : mapping of str to str, optional
+        New name of a part by any of its names: that of its file, element set or property.
+    table : str, optional
+        How `welds` and `points` are to be read, in TOML with the keys of :class:`mic.scene.table_file.TableSettings`.
 
     Returns
     -------
     folder : Path
     proposal : Proposal
+        Its sentences begin with how the columns of `welds` and `points` were read, where that is not obvious.
 
     Raises
     ------
@@ -66,15 +77,18 @@ def write_scene(
     folder = Path(name) if out is None else Path(out)
     if (folder / "scene.toml").exists():
         raise RunError(f"{folder}: it contains a scene already; give another folder with --out")
+    settings = _table_settings(table)
     with opened_files() as opened:
-        bodies = read_bodies(files, thickness or {})
+        bodies = read_bodies(files, thickness or {}, renamed)
     copies = _copies([body.file for body in bodies], opened, folder)
-    lists = {}
+    lists: dict[str, list[dict[str, Any]]] = {}
+    said: list[str] = []
     if welds is not None:
-        lists["welds.csv"] = _listed_welds(welds, bodies)
+        lists["welds.csv"] = _listed_welds(welds, bodies, settings, said)
     if points is not None:
-        lists["points.csv"] = _listed_points(points, bodies)
+        lists["points.csv"] = _listed_points(points, bodies, settings, said)
     proposal = propose(bodies, None if welds is None else _by_parts(lists["welds.csv"]))
+    proposal = replace(proposal, sentences=[*said, *proposal.sentences])
     places = {body.name: _place(body.file.resolve(), copies, folder) for body in bodies}
     text = scene_text(
         proposal, name, places, "welds.csv" if welds is not None else None, "points.csv" if points is not None else None
@@ -119,28 +133,30 @@ def _is_program(path: Path) -> bool:
     return path.is_relative_to(Path(sys.prefix).resolve()) or path.suffix in (".py", ".pyc", ".so")
 
 
-def _listed_welds(file: Path, bodies: list[Body]) -> list[dict[str, Any]]:
+def _listed_welds(file: Path, bodies: list[Body], settings: TableSettings, said: list[str]) -> list[dict[str, Any]]:
     """Rows of the list of welds, each with the two parts that it joins; a weld of three sheets becomes two rows."""
     welds: list[dict[str, Any]] = []
-    problems: list[str] = []
-    names = [body.name for body in bodies]
-    for count, location, row, point in _placed_rows(file, Weld, problems):
-        if len(row.get("parts", ())) == 2:
-            pairs = [tuple(row["parts"])]
-            if not set(pairs[0]) <= set(names):
-                problems.append(f"{location}, column parts: {' '.join(pairs[0])}: the parts are {', '.join(names)}")
+    problems = WrongRows(file)
+    known = PartNames({body.name: body.other_names for body in bodies})
+    for number, row, point in _placed_rows(file, Weld, known, settings, said, problems):
+        given, own = row.get("parts", []), bodies
+        if wrong := [known.unknown(name) for name in given if name not in known.names]:
+            problems.add(number, "parts", wrong[0])
+            continue
+        if len(given) == 2:
+            pairs = [(given[0], given[1])]
         else:
-            pairs, nearest = joined(np.array(point), bodies)
+            own = [body for body in bodies if body.name in given] if len(given) > 2 else bodies
+            pairs, nearest = joined(np.array(point), own)
             if not pairs:
                 near = " and ".join(f"{name} ({distance:.3g} mm off)" for name, distance in nearest[:2])
-                problems.append(f"{location}: a weld joins two parts within {NEAR:g} mm; the nearest are {near}")
-        label = str(row.get("name", f"W{count}"))
+                problems.add(number, "", f"a weld joins two parts within {NEAR:g} mm; the nearest are {near}")
+        label = str(row.get("name", f"W{len(welds) + 1}"))
         others = {key: value for key, value in row.items() if key not in ("name", "parts", "point")}
         for letter, pair in zip("abcdefgh", pairs):
             name = label + letter * (len(pairs) > 1)
             welds.append({"name": name, "parts": " ".join(pair), **dict(zip("xyz", point)), **others})
-    if problems:
-        raise SceneError("\n".join(problems))
+    problems.raise_all()
     return welds
 
 
@@ -152,40 +168,58 @@ def _by_parts(rows: list[dict[str, Any]]) -> dict[tuple[str, str], np.ndarray]:
     return {pair: np.array(points) for pair, points in pairs.items()}
 
 
-def _listed_points(file: Path, bodies: list[Body]) -> list[dict[str, Any]]:
+def _listed_points(file: Path, bodies: list[Body], settings: TableSettings, said: list[str]) -> list[dict[str, Any]]:
     """Rows of the list of points to measure, each with its part."""
     measurements: list[dict[str, Any]] = []
-    problems: list[str] = []
-    for count, location, row, point in _placed_rows(file, Measurement, problems):
+    problems = WrongRows(file)
+    known = PartNames({body.name: body.other_names for body in bodies})
+    rows = _placed_rows(file, Measurement, known, settings, said, problems)
+    for count, (number, row, point) in enumerate(rows, 1):
         distance = {body.name: float(body.surface.project(point).distance[0]) for body in bodies}
         part = row.get("part", min(distance, key=distance.__getitem__))
         if part not in distance:
-            problems.append(f"{location}, column part: there is no part {part!r}; the parts are {', '.join(distance)}")
+            problems.add(number, "part", known.unknown(part))
         elif distance[part] > NEAR:
             place = ", ".join(f"{x:g}" for x in point)
-            problems.append(f"{location}: ({place}) is {distance[part]:.3g} mm away from {part}")
+            problems.add(number, "", f"({place}) is {distance[part]:.3g} mm away from {part}")
         direction = row.get("direction", "normal")
         measurement = {
             "name": row.get("name", f"M{count}"),
             "part": part,
             **dict(zip("xyz", point)),
-            "direction": direction if isinstance(direction, str) else " ".join(f"{x:g}" for x in direction),
+            "direction": direction if isinstance(direction, str) else " ".join(map(repr, direction)),
         }
         others = {key: value for key, value in row.items() if key not in (*measurement, "point")}
         measurements.append(measurement | others)
-    if problems:
-        raise SceneError("\n".join(problems))
+    problems.raise_all()
     return measurements
 
 
+def _table_settings(text: str | None) -> TableSettings:
+    """The settings of tables in the text of an option."""
+    try:
+        return TableSettings(**tomllib.loads(text or ""))
+    except (ValidationError, tomllib.TOMLDecodeError, TypeError) as problem:
+        keys = ", ".join(TableSettings.model_fields)
+        reason = problem.errors()[0]["msg"] if isinstance(problem, ValidationError) else problem
+        raise SceneError(f"--table {text}: {reason}; give TOML with {keys}, such as 'decimal = \",\"'") from None
+
+
 def _placed_rows(
-    file: Path, kind: type[BaseModel], problems: list[str]
-) -> Iterator[tuple[int, str, dict[str, Any], list[float]]]:
-    """The count, location, cells and point of each row of a list; rows without a point are added to `problems`."""
-    for count, (number, row) in enumerate(read_rows(file, kind), 1):
-        location, point = f"{file}: row {number}", row.get("point")
-        if point is None or any(isinstance(x, str) or not np.isfinite(x) for x in point):
+    file: Path, kind: type[BaseModel], parts: PartNames, settings: TableSettings, said: list[str], problems: WrongRows
+) -> list[tuple[int, dict[str, Any], list[float]]]:
+    """The number in the file, cells and point of each row of a list; rows without a point are added to `problems`."""
+    try:
+        rows, read = read_rows(file, kind, None, settings, parts)
+    except SceneError as problem:
+        raise SceneError(str(problem).replace(LINE, "say which by --table")) from None
+    said += [f"{file.name}: {read}"] * bool(read)
+    placed = []
+    for number, row in rows:
+        point = row.get("point")
+        if point is None or len(point) != 3 or any(isinstance(x, str) or not np.isfinite(x) for x in point):
             given = "nothing" if point is None else ", ".join(str(x) or "nothing" for x in point)
-            problems.append(f"{location}: x, y and z must be numbers, mm; got {given}")
+            problems.add(number, "", f"x, y and z must be numbers, mm; got {given}")
         else:
-            yield count, location, row, [float(x) for x in point]
+            placed.append((number, row, [float(x) for x in point]))
+    return placed

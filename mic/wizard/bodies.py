@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from scipy.sparse import coo_matrix
@@ -17,6 +18,7 @@ from mic.geometry.deck import Deck, Sheet
 from mic.geometry.readers import RawMesh, read_mesh, read_raw
 from mic.geometry.surface import Surface
 from mic.geometry.triangles import linked_rows
+from mic.scene.part_names import PartNames
 
 __all__ = ["NO_POINTS", "Body", "part_name", "read_bodies"]
 
@@ -51,6 +53,8 @@ class Body:
     material_from : str
     offset : float or None
         From the drawn surface to the mid-surface, in thicknesses along the normal, if the mesh file has it.
+    other_names : tuple of str
+        Names by which tables and options may call it: its file, and the element sets in it.
     """
 
     name: str
@@ -65,6 +69,7 @@ class Body:
     poisson: float
     material_from: str
     offset: float | None
+    other_names: tuple[str, ...] = ()
 
     @cached_property
     def element(self) -> float:
@@ -78,7 +83,9 @@ class Body:
         return self.surface.at(*self.surface.sample_edges(triangle, opposite, self.element / 2)[:2])
 
 
-def read_bodies(files: Sequence[Path], thickness: Mapping[str | None, float]) -> list[Body]:
+def read_bodies(
+    files: Sequence[Path], thickness: Mapping[str | None, float], names: Mapping[str, str] | None = None
+) -> list[Body]:
     """The parts in mesh files.
 
     Element sets that share nodes form one part; sets without common nodes are separate parts.
@@ -88,24 +95,34 @@ def read_bodies(files: Sequence[Path], thickness: Mapping[str | None, float]) ->
     files : sequence of Path
     thickness : mapping of str or None to float
         mm, by part; the value of None applies to parts that are not named and whose mesh file has no thickness.
+    names : mapping of str to str, optional
+        New name of a part by any of its names.
 
     Raises
     ------
     FormatError, SceneError
-        If a file cannot be read, a thickness is missing, or a part consists of separate pieces.
+        If a file cannot be read, a thickness is missing, no part has a name, or a part consists of separate pieces.
     """
-    sources: list[tuple[str, Path, tuple[str, ...]]] = []
+    sources: list[tuple[str, Path, tuple[str, ...], list[str]]] = []
     for file in files:
-        groups = _groups(read_raw(file))
+        raw = read_raw(file)
+        groups = _groups(raw)
         if len(groups) > 1:
-            sources += [(part_name(sets[0]), file, sets) for sets in groups]
+            sources += [(part_name(sets[0]), file, sets, _sets_within(raw, sets)) for sets in groups]
         else:
-            sources.append((part_name(file.stem), file, ()))
-    names = _unique([name for name, _, _ in sources])
-    unknown = [name for name in thickness if name is not None and name not in names]
-    if unknown:
-        raise SceneError(f"--thickness {unknown[0]}=…: there is no part of that name; the parts are {', '.join(names)}")
-    bodies = [_body(name, file, sets, thickness) for name, (_, file, sets) in zip(names, sources)]
+            sources.append((part_name(file.stem), file, (), list(raw.element_sets)))
+    others = [[file.name, file.stem, *within] for _, file, _, within in sources]
+    own = _unique([name for name, *_ in sources])
+    renamed = _by_part("--name", names or {}, PartNames(dict(zip(own, others))))
+    own, others = [renamed.get(name, name) for name in own], [[name, *more] for name, more in zip(own, others)]
+    if len(set(own)) < len(own):
+        raise SceneError(f"--name: the parts would be {', '.join(own)}; give each a name of its own")
+    by_name = {name: value for name, value in thickness.items() if name is not None}
+    of_parts: dict[str | None, float] = {None: thickness.get(None, np.nan)}
+    of_parts |= _by_part("--thickness", by_name, PartNames(dict(zip(own, others))))
+    bodies = [
+        _body(name, file, sets, of_parts, tuple(more)) for name, more, (_, file, sets, _) in zip(own, others, sources)
+    ]
     missing = [body.name for body in bodies if np.isnan(body.thickness)]
     if missing:
         raise SceneError(
@@ -113,6 +130,23 @@ def read_bodies(files: Sequence[Path], thickness: Mapping[str | None, float]) ->
             f"--thickness {missing[0]}=1.5 for one"
         )
     return bodies
+
+
+def _by_part(option: str, given: Mapping[str, Any], parts: PartNames) -> dict[Any, Any]:
+    """Values of an option by part."""
+    found: dict[str, Any] = {}
+    for name, value in given.items():
+        part = parts.find(name)
+        if part is None:
+            raise SceneError(f"{option} {name}=…: {parts.unknown(name)}")
+        found[part] = value
+    return found
+
+
+def _sets_within(raw: RawMesh, sets: tuple[str, ...]) -> list[str]:
+    """Element sets of a file whose elements all belong to some sets."""
+    own = np.concatenate([raw.element_sets[name] for name in sets])
+    return [name for name, elements in raw.element_sets.items() if np.isin(elements, own).all()]
 
 
 def _groups(raw: RawMesh) -> list[tuple[str, ...]]:
@@ -128,7 +162,7 @@ def _groups(raw: RawMesh) -> list[tuple[str, ...]]:
     return [tuple(name for name, own in zip(sets, label) if own == group) for group in range(count)]
 
 
-def _body(name: str, file: Path, sets: tuple[str, ...], thickness: Mapping[str | None, float]) -> Body:
+def _body(name: str, file: Path, sets: tuple[str, ...], thickness: Mapping, other_names: tuple[str, ...]) -> Body:
     surface, deck = read_mesh(file, sets)
     unit = "mm"
     if surface.diameter < METRES:
@@ -147,7 +181,9 @@ def _body(name: str, file: Path, sets: tuple[str, ...], thickness: Mapping[str |
             material = f"from the mesh file{f' (material {sheet.material})' if sheet.material else ''}"
         else:
             material = f"steel; the mesh file has {sheet.young:.3g}, which is not in MPa"
-    return Body(name, file, sets, unit, surface, deck, value, source, young, poisson, material, sheet.offset)
+    return Body(
+        name, file, sets, unit, surface, deck, value, source, young, poisson, material, sheet.offset, other_names
+    )
 
 
 def _thickness(surface: Surface, deck: Deck, given: float) -> tuple[float, str]:

@@ -21,14 +21,17 @@ import pandas as pd
 
 from mic.compliance.matrices import read_matrix
 from mic.errors import MicError
-from mic.geometry.measured_points import read_cloud
+from mic.geometry.measured_points import read_clouds
 from mic.geometry.readers import gmsh_program, read_mesh
 from mic.geometry.surface import Surface
 from mic.scene import load_scene
+from mic.scene.measured_report import read_measured_report
+from mic.scene.measurement import Measurement
 from mic.scene.samples import take_samples
-from mic.scene.tables import read_cells
+from mic.scene.table_rows import read_rows
 from support.gmsh_files import gmsh_model
 from support.mesh_texts import FILES, POINTS
+from support.workbooks import workbook
 
 __all__ = ["READERS_OF", "attack", "damaged", "originals", "trouble"]
 
@@ -41,6 +44,7 @@ MATRIX = "%%MatrixMarket matrix coordinate real symmetric\n6 6 6\n" + "".join(f"
 NODES = "node,x,y,z\n1,0,0,0\n2,1,0,0\n"
 ENTRIES = "".join(f"{node},{k},{node},{k}, 2.5\n" for node in (1, 2) for k in (1, 2, 3))
 TABLE = "name,part,x,y,z\nA,lower,1.0,2.0,0.0\nB,upper,3.0,4.0,0.5\n"
+QDAS = "K0100 2\nK1001/1 4711\nK2002/1 M1\nK2101/1 0.0\nK2142/1 mm\nK2002/2 M2\nK2112/2 -1\nK2142/2 um\nK2022/0 3\n"
 SCENE = Path(__file__).resolve().parents[2] / "meshes" / "lap_joint"
 #: Texts that are put into files: numbers beyond all bounds, nesting, other encodings, commands of decks.
 TEXTS = (
@@ -52,13 +56,18 @@ TEXTS = (
 BINARY = ("msh", "ply", "stl", "vtk", "vtu")  # formats that are written as text and binary
 
 
-def _cells(path: Path) -> None:
-    read_cells(path)
+def _rows(path: Path) -> None:
+    read_rows(path, Measurement)
 
 
 def _cloud(path: Path) -> None:
-    points = read_cloud(path, "mm", Surface(POINTS, TRIANGLES), None).points
-    assert np.isfinite(points).all()
+    for cloud in read_clouds(path, "mm", Surface(POINTS, TRIANGLES), None).values():
+        assert np.isfinite(cloud.points).all()
+
+
+def _report(path: Path) -> None:
+    report = read_measured_report(path, ["M1", "M2"], "key characteristic", {"M1": (0.0, 0.6, 0.8)})
+    assert all(np.isfinite(value) for own in report.values.values() for value in own.values())
 
 
 def _matrix(path: Path) -> None:
@@ -84,8 +93,9 @@ def _scene(path: Path) -> None:
 READERS_OF: dict[str, Callable[[Path], None]] = {
     "gmsh": lambda path: _mesh(path, 5.0),
     "mesh": _mesh,
-    "table": _cells,
+    "table": _rows,
     "cloud": _cloud,
+    "report": _report,
     "matrix": _matrix,
     "samples": _samples,
     "scene": _scene,
@@ -109,8 +119,16 @@ def originals() -> dict[str, bytes]:
         frame.to_parquet(folder / "a.parquet")
         contents["samples.parquet"] = (folder / "a.parquet").read_bytes()
         contents["samples.csv"] = frame.to_csv(index=False).encode()
+        contents["table.xlsx"] = workbook({"Points": [row.split(",") for row in TABLE.splitlines()]})
+        contents["samples.xlsx"] = workbook({"Samples": [list(frame.columns), *frame.to_numpy().tolist()]})
     contents["table.csv"] = TABLE.encode()
     contents["cloud.csv"] = b"x,y,z,deviation\n0.1,0.1,0,0.01\n0.9,0.2,0,0.02\n0.5,0.8,0,-0.01\n"
+    contents["report.csv"] = (
+        b"Feature,Axis,Nominal,Actual,Serial\nM1,Y,1.5,1.6,A\nM1,Z,1,1.1,A\nM2,,0,0.1,A\nM2,,0,-0.1,B\n"
+    )
+    contents["report-pieces.csv"] = b"Feature;Nominal;S1;S2\nM1;100,5;100,62;100,4\nM2;0,0;0,1;\n"
+    contents["report.dfq"] = QDAS.encode() + b"0.1\x140\x1427.11.2026/10:15:00\x0f31\x140\nK0014/0 A\n0.2\x0f\x14255\n"
+    contents["report-fields.dfq"] = QDAS.encode() + b"K0001/1 0.1\nK0014/1 A\nK0001/2 31\nK0002/2 0\nK0014/2 A\n"
     contents["matrix.mtx"], contents["matrix.txt"] = MATRIX.encode(), ENTRIES.encode()
     contents["scene.toml"] = (SCENE / "scene.toml").read_bytes()
     return contents
