@@ -4,10 +4,12 @@
 >>> scene = mic.load_scene("meshes/wheelhouse/scene.toml")     # doctest: +SKIP
 >>> model = mic.reduce(scene)                                   # doctest: +SKIP
 >>> model.evaluate({"F1": 20.0}).measurements                   # doctest: +SKIP
+>>> model.evaluate(model.sample(100), friction=0.1).to_frame()  # doctest: +SKIP
 
 Each command is a function of the same name here, from a scene or model to tables and figures as data:
 ``mic.explain(model, measured, gauge)`` is ``mic explain``. ``mic report`` is :func:`mic.report.write_report`;
-``mic.report.pictures`` draws the results of these functions (:mod:`mic.report.study_pictures`).
+``mic.report.pictures`` draws the results of these functions (:mod:`mic.report.study_pictures`). Longer computations
+show a bar in notebooks; ``progress=False`` hides it.
 """
 
 from __future__ import annotations
@@ -23,7 +25,9 @@ choose_kernels()  # before anything here imports numpy
 renamed_modules.install()
 
 if TYPE_CHECKING:
+    from mic import examples, report
     from mic.build import check, reduce
+    from mic.contact.states import ContactState
     from mic.process.model import ReducedModel
     from mic.runs import read_run, run
     from mic.scene import Scene, load_scene
@@ -42,6 +46,7 @@ if TYPE_CHECKING:
     from mic.wizard import write_scene as init
 
 __all__ = [
+    "ContactState",
     "FormatError",
     "MicError",
     "MissingProvider",
@@ -54,6 +59,7 @@ __all__ = [
     "check",
     "compare",
     "contributors",
+    "examples",
     "explain",
     "explore",
     "friction",
@@ -66,6 +72,7 @@ __all__ = [
     "read_run",
     "reduce",
     "remedy",
+    "report",
     "run",
     "sensitivity",
 ]
@@ -75,6 +82,7 @@ __version__ = "0.2.0"
 
 #: Module and name in it of each public name.
 _PUBLIC = {
+    "ContactState": ("mic.contact.states", "ContactState"),
     "ReducedModel": ("mic.process.model", "ReducedModel"),
     "Scene": ("mic.scene", "Scene"),
     "cache_folder": ("mic.system.disk_cache", "cache_folder"),
@@ -96,6 +104,11 @@ _PUBLIC = {
     "run": ("mic.runs", "run"),
     "sensitivity": ("mic.studies.sensitivity", "effects"),
 }
+
+
+def __dir__() -> list[str]:
+    """The public names, which a notebook completes."""
+    return [*__all__, "__doc__", "__version__"]
 
 
 def __getattr__(name: str) -> Any:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 from mic.model.assembly import Assembly, assemble
@@ -12,12 +13,13 @@ from mic.process.stiffness import coefficients
 from mic.scene import Scene
 from mic.system.arguments import checked
 from mic.system.disk_cache import cache_folder
+from mic.system.progress_bar import ProgressBar
 
 __all__ = ["check", "reduce"]
 
 
 @checked
-def reduce(scene: Scene, cache: Path | None = None) -> ReducedModel:
+def reduce(scene: Scene, cache: Path | None = None, progress: bool | None = None) -> ReducedModel:
     """Build the reduced model of a scene: meshes, contact pairs, influence coefficients. Each MPI rank builds its own.
 
     Parameters
@@ -25,6 +27,8 @@ def reduce(scene: Scene, cache: Path | None = None) -> ReducedModel:
     scene : Scene
     cache : Path, optional
         Folder of generated meshes and influence coefficients; default :func:`mic.cache_folder`.
+    progress : bool, optional
+        Whether the step that is being computed is shown; default: after a second, in a notebook or interactive session.
 
     Raises
     ------
@@ -34,8 +38,10 @@ def reduce(scene: Scene, cache: Path | None = None) -> ReducedModel:
         If influence coefficients must be computed and no provider of them is installed.
     """
     cache = cache or cache_folder()
-    assembly = _planned(scene, cache)
-    return ReducedModel.build(assembly, coefficients(assembly, cache)[0])
+    with ProgressBar(progress) as bar:
+        bar.report(f"{scene.name}: meshing and pairing")
+        assembly = _planned(scene, cache, bar.report)
+        return ReducedModel.build(assembly, coefficients(assembly, cache, bar.report)[0])
 
 
 @checked
@@ -61,8 +67,8 @@ def check(scene: Scene, cache: Path | None = None) -> tuple[SceneWarning, ...]:
     return find_warnings(scene, _planned(scene, cache or cache_folder()))
 
 
-def _planned(scene: Scene, cache: Path) -> Assembly:
+def _planned(scene: Scene, cache: Path, report: Callable[[str], None] | None = None) -> Assembly:
     """The assembly of a scene whose process is feasible; checked before anything is factorised."""
-    assembly = assemble(scene, cache, check=plan_assembly)
+    assembly = assemble(scene, cache, progress=report, check=plan_assembly)
     plan_assembly(assembly)
     return assembly

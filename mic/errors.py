@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import traceback
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
@@ -23,9 +25,18 @@ __all__ = [
     "StorageError",
 ]
 
+#: In the paths of this program and of IPython.
+_INNER = (os.path.dirname(__file__) + os.sep, f"{os.sep}IPython{os.sep}")
+
 
 class MicError(Exception):
     """Base of every error whose message tells the user what to correct."""
+
+    def _render_traceback_(self) -> list[str]:
+        """What IPython and notebooks print: the lines of the user, without those of this program, and the message."""
+        frames = traceback.extract_tb(self.__traceback__)
+        own = [frame for frame in frames if not any(folder in frame.filename for folder in _INNER)]
+        return [*traceback.format_list(own), f"{type(self).__name__}: {self}"]
 
 
 class SceneError(MicError, ValueError):

@@ -5,6 +5,7 @@ The report is drawn afterwards from the folder alone, see :mod:`mic.report.page`
 
 from __future__ import annotations
 
+import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext
@@ -44,6 +45,7 @@ from mic.system.arguments import checked
 from mic.system.cores import available_cores
 from mic.system.files import clean
 from mic.system.lock import locked
+from mic.system.progress_bar import ProgressBar
 
 __all__ = ["Progress", "conclude", "finished", "hold", "read_run", "run", "sample_into", "write_evaluation"]
 
@@ -65,12 +67,34 @@ class Progress:
         """Called with samples and path study complete, before tables and fields are written."""
 
 
+class BarProgress(Progress):
+    """Prints sentences, and a bar of the samples, on the standard error stream.
+
+    Parameters
+    ----------
+    shown : bool or None
+        As for :class:`mic.system.progress_bar.ProgressBar`.
+    """
+
+    def __init__(self, shown: bool | None):
+        self._shown = shown
+
+    def report(self, sentence: str) -> None:
+        if ProgressBar(self._shown).shown:
+            print(sentence, file=sys.stderr)
+
+    @contextmanager
+    def sampling(self, laws: Sequence[str], samples: int) -> Iterator[Callable[[str, int], None]]:
+        with ProgressBar(self._shown, samples * len(laws)) as bar:
+            yield lambda law, count: bar.advance(count)
+
+
 @checked
 def run(
     scene: Scene,
     folder: Path,
     cache: Path,
-    progress: Progress | None = None,
+    progress: Progress | bool | None = None,
     replace: bool = False,
     strict: bool = False,
 ) -> Outcome | None:
@@ -84,7 +108,8 @@ def run(
     folder : Path
     cache : Path
         Folder of generated meshes and influence coefficients.
-    progress : Progress, optional
+    progress : Progress or bool, optional
+        Or whether a bar is shown; default: after a second, in a notebook or an interactive session.
     replace : bool
         Whether results of another run in the folder may be removed.
     strict : bool
@@ -100,7 +125,7 @@ def run(
     SceneError, MissingProvider, RunError, FormatError, StorageError
     """
     world, clock, folder = communicator(), _Clock(), Path(folder)
-    progress = progress or Progress()
+    progress = progress if isinstance(progress, Progress) else BarProgress(progress)
     with hold(folder, progress):
         clean([Path(cache) / "meshes", Path(cache) / "influence"])
         with clock("meshes and pairs"):

@@ -47,6 +47,7 @@ BAD = {
     "path": [None, 3, "", "a\0b"],
     "files": [None, 3, "part.stl", [3], [None]],
     "replace": [3, "no"],
+    "progress": [3, "no", [True]],
 }  # fmt: skip
 #: Valid arguments of functions beside the model.
 NEEDED = {
@@ -60,6 +61,7 @@ DEVIATIONS = [
     *(np.zeros((2, 3)), np.zeros((1, 1, 2)), np.array(["a", "b"]), np.array([1j, 0]), [True, False]),
     *([NAN, 1], [HUGE, 1]),
     *({"Q": 1}, {3: 1}, {"P": [1, 2], "D": [1, 2, 3]}, {"P": [[1, 2]]}, pd.DataFrame({"Q": [1.0]})),
+    *(pd.DataFrame({"P": [1.0]}), pd.DataFrame({"P": [1.0], "D": [2.0], "Q": [1.0]})),
     *({"P": value} for value in ("x", None, NAN, HUGE, True, 1j, [1, "x"], [1, None], {})),
 ]  # fmt: skip
 FUNCTIONS = [name for name in mic.__all__ if inspect.isfunction(getattr(mic, name))]
@@ -123,7 +125,7 @@ def test_numbers_and_columns_by_name_are_batches(model):
     np.testing.assert_array_equal(model.evaluate({"P": np.float32(0.5)}).deviations, [[0.5, 2.0]])
 
 
-@pytest.mark.parametrize("none", [[], np.zeros((0, 2)), {"P": []}, pd.DataFrame({"P": []}, dtype=float)])
+@pytest.mark.parametrize("none", [[], np.zeros((0, 2)), {"P": []}, pd.DataFrame({"P": [], "D": []}, dtype=float)])
 def test_no_assembly_gives_empty_results(model, none):
     one, found = model.evaluate({}), model.evaluate(none)
     assert isinstance(found, Evaluation) and found.measurements.shape == (0, 2) == found.deviations.shape

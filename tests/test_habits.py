@@ -11,7 +11,7 @@ PUBLIC = ("os._exit",)  # documented by the standard library in spite of its nam
 
 
 def private(name):
-    return name.startswith("_") and not name.endswith("__")
+    return name.startswith("_") and not name.endswith("_")  # Python's and IPython's own: __len__, _repr_html_
 
 
 def offences(source):

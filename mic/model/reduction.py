@@ -28,7 +28,7 @@ from mic.model.shape_derivatives import ShapeDerivatives
 from mic.model.sources import thickness_changes, with_deviations
 from mic.scene import Scene
 from mic.system import files
-from mic.system.arguments import LARGEST, real_array
+from mic.system.arguments import LARGEST, checked, did_you_mean, real_array
 from mic.system.matrix_product import one_thread
 from mic.system.memoise import pack, unpack
 
@@ -127,18 +127,21 @@ class Reduction:
 
         Parameters
         ----------
-        values : mapping of str to float or (n,) array, (p,) array, or (n, p) array
-            Deviations by name, the rest at their means: a number for all samples, or one for each. A table with a
-            column for each deviation is such a mapping. Or all deviations in the order of :attr:`parameters`. Without
-            any sample, n = 0, results are empty.
+        values : DataFrame, mapping of str to float or (n,) array, (p,) array, or (n, p) array
+            A DataFrame with a column for each deviation, in any order. Or deviations by name, a number for all samples
+            or one for each; missing ones take their means. Or all deviations in the order of :attr:`parameters`.
+            Without any sample, n = 0, results are empty.
 
         Raises
         ------
         ArgumentError
-            For unknown names, wrong shapes, and values that are no finite numbers.
+            For unknown or missing names, wrong shapes, and values that are no finite numbers.
         """
-        array = self._named(dict(values.items())) if hasattr(values, "items") else real_array("deviations", values)
         p = len(self.parameters)
+        if hasattr(values, "columns"):
+            array = self._columns(values)
+        else:
+            array = self._named(dict(values.items())) if hasattr(values, "items") else real_array("deviations", values)
         if array.shape == (0,) and p:
             array = np.zeros((0, p))
         array = np.atleast_2d(array)
@@ -156,13 +159,34 @@ class Reduction:
         self._warn_of_far(array)
         return array
 
+    def _columns(self, frame: Any) -> np.ndarray:
+        """(n, p) array from a DataFrame, whose columns must be the deviations."""
+        given, known = list(frame.columns), self.parameters
+        repeated = [name for name in given if given.count(name) > 1]
+        missing = [name for name in known if name not in given]
+        other = [name for name in given if name not in known]
+        if repeated:
+            raise ArgumentError(f"deviations: the table has several columns {repeated[0]!r}; remove all but one")
+        if other:
+            remedy = "remove it" if not missing else did_you_mean(other[0], missing)
+            remedy = f"rename it {missing[0]!r}, which is missing" if len(missing) == 1 else remedy
+            raise ArgumentError(f"deviations: the column {other[0]!r} is not a deviation of this scene; {remedy}")
+        if missing:
+            raise ArgumentError(
+                f"deviations: the table has no column {', '.join(map(repr, missing))}; add it, or give a dict, whose "
+                "missing deviations take their means"
+            )
+        array = np.empty((len(frame), len(known)))
+        for j, name in enumerate(known):
+            array[:, j] = real_array(f"deviations: column {name!r}", frame[name])
+        return array
+
     def _named(self, values: Mapping[str, Any]) -> np.ndarray:
         """(n, p) array from numbers or columns by name."""
-        unknown = [name for name in values if name not in self.parameters]
-        if unknown:
-            raise ArgumentError(
-                f"deviations: {unknown[0]!r} is not a deviation of this scene; known: {', '.join(self.parameters)}"
-            )
+        for name in values:
+            if name not in self.parameters:
+                remedy = did_you_mean(name, self.parameters)
+                raise ArgumentError(f"deviations: {name!r} is not a deviation of this scene; {remedy}")
         columns = {name: real_array(f"deviations: {name!r}", value) for name, value in values.items()}
         lengths = {name: len(column) for name, column in columns.items() if column.ndim == 1}
         deep = [name for name, column in columns.items() if column.ndim > 1]
@@ -222,6 +246,7 @@ class Reduction:
                 blocks[p] = self.thicknesses[part.name].at(part.sheet[0] + more[part.name])
         return replace(model, compliance=Blocks(tuple(H for H, _ in blocks), tuple(G for _, G in blocks)))
 
+    @checked
     def save(self, path) -> None:
         """Write to one ``.npz`` file."""
         large = {"shape": self.shape, "shape_forces": self.shape_forces}  # stored as arrays of their own
@@ -233,6 +258,7 @@ class Reduction:
         files.save_arrays(Path(path), FORMAT, header, large | arrays)
 
     @classmethod
+    @checked
     def load(cls, path) -> Self:
         """Read a file of :meth:`save`.
 

@@ -5,12 +5,19 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property, partial
-from typing import Any
+from html import escape
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from mic.contact.path import Trace
+from mic.contact.states import STATES
+from mic.process.frames import ResultNames, frame, states
 from mic.process.state import ProcessState
+from mic.system.arguments import did_you_mean
+
+if TYPE_CHECKING:
+    import pandas as pd  # not needed to evaluate a model
 
 __all__ = ["ContactSensitivity", "Evaluation", "LazyResolutions", "ProcessHistory", "Resolution", "Sensitivities"]
 
@@ -30,7 +37,7 @@ class Resolution:
         mm; the normal component is the gap, the tangential ones are the tangential displacement since the stage before,
         for open contacts too.
     state : (n, m) int8 array
-        A :class:`mic.contact.states.ContactState` each.
+        A :class:`mic.ContactState` each: 0 open, 1 stick, 2 slip; :attr:`state_names` has their names.
     trace : mic.contact.path.Trace
         History of the contacts along the path: slip under load, friction work, shares of the path. Its error is that of
         the contacts' positions at the end of the stage: the error of this path plus, as a bound, those of all paths
@@ -77,6 +84,15 @@ class Resolution:
     pushed: np.ndarray
     left: np.ndarray
     needed: np.ndarray
+
+    def __repr__(self) -> str:
+        n, m = self.state.shape
+        return f"Resolution of stage {self.stage!r}: {n} samples with {m} contacts each: {states(self.state)}"
+
+    @property
+    def state_names(self) -> np.ndarray:
+        """(n, m) array of the states' names: open, stick or slip."""
+        return np.array(STATES)[self.state]
 
     @property
     def reached(self) -> np.ndarray:
@@ -135,7 +151,7 @@ class LazyResolutions(Mapping[str, Resolution]):
 
     def __getitem__(self, stage: str) -> Resolution:
         if stage not in self._stages:
-            raise KeyError(stage)
+            raise KeyError(f"no stage {stage!r} solves contact; {did_you_mean(stage, self._stages)}")
         return self.history.resolutions[stage]
 
     def __contains__(self, stage: object) -> bool:
@@ -166,6 +182,7 @@ class Evaluation:
         Samples whose contact did not meet its tolerance in some stage.
     equilibrium : function
         Computes :attr:`functional_force` and :attr:`motion` when either is first requested.
+    names : ResultNames
     """
 
     law: str
@@ -175,6 +192,47 @@ class Evaluation:
     readings: np.ndarray
     failed: np.ndarray
     equilibrium: Callable[[], tuple[np.ndarray, np.ndarray]]
+    names: ResultNames
+
+    def __repr__(self) -> str:
+        failed, measured = int(self.failed.sum()), ", ".join(self.names.measurements[:8]) or "none"
+        more = ", …" if len(self.names.measurements) > 8 else ""
+        return (
+            f"Evaluation of {len(self.failed)} samples under {self.law}, {failed or 'none'} failed\n"
+            f"  key characteristics, mm from nominal: {measured}{more}\n"
+            f"  stages that solve contact: {', '.join(self.resolutions) or 'none'}\n"
+            f'  to_frame() has one row per sample; to_frame("contacts") has contact forces and states'
+        )
+
+    def _repr_html_(self) -> str:
+        """HTML for notebooks."""
+        return f"<pre>{escape(repr(self))}</pre>{self.to_frame()._repr_html_()}"  # type: ignore[operator]
+
+    def to_frame(self, table: str = "samples") -> pd.DataFrame:
+        """A table of the results.
+
+        Parameters
+        ----------
+        table : {"samples", "deviations", "measurements", "contacts"}
+            ``"samples"``: a row for each sample, with its deviations, key characteristics (mm from nominal; NaN if it
+            failed), ``failed`` and ``built``. ``"deviations"`` and ``"measurements"``: only these columns.
+            ``"contacts"``: a row for each stage that solves contact, sample and contact pair, with zone, force
+            (``f_n``, ``f_t1``, ``f_t2``, N), displacement (``u_n`` …, mm) and ``state``: open, stick or slip
+            (:class:`mic.ContactState`).
+
+        Returns
+        -------
+        DataFrame
+            Samples have the index of the evaluated DataFrame, or numbers from 0. ``attrs["units"]`` has the units of
+            deviations and key characteristics by column. A deviation whose name another column has is called
+            ``deviation NAME``.
+
+        Raises
+        ------
+        ArgumentError
+            For another table.
+        """
+        return frame(self, table)
 
     @property
     def functional_force(self) -> np.ndarray:
@@ -212,7 +270,8 @@ class Evaluation:
         def equilibrium():
             return tuple(np.concatenate(each) for each in zip(*(piece._equilibrium for piece in pieces)))
 
-        return cls(law=pieces[0].law, resolutions=resolutions, equilibrium=equilibrium, **_stacked(pieces, cls))
+        arrays, names = _stacked(pieces, cls), pieces[0].names
+        return cls(law=pieces[0].law, resolutions=resolutions, equilibrium=equilibrium, names=names, **arrays)
 
     def without_samples(self) -> Evaluation:
         """The result of no assembly: all arrays have their shapes, with n = 0."""
@@ -238,7 +297,7 @@ class ContactSensitivity:
     force : (n, m, d) array
         N.
     state : (n, m) int8 array
-        A :class:`mic.contact.states.ContactState` each.
+        A :class:`mic.ContactState` each: 0 open, 1 stick, 2 slip.
     force_slope : (n, m, d, p) array
         Derivatives of the forces, N per unit of the inputs.
     slip_slope : (n, m, d - 1, p) array

@@ -6,7 +6,7 @@ import warnings
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
-from typing import Any, Self
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 
@@ -23,9 +23,17 @@ from mic.process.plan import StagePlan, Step, plan_stages
 from mic.process.process import TOLERANCE, Process
 from mic.process.stage import EliminatedStep, eliminate_steps
 from mic.process.stiffness import with_derivatives, with_shape
-from mic.scene import Scene
-from mic.system.arguments import number
+from mic.scene import Scene, notebook
+from mic.scene.deviation import deviation_unit
+from mic.scene.stages import unknown
+from mic.scene.zone import MOST
+from mic.statistics.draw import draw
+from mic.system.arguments import checked, number
 from mic.system.matrix_product import one_thread
+from mic.system.progress_bar import ProgressBar
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 __all__ = ["ReducedModel"]
 
@@ -98,6 +106,7 @@ class ReducedModel(Reduction):
         """What a copy or another process needs; it prepares the laws that it uses itself."""
         return {name: value for name, value in vars(self).items() if name != "_processes"}
 
+    @checked
     def process(
         self, law: str | None = None, tol: float = TOLERANCE, backend: str = "native", threads: int = 1
     ) -> Process:
@@ -107,6 +116,7 @@ class ReducedModel(Reduction):
         """
         law = self.scene.report.laws[0] if law is None else law
         laws.find(law)  # raises
+        number("tol", tol, above=0.0)
         key = (law, tol, backend, threads)
         if key not in self._processes:
             self._processes[key] = Process(self, *key)
@@ -126,22 +136,139 @@ class ReducedModel(Reduction):
         vars(found).update({name: getattr(self, name) for name in ("eliminations", "forecast", "rest")})
         return found
 
-    def evaluate(self, deviations: Any, law: str | None = None) -> Evaluation:
-        """Take one assembly, or a batch, through all stages.
+    def __repr__(self) -> str:
+        return "\n".join(self._lines)
+
+    def _repr_html_(self) -> str:
+        """HTML for notebooks, with a picture of what the model knows: it has no meshes."""
+        zones, contacts = self.scene.zones, self.contacts
+        pairs = {zone.name: contacts.point[contacts.zone == z] for z, zone in enumerate(zones)}
+        return notebook.html(self.scene, self._lines, pairs)
+
+    @property
+    def _lines(self) -> list[str]:
+        zones, pairs = notebook.named(self.scene.zones, "zone"), len(self.contacts)
+        return notebook.lines(self.scene, "ReducedModel", f"{pairs} contact pair{'s' * (pairs != 1)} in {zones}")
+
+    @checked
+    def sample(self, samples: int, seed: int | None = None) -> pd.DataFrame:
+        """Random deviations of assemblies, as a run draws them: its first samples.
 
         Parameters
         ----------
-        deviations
-            As :meth:`mic.model.reduction.Reduction.deviations` takes them: numbers or arrays by name, or an array.
-        law : str, optional
-            Contact law; default: the first of the scene's report.
+        samples : int
+        seed : int, optional
+            Default: the scene's, `monte_carlo.seed`.
+
+        Returns
+        -------
+        DataFrame
+            A row for each sample, a column for each deviation; ``attrs["units"]`` has their units, N or mm.
 
         Raises
         ------
         ArgumentError
-            For unknown names, wrong shapes, and values that are no finite numbers.
+            If the scene states its samples, and has fewer.
         """
-        return self.process(law).evaluate(self.deviations(deviations))
+        import pandas as pd  # not needed to evaluate a model
+
+        scene = self.scene
+        values = draw(scene, scene.monte_carlo.seed if seed is None else seed, 0, samples)
+        if len(values) < samples:
+            raise ArgumentError(f"samples is {samples}; the scene states {len(values)} samples: request fewer")
+        frame = pd.DataFrame(values, pd.RangeIndex(samples, name="sample"), self.parameters)
+        frame.attrs["units"] = {item.name: deviation_unit(item, scene) for item in scene.deviations}
+        return frame
+
+    def evaluate(
+        self,
+        deviations: Any,
+        law: str | None = None,
+        friction: float | Mapping[str, float] | None = None,
+        progress: bool | None = None,
+    ) -> Evaluation:
+        """Take one assembly, or a batch, through all stages.
+
+        Parameters
+        ----------
+        deviations : DataFrame, mapping of str to float or (n,) array, (p,) array, or (n, p) array
+            A DataFrame with a column for each deviation, in any order, such as :meth:`sample` returns; its index names
+            the samples. Or deviations by name, a number for all samples or one for each; missing ones take their means.
+            Or an array of all deviations in the order of :attr:`parameters`. Units: N or mm, as in the scene.
+        law : str, optional
+            Contact law; default: the first of the scene's report.
+        friction : float or mapping of str to float, optional
+            Coefficients of friction, as :meth:`with_friction` takes them; default: those of the model.
+        progress : bool, optional
+            Whether a bar is shown; default: after a second, in a notebook or an interactive session.
+
+        Returns
+        -------
+        Evaluation
+            Arrays by sample; its ``to_frame()`` has the names.
+
+        Raises
+        ------
+        ArgumentError
+            For unknown or missing names, wrong shapes, and values that are no finite numbers.
+        """
+        process = (self if friction is None else self.with_friction(friction)).process(law)
+        x = self.deviations(deviations)
+        with ProgressBar(progress, len(x)) as bar:
+            size = max(10, len(x) // 50) if bar.shown else len(x) or 1
+            pieces = []
+            for first in range(0, len(x) or 1, size):
+                pieces.append(process.evaluate(x[first : first + size]))
+                bar.advance(len(pieces[-1].failed))
+        found = Evaluation.join(pieces)
+        names = getattr(deviations, "index", None) if hasattr(deviations, "columns") else None
+        return found if names is None else replace(found, names=replace(found.names, samples=names))
+
+    def with_friction(self, friction: float | Mapping[str, float]) -> ReducedModel:
+        """This model with other constant coefficients of friction, in all stages.
+
+        Parameters
+        ----------
+        friction : float or mapping of str to float
+            For all contact zones, or by zone; other zones keep theirs. It replaces friction by stage or pressure.
+            Deviations of friction are added to it.
+
+        Raises
+        ------
+        ArgumentError
+            For unknown zones, values that are no coefficients of friction, and models without friction, whose contacts
+            have no tangential rows.
+        """
+        names = [zone.name for zone in self.scene.zones]
+        given = friction if hasattr(friction, "items") else dict.fromkeys(names, friction)
+        value = {name: number(f"friction: {name!r}", mu, least=0.0) for name, mu in given.items()}
+        for name, mu in value.items():
+            if name not in names:
+                raise ArgumentError("".join(unknown("friction", name, names, "contact zone")))
+            if mu > MOST:
+                raise ArgumentError(f"friction: {name!r} is {mu:g}; give a coefficient of friction of at most {MOST:g}")
+        if self.contacts.dimension == 1 or not names:
+            raise ArgumentError(
+                f"friction: the model of scene {self.scene.name!r} has no friction, and no tangential contact rows; "
+                "give a zone friction in the scene file, and reduce the scene again"
+            )
+        contacts = self.contacts
+        coefficient, pressure = contacts.friction.copy(), contacts.pressure.copy()
+        for name, mu in value.items():
+            own = contacts.zone == names.index(name)
+            coefficient[:, own], pressure[own] = mu, np.nan
+        if np.isnan(pressure).all():
+            pressure = pressure[:, :0]  # no friction depends on pressure
+        zones = [
+            zone.model_copy(update={"friction": value[zone.name], "friction_table": None, "friction_power": None})
+            if zone.name in value
+            else zone
+            for zone in self.scene.zones
+        ]
+        scene = self.scene.model_copy(update={"zones": zones})
+        found = replace(self, scene=scene, contacts=replace(contacts, friction=coefficient, pressure=pressure))
+        vars(found).update({name: getattr(self, name) for name in ("eliminations", "plans", "rest")})
+        return found
 
     def sensitivities(
         self,

@@ -17,6 +17,7 @@ from mic.errors import ImpossibleSample, SceneError
 from mic.model.sources import sources
 from mic.process.drive import Drive, DriveTerms, drive
 from mic.process.evaluation import Evaluation, LazyResolutions, ProcessHistory, Resolution
+from mic.process.frames import ResultNames
 from mic.process.free_motions import check_resting
 from mic.process.linear_maps import Linear
 from mic.process.plan import StagePlan, Step, plan_stages, row_compliance
@@ -266,7 +267,7 @@ class Process:
             readings, failed = resolutions.history.readings, resolutions.history.failed
         read = self.model.characteristics.values(readings) if readings.size else readings
         equilibrium = partial(self._equilibrium, self.stages[number], resolutions, amplitudes)
-        found = Evaluation(self.law, deviations, resolutions, read, readings, failed, equilibrium)
+        found = Evaluation(self.law, deviations, resolutions, read, readings, failed, equilibrium, self._names)
         if solutions is None and not found.built.all():
             self._fill_needed_forces(found, np.flatnonzero(~found.built))
         return found
@@ -421,7 +422,12 @@ class Process:
             readings=nan(model.rows["measurement"].shape[0] if self.stages[-1].plan.reads else 0),
             failed=np.ones(n, bool),
             equilibrium=lambda: (force, motion),
+            names=self._names,
         )
+
+    @cached_property
+    def _names(self) -> ResultNames:
+        return ResultNames.of(self.model, self.law)
 
     @cached_property
     def _unit_shapes(self) -> tuple[np.ndarray, dict[str, slice]]:

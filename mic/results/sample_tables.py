@@ -10,11 +10,10 @@ import pandas as pd
 from mic.contact.laws import LAWS
 from mic.contact.states import OPEN, SLIP, STATES, STICK
 from mic.process.evaluation import Evaluation, Resolution
+from mic.process.frames import contact_columns
 from mic.results.schema import CONTACTS, DEVIATIONS, LIMITS, MEASUREMENTS, PROFILES, RESOLUTIONS, SAMPLES, SLIPS
 
 __all__ = ["tables", "zone_motion"]
-
-AXES = ("n", "t1", "t2")
 
 
 def tables(model, evaluation: Evaluation, first: int = 0) -> dict[str, pd.DataFrame]:
@@ -67,7 +66,7 @@ def tables(model, evaluation: Evaluation, first: int = 0) -> dict[str, pd.DataFr
         | {name: _joined([motion[name] for motion in motions], float) for name in SLIPS.names[3:]},
         MEASUREMENTS: _keys(number, measurement=(range(len(measured)), measured))
         | {"value": evaluation.measurements.T.ravel()},
-        CONTACTS: _contacts(model.contacts, resolutions, number, stages, zones, LAWS[evaluation.law].frictional),
+        CONTACTS: contact_columns(evaluation.names, resolutions, number, stages),
         PROFILES: _profiles(model, evaluation.readings, number),
         LIMITS: _limits(model, resolutions, number, stages),
     }
@@ -138,27 +137,6 @@ def zone_motion(resolution: Resolution, contacts, pairs: np.ndarray, frictional:
     if not frictional:
         under_load = {name: np.full(len(u_t), np.nan) for name in under_load}
     return {"rms_tangential": np.sqrt((u_t**2).sum(axis=2) @ weight)} | under_load
-
-
-def _contacts(contacts, resolutions, number, stages, zones, frictional):
-    """Columns of the dataset `contacts`."""
-    n, m, d = len(number), len(contacts), contacts.dimension
-    count = len(stages)
-    columns = {
-        "sample": np.tile(np.repeat(number, m), count),
-        "stage": _named(np.repeat(np.arange(count), n * m), stages),
-        "zone": _named(np.tile(contacts.zone, n * count), zones),
-        "contact": np.tile(np.arange(m, dtype=np.int32), n * count),
-    }
-    for symbol, quantity in (("f", "force"), ("u", "displacement")):
-        for j, axis in enumerate(AXES[:d]):
-            columns[f"{symbol}_{axis}"] = _joined([getattr(r, quantity)[:, :, j].ravel() for r in resolutions], float)
-    columns["state"] = _named(_joined([r.state.ravel() for r in resolutions], np.int8), list(STATES))
-    if d == 3:
-        for name, state in (("path_stick", STICK), ("path_slip", SLIP)):
-            share = _joined([r.trace.share[:, :, state].ravel() for r in resolutions], np.float32)
-            columns[name] = share if frictional else np.full_like(share, np.nan)
-    return columns
 
 
 def _keys(number, **keys) -> dict[str, Any]:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import re
 import unicodedata
+from collections.abc import Iterable
 from typing import Annotated, Any
 
 import numpy as np
@@ -41,6 +42,11 @@ __all__ = [
 
 class Table(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, str_strip_whitespace=True)
+
+    def __repr_args__(self) -> Iterable[tuple[str | None, Any]]:
+        """The keys that are not at their defaults."""
+        fields = type(self).model_fields
+        return ((name, value) for name, value in super().__repr_args__() if value != fields[str(name)].default)
 
 
 LONGEST_NAME = 255  # bytes of the name of a file

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Iterable, Iterator, Sequence
+
+from mic.system.arguments import did_you_mean
 
 __all__ = ["check_stages", "moves_assembly", "placing_stages", "unknown"]
 
@@ -193,6 +194,4 @@ def unknown(at: str, name: str, names: Iterable[str], what: str) -> list[str]:
     names = sorted(set(names))
     if name in names:
         return []
-    near = difflib.get_close_matches(name, names, 1)
-    hint = f"did you mean {near[0]!r}?" if near else f"known: {', '.join(names) or 'none'}"
-    return [f"{at}: there is no {what} called {name!r}; {hint}"]
+    return [f"{at}: there is no {what} called {name!r}; {did_you_mean(name, names)}"]

@@ -111,8 +111,8 @@ def compare(
     seed : int, optional
         Default: that of the scene of `a`.
     threads : int
-    progress : callable, optional
-        Called with the number of evaluations since the last call.
+    progress : callable or bool, optional
+        Called with the number of evaluations since the last call; or whether a bar is shown.
 
     Raises
     ------

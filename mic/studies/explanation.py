@@ -179,8 +179,8 @@ def explain(
     friction : float, optional
         Standard deviation of the zones' coefficients of friction, if they are unknown as well.
     seed, threads : int
-    progress : callable, optional
-        Called with the number of evaluations after each batch.
+    progress : callable or bool, optional
+        Called with the number of evaluations after each batch; or whether a bar is shown.
 
     Raises
     ------

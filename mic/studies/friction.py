@@ -47,8 +47,8 @@ def friction_effects(
         Contact law with friction; default: the first in the scene's report.
     samples, seed : int
     threads : int
-    progress : callable, optional
-        Called with the number of evaluations after each variant.
+    progress : callable or bool, optional
+        Called with the number of evaluations after each variant; or whether a bar is shown.
 
     Returns
     -------

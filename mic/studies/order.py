@@ -31,7 +31,7 @@ from mic.scene.load import read_toml
 from mic.scene.settings import FOLLOWING
 from mic.statistics.draw import draw
 from mic.statistics.paired_differences import mean_change, six_sigma_change, standard_error
-from mic.studies.samples import first_frictional
+from mic.studies.samples import Progress, first_frictional
 from mic.system.arguments import checked
 
 __all__ = [
@@ -268,6 +268,7 @@ def order(
     samples: int = SAMPLES,
     seed: int = 0,
     threads: int = 1,
+    progress: Progress = lambda count: None,
 ) -> pd.DataFrame:
     """Effect of the process order on the results: :func:`compare` of the orders of :func:`orders`.
 
@@ -279,6 +280,8 @@ def order(
     law : str, optional
         Contact law; default: the first of the scene's report.
     samples, seed, threads : int
+    progress : callable or bool, optional
+        Called with the number of evaluations of each order; or whether a bar is shown.
 
     Returns
     -------
@@ -294,7 +297,8 @@ def order(
     if len(others) < 2:
         raise SceneError(f"scene {model.scene.name!r}: its process has a single order; there is nothing to compare")
     law = law or model.scene.report.laws[0]
-    return compare(model, others, law, samples, seed, threads).assign(law=law)[ORDERS.names]
+    found = compare(model, others, law, samples, seed, threads, lambda name: progress(samples))
+    return found.assign(law=law)[ORDERS.names]
 
 
 def quantities(model, evaluation: Evaluation) -> pd.DataFrame:

@@ -194,6 +194,7 @@ def predict(
     error: float = 0.0,
     exact: bool = False,
     cache: Path | None = None,
+    progress: Progress = lambda count: None,
 ) -> pd.DataFrame:
     """Predict assemblies from their measured parts, with one :class:`Predictor`.
 
@@ -204,6 +205,8 @@ def predict(
         A row or mapping for each assembly: values of deviations by name, N or mm; NaN for unknown ones.
     law, adjust, shim, factor, error, exact, cache
         Parameters of :class:`Predictor`.
+    progress : callable or bool, optional
+        Called with the number of training evaluations since the last call; or whether a bar is shown.
 
     Returns
     -------
@@ -223,5 +226,5 @@ def predict(
         raise SceneError("parts: the list is empty; give a row for each assembly")
     named = [numbers_by_name("parts", row, unknown=True) for row in rows]
     known = [{name: value for name, value in row.items() if not np.isnan(value)} for row in named]
-    predictor = Predictor(model, law, adjust, shim, factor, error, exact, cache)
+    predictor = Predictor(model, law, adjust, shim, factor, error, exact, cache, progress)
     return pd.concat([predictor.predict(row).assign(row=i) for i, row in enumerate(known)], ignore_index=True)

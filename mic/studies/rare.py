@@ -180,8 +180,8 @@ def rare(
     samples, seed : int
         See :func:`subset_simulation`.
     threads : int
-    progress : callable, optional
-        Called with the number of evaluations after each batch.
+    progress : callable or bool, optional
+        Called with the number of evaluations after each batch; or whether a bar is shown.
 
     Raises
     ------

@@ -360,8 +360,8 @@ def remedies(
     capability : float
         Required Cpk.
     threads : int
-    progress : callable, optional
-        Called with the number of evaluated samples.
+    progress : callable or bool, optional
+        Called with the number of evaluated samples; or whether a bar is shown.
 
     Raises
     ------

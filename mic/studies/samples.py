@@ -26,8 +26,9 @@ __all__ = [
 
 BLOCK = 10  # samples between two calls of `progress`
 
-#: Called with the number of evaluations that were done since the call before.
-Progress = Callable[[int], None]
+#: Called with the number of evaluations that were done since the call before; public functions also take True or False
+#: (:func:`mic.system.arguments.checked`).
+Progress = Callable[[int], None] | Any
 
 
 def first_frictional(laws: Sequence[str]) -> str:

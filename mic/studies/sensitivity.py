@@ -120,8 +120,8 @@ def effects(
     samples : int
         Number of samples, besides the mean assembly, from which the range of the derivatives is taken.
     seed : int
-    progress : callable, optional
-        Called with the number of evaluated samples.
+    progress : callable or bool, optional
+        Called with the number of evaluated samples; or whether a bar is shown.
 
     Raises
     ------

@@ -7,19 +7,21 @@ checked by the function itself.
 
 from __future__ import annotations
 
+import difflib
 import functools
 import inspect
 import math
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from numbers import Integral, Real
 from typing import Any, NoReturn, ParamSpec, TypeVar
 
 import numpy as np
 
 from mic.errors import ArgumentError
+from mic.system.progress_bar import ProgressBar
 
-__all__ = ["LARGEST", "checked", "number", "numbers_by_name", "real_array"]
+__all__ = ["LARGEST", "checked", "did_you_mean", "number", "numbers_by_name", "real_array"]
 
 P = ParamSpec("P")
 T = TypeVar("T")
@@ -30,21 +32,36 @@ LARGEST = 1e15  # of a number, in any unit: no quantity of an assembly is larger
 def checked(function: Callable[P, T]) -> Callable[P, T]:
     """Decorator that checks the arguments of a public function by their names; None passes where it is the default.
 
+    A function that reports its evaluations to a callable `progress` takes True or False instead, which shows or hides a
+    bar; by default notebooks and interactive sessions show it after a second.
+
     The function raises :class:`mic.errors.ArgumentError` for an argument that it cannot use.
     """
     parameters = inspect.signature(function).parameters
     rules = {name: _RULES[name] for name in parameters if name in _RULES}
     assert rules, f"{function.__qualname__} has no argument with a rule"
+    reports = "progress" in parameters and callable(parameters["progress"].default)
 
     @functools.wraps(function)
     def call(*args: P.args, **kwargs: P.kwargs) -> T:
-        given = dict(zip(parameters, args)) | kwargs
+        given: dict[str, Any] = dict(zip(parameters, args)) | kwargs
         for name, value in given.items():
             if name in rules and not (value is None and parameters[name].default is None):
                 rules[name](name, value)
-        return function(*args, **kwargs)
+        progress = given.get("progress")
+        if not reports or callable(progress):
+            return function(*args, **kwargs)
+        with ProgressBar(progress) as bar:
+            return function(**given | {"progress": bar.advance})  # type: ignore[arg-type]
 
     return call
+
+
+def did_you_mean(name: str, known: Iterable[str]) -> str:
+    """The known name that is most similar in any case, as a question; or all known names."""
+    plain = {one.casefold(): one for one in known}
+    near = difflib.get_close_matches(str(name).casefold(), plain, 1)
+    return f"did you mean {plain[near[0]]!r}?" if near else f"known: {', '.join(plain.values()) or 'none'}"
 
 
 def number(name: str, value: Any, above: float = -math.inf, least: float = -math.inf) -> float:
@@ -115,6 +132,9 @@ def real_array(name: str, value: Any) -> np.ndarray:
     if array.dtype == object and all(isinstance(one, Real) and not isinstance(one, bool) for one in array.ravel()):
         array = array.astype(float)
     if array.dtype.kind not in "iuf":
+        wrong = [one for one in array.ravel().tolist() if isinstance(one, bool) or not isinstance(one, Real)]
+        if array.ndim and wrong:
+            _refuse(f"{name}: one value", wrong[0], "numbers")
         _refuse(name, value, "numbers")
     return array.astype(float, copy=False)
 
@@ -158,6 +178,11 @@ def _law(name: str, value: Any) -> None:
 def _flag(name: str, value: Any) -> None:
     if not isinstance(value, (bool, np.bool_)):
         _refuse(name, value, "True or False")
+
+
+def _progress(name: str, value: Any) -> None:
+    if not callable(value) and not hasattr(value, "sampling") and not isinstance(value, bool | None):
+        _refuse(name, value, "True or False, or a function of the number of new evaluations")
 
 
 def _path(name: str, value: Any) -> None:
@@ -219,6 +244,7 @@ _RULES: dict[str, Callable[[str, Any], Any]] = {
     "gauge": _gauge,
     "parts": _parts,
     "others": _orders,
+    "progress": _progress,
     **dict.fromkeys(("exact", "replace", "strict"), _flag),
     **dict.fromkeys(("path", "folder", "out", "cache", "ledger", "welds", "points"), _path),
     "files": _paths,

@@ -155,8 +155,8 @@ def optimise(
         Folder of meshes and influence coefficients, for items at other places; default :func:`mic.cache_folder`.
     say : callable, optional
         Called with one line of text before each part is solved for other places.
-    progress : callable, optional
-        Called with the number of assemblies that were evaluated.
+    progress : callable or bool, optional
+        Called with the number of assemblies that were evaluated; or whether a bar is shown.
     better : callable, optional
         Called with the changes and the objective, on the samples of the search, of each design that is the best so far.
 
