@@ -178,7 +178,10 @@ def test_a_placed_scene_survives_writing_and_reading(lap):
         (POINT | LIMITS | {"to": {"part": "upper", "point": [90, 12.5, 1]}}, "point has no second point, remove it"),
         (between("flush", part="uper"), "there is no part called 'uper'"),
         (between("distance", direction=[0, 0, 1]), "a distance is read along the line between its points"),
-        (between("flush") | {"to": {"part": "upper"}}, "give point = [x, y, z], or node or set or hole"),
+        (
+            between("flush") | {"to": {"part": "upper", "point": [0, 0, 1], "node": 1}},
+            "point and node both give its place",
+        ),
         (POINT | LIMITS | {"points": [[1, 2, 0], [3, 4, 0]]}, "points goes with kind parallelism or profile"),
         (LINE | {"kind": "profile", "spacing": 3.0}, "takes either points"),
         (LINE | {"kind": "profile", "point": [150, 4, 1]}, "read at many points: give points or spacing"),

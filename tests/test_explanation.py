@@ -176,28 +176,38 @@ def test_slopes_of_distributions_are_those_of_their_quantiles(model):
     [
         ("", "not a table"),
         ("measurement,value,gauge\n", "no row below the header"),
-        ("measurement,value,sigma\nM,1,1\n", "unknown column 'sigma'"),
+        ("measurement,value,sigma\nM,1,1\n", "M, column gauge: no standard deviation of the gauge; give mm"),
         ("measurement,gauge\nM,1\n", "column 'value' is missing; add it"),
-        ("measurement,value\nM,1\n", "column 'gauge' is missing; add it, or give --gauge"),
-        ("measurement,value,gauge\nM,1,0\n", "row 2, column gauge: '0' is not a number above 0"),
+        ("measurement,value\nM,1\n", "no standard deviation of the gauge; give mm, in the file or by --gauge"),
+        ("measurement,value,gauge\nM,1,0\n", "M, column gauge: 0, not a number above 0"),
         ("measurement,value,gauge\nM,a,1\n", "row 2, column value: 'a' is not a finite number"),
-        ("measurement,value,gauge\nM,1,1\nM,2,1\n", "row 3, column measurement: 'M' is given twice"),
+        ("measurement,value,gauge\nM,1,1\nM,2,1\n", "row 3: 'M' is given twice"),
         ("measurement,value,gauge\n,1,1\n", "row 2, column measurement: is empty"),
         ("measurement,value,value\nM,1,1\n", "column 'value' is given twice"),
     ],
 )
-def test_an_invalid_file_is_refused_in_one_sentence(text, said, tmp_path):
+def test_an_invalid_file_is_refused_in_one_sentence(model, text, said, tmp_path):
     path = tmp_path / "measured.csv"
     path.write_text(text)
     with pytest.raises(SceneError) as refused:
-        read_measured(path, None)
+        read_measured(path, None, model.scene)
     assert said in str(refused.value) and str(path) in str(refused.value)
 
 
-def test_decimal_commas_and_a_gauge_for_all_are_read(tmp_path):
+def test_decimal_commas_and_a_gauge_for_all_are_read(model, tmp_path):
     path = tmp_path / "measured.csv"
     path.write_text("measurement;value;gauge\nM;0,5;\nN;-1,25;0,1\n\n")
-    assert read_measured(path, 0.02) == ({"M": 0.5, "N": -1.25}, {"M": 0.02, "N": 0.1})
+    assert read_measured(path, 0.02, model.scene)[:2] == ({"M": 0.5, "N": -1.25}, {"M": 0.02, "N": 0.1})
+
+
+def test_one_of_several_assemblies_is_chosen_by_its_serial_number(model, tmp_path):
+    path = tmp_path / "measured.csv"
+    path.write_text("Feature,Nominal,Actual,Serial\nM,1,1.5,A\nM,1,1.7,B\n")
+    assert read_measured(path, 0.02, model.scene, "B")[0] == {"M": pytest.approx(0.7)}
+    with pytest.raises(SceneError, match="the file holds 2 assemblies; choose one by --piece: A, B"):
+        read_measured(path, 0.02, model.scene)
+    with pytest.raises(SceneError, match="the file holds no assembly 'C'; choose one by --piece: A, B"):
+        read_measured(path, 0.02, model.scene, "C")
 
 
 @pytest.mark.parametrize(
@@ -229,4 +239,4 @@ def test_the_command_writes_a_page_and_tables(model, tmp_path):
     (tmp_path / "measured.csv").write_text("measurement,value\nO,1\n")
     other = CliRunner().invoke(app, [*asked, "--out", str(tmp_path / "other")])
     said = str(other.exception)
-    assert "measured.csv" in said and "no key characteristic 'O'; it has: M, N; correct the name" in said
+    assert "measured.csv" in said and "no key characteristic 'O' in this scene; known: M, N; correct the name" in said

@@ -9,9 +9,9 @@ import pytest
 from support.springs import LIFT, MU, PULL, dragged
 
 import mic
-from mic.commands.predict import read_parts
 from mic.errors import SceneError
 from mic.scene import Scene
+from mic.scene.measured_report import read_measured_report
 from mic.studies.exploration import GROUPS
 
 
@@ -134,8 +134,8 @@ def test_a_saved_assembly_gives_the_same_numbers(model, exploration, tmp_path):
     scene = model.scene.model_dump(mode="json")
     saved = model.varied(Scene(**scene | {"deviations": [*scene["deviations"], *added], "folder": tmp_path}))
     (tmp_path / "sample.csv").write_text(exploration.sample_table(moved))
-    ((row, values),) = read_parts(tmp_path / "sample.csv", saved.parameters)
-    assert row == 2 and list(values) == saved.parameters  # a table of samples needs all of them
+    (values,) = read_measured_report(tmp_path / "sample.csv", saved.parameters, "deviation").values.values()
+    assert list(values) == saved.parameters  # a table of samples needs all of them
     told = exploration.answer(moved).table["value"]
     np.testing.assert_array_equal(saved.evaluate(values).measurements[0], told)
     alone = saved.evaluate({"P": moved["P"]})  # the rest stands in the scene

@@ -11,10 +11,11 @@ from support.springs import LIFT, MU, PULL, at_face, clamped, dragged
 from typer.testing import CliRunner
 
 import mic
-from mic.commands.predict import PredictionLog, read_parts
+from mic.commands.predict import PredictionLog
 from mic.errors import FormatError, SceneError
 from mic.options import app
 from mic.results.schema import PREDICTIONS
+from mic.scene.measured_report import read_measured_report
 from mic.studies.adjustment import Adjustment, adjustments, with_adjustments
 from mic.studies.emulator_training import FINE, train_emulator
 from mic.studies.prediction import Predictor
@@ -202,7 +203,7 @@ def test_a_table_of_parts_gives_a_table_of_predictions(model):
     ("text", "said"),
     [
         ("", "not a table"),
-        ("Q\n1\n", "row 1: unknown deviation 'Q'; the scene has: P, D"),
+        ("Q\n1\n", "there is no deviation 'Q' in this scene; known: P, D"),
         ("P,P\n1,1\n", "column 'P' is given twice"),
         ("P\na\n", "row 2, column P: 'a' is not a finite number"),
         ("P,D\n1,2\n1,inf\n", "row 3, column D: 'inf' is not a finite number"),
@@ -213,14 +214,15 @@ def test_an_invalid_file_is_refused_in_one_sentence(text, said, tmp_path):
     path = tmp_path / "parts.csv"
     path.write_text(text)
     with pytest.raises(SceneError) as refused:
-        list(read_parts(path, ["P", "D"]))
+        read_measured_report(path, ["P", "D"], "deviation")
     assert said in str(refused.value) and str(path) in str(refused.value)
 
 
 def test_empty_cells_are_not_known_and_empty_rows_are_passed_over(tmp_path):
     path = tmp_path / "parts.csv"
     path.write_text("P;D\n0,9;\n;\n1,1;2\n")
-    assert list(read_parts(path, ["P", "D"])) == [(2, {"P": 0.9}), (4, {"P": 1.1, "D": 2.0})]
+    report = read_measured_report(path, ["P", "D"], "deviation")
+    assert dict(zip(report.rows, report.values.values())) == {2: {"P": 0.9}, 4: {"P": 1.1, "D": 2.0}}
 
 
 def test_a_log_continues_after_a_killed_program(model, tmp_path):
@@ -283,5 +285,5 @@ def test_a_folder_is_watched_until_the_program_ends(model, tmp_path, monkeypatch
     asked = ["predict", str(tmp_path / "model.npz"), "--watch", str(folder), "--log", str(tmp_path / "log.csv")]
     done = CliRunner().invoke(app, asked, env={"COLUMNS": "200"})
     assert done.exit_code == 0 and "contains 2 assemblies" in done.output
-    assert done.output.count("unknown deviation 'Q'") == 1
+    assert done.output.count("there is no deviation 'Q'") == 1
     assert (tmp_path / "log.csv").read_text().count(",coulomb,,") == 2

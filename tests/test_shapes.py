@@ -12,7 +12,7 @@ from scipy.special import k1
 import mic
 from mic.errors import FormatError, Problems, SceneError
 from mic.geometry.deck import UNITS
-from mic.geometry.measured_points import Cloud, deviations, read_cloud, spread
+from mic.geometry.measured_points import Cloud, deviations, read_clouds, spread
 from mic.geometry.structured import extrude
 from mic.geometry.surface import Surface
 from mic.model.random_field import correlation, modes_of
@@ -401,16 +401,42 @@ def test_a_field_through_control_points_has_their_sigma_and_correlation(angle):
     np.testing.assert_allclose((Φ**2).sum(axis=1), σ**2)
 
 
+@pytest.mark.parametrize(
+    "text",
+    [
+        "serial,x,y,z,deviation\nA,1,2,3,0.1\nA,4,5,6,0.2\nB,1,2,3,0.3\nB,4,5,6,0.4\n",
+        "Point;Nominal X;Nominal Y;Nominal Z;A;B\nP1;1,0;2,0;3,0;0,1;0,3\nP2;4,0;5,0;6,0;0,2;0,4\n",
+        "id,X [inch],y,z,i,j,k,A,B\nP1,1/25.4,2,3,0,0,1,0.1,0.3\nP2,4/25.4,5,6,0,0,1,0.2,0.4\n",
+    ],
+)
+def test_one_file_may_hold_several_pieces(text, angle, tmp_path):
+    """With their serial numbers in rows, or a column for each."""
+    for x in (1, 4):
+        text = text.replace(f"{x}/25.4", repr(x / 25.4))
+    text = text.replace("X [inch],y,z", "X [inch],y [mm],z [mm]")
+    (tmp_path / "report.csv").write_text(text)
+    pieces = read_clouds(tmp_path / "report.csv", "mm", angle, None)
+    assert {piece: cloud.deviation.tolist() for piece, cloud in pieces.items()} == {"A": [0.1, 0.2], "B": [0.3, 0.4]}
+    for cloud in pieces.values():
+        np.testing.assert_allclose(cloud.points, [[1, 2, 3], [4, 5, 6]], atol=1e-12)
+
+
+def test_actual_positions_are_preferred_to_nominal_ones(angle, tmp_path):
+    (tmp_path / "report.csv").write_text("x,y,z,X actual,Y actual,Z actual,deviation\n1,2,3,1.1,2.1,3.1,0.17\n")
+    (cloud,) = read_clouds(tmp_path / "report.csv", "mm", angle, None).values()
+    assert cloud.points.tolist() == [[1.1, 2.1, 3.1]] and cloud.deviation is None
+
+
 BAD_FILES = {
     "no column": ("x,y,deviation\n1,2,3\n", r"row 1: column z is missing; give x, y, z"),
     "text": ("x,y,z\n1,2,three\n", r"row 2: z is 'three'; give a number"),
     "a hole": ("x,y,z\n1,2,3\n1,,3\n", r"row 3: y is ''; give a number"),
     "empty": ("", r"row 1: the header is missing"),
     "header only": ("x,y,z\n", r"no rows below the header"),
-    "infinite": ("x,y,z\n1,2,inf\n", r"point 1: z is inf; give finite"),
+    "infinite": ("x,y,z\n1,2,inf\n", r"row 2: z is 'inf'; give a number"),
     "nan": ("x,y,z,deviation\n1,2,3,nan\n", r"row 2: deviation is 'nan'"),
-    "twice": ("x,y,z,z\n1,2,3,4\n", r"row 1: the column 'z' appears twice"),
-    "ragged": ("x,y,z\n1,2,3\n1,2\n", r"row 3: there are 2 cells and 3 columns"),
+    "twice": ("x,y,z,z\n1,2,3,4\n", r"row 1: column 'z' is given twice"),
+    "ragged": ("x,y,z\n1,2,3\n1,2\n", r"row 3 has 2 cells separated by commas, and the header 3"),
     "nodes of none": ("node,deviation\n7,0.1\n", r"the mesh of the part has no node numbers; give x, y, z"),
     "another unit": ("x,y,z\n" + "\n".join(f"{x / 25.4},{x / 50},0" for x in range(900, 4000, 10)), "points lie more"),
     "few points": ("x,y,z,deviation\n0,0,0,0\n10,0,0,0\n", r"2 measured points do not determine a shape"),
@@ -430,12 +456,15 @@ def test_a_malformed_file_of_points_is_refused_with_the_remedy(case, angle, tmp_
 def test_nodes_are_found_by_their_numbers(angle, tmp_path):
     deck = SimpleNamespace(nodes=np.array([7, 9, 30]), node_points=np.array([0, 4, -1]))
     (tmp_path / "n.csv").write_text("node;deviation\n9;0.25\n7;-0.5\n")
-    cloud = read_cloud(tmp_path / "n.csv", "mm", angle, deck)
+    (cloud,) = read_clouds(tmp_path / "n.csv", "mm", angle, deck).values()
     np.testing.assert_array_equal(cloud.points, angle.points[[4, 0]])
     np.testing.assert_array_equal(cloud.deviation, [0.25, -0.5])
+    (tmp_path / "n.csv").write_text("node,S1,S2\n9,0.25,0.5\n7,-0.5,\n")
+    pieces = read_clouds(tmp_path / "n.csv", "mm", angle, deck)
+    assert {piece: cloud.deviation.tolist() for piece, cloud in pieces.items()} == {"S1": [0.25, -0.5], "S2": [0.5]}
     (tmp_path / "n.csv").write_text("node,deviation\n30,0.25\n")
     with pytest.raises(FormatError, match=r"row 2: the part has no node 30 on its surface; remove"):
-        read_cloud(tmp_path / "n.csv", "mm", angle, deck)
+        read_clouds(tmp_path / "n.csv", "mm", angle, deck)
 
 
 FIELD = {"kind": "field", "sigma": 1.0, "length": 90.0}

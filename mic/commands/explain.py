@@ -9,32 +9,29 @@ import numpy as np
 
 from mic.commands.invocation import first_rank_only, open_model
 from mic.errors import SceneError
+from mic.model.characteristics import aligned, single_readings
+from mic.process.description import alignments
 from mic.report.style import number, percent
 from mic.results.schema import EXPLANATION, FURTHER
-from mic.scene.tables import read_cells, read_number
+from mic.scene import Scene
+from mic.scene.measured_report import read_measured_report
 from mic.studies.explanation import explain as infer_sources
 from mic.system.cores import available_cores
 
 __all__ = ["explain", "read_measured"]
 
-COLUMNS = ("measurement", "value", "gauge")
+MAX_PIECES = 10  # serial numbers that a message lists
 MAX_SOURCES = 12  # sources that are printed
 
 
 @first_rank_only
-def explain(source, measured, gauge, friction, seed, law, out):
+def explain(source, measured, gauge, piece, align, friction, seed, law, out):
     """``mic explain``, with the values of its options (:mod:`mic.options`)."""
     from mic.report.explanation_page import sentences, write_explanation  # drawing libraries are slow to import
 
-    values, gauges = read_measured(measured, gauge)
     console, model, _, law, seed = open_model(source, law, seed)
-    unknown = [name for name in values if name not in {item.name for item in model.scene.measurements}]
-    if unknown:
-        names = ", ".join(item.name for item in model.scene.measurements) or "none"
-        raise SceneError(
-            f"{measured}: scene {model.scene.name!r} has no key characteristic {unknown[0]!r}; it has: {names}; "
-            "correct the name, or use the file of this scene"
-        )
+    values, gauges, said = read_measured(measured, gauge, model.scene, piece, align)
+    console.say_each(said)
     with console.progress_bar(f"evaluations under {law}", None) as advance:
         found = infer_sources(model, values, gauges, law, friction, seed, available_cores(), advance)
     folder = out or Path("results") / re.sub(r"[^\w.+-]+", "-", f"{model.scene.name}_{measured.stem}")
@@ -46,57 +43,51 @@ def explain(source, measured, gauge, friction, seed, law, out):
     console.say_files(page=page, table=folder / EXPLANATION.place)
 
 
-def read_measured(path: Path, gauge: float | None) -> tuple[dict[str, float], dict[str, float]]:
-    """Measured values and standard deviations of the gauges by key characteristic, mm, from a CSV file.
+def read_measured(
+    path: Path, gauge: float | None, scene: Scene, piece: str | None = None, align: bool = False
+) -> tuple[dict[str, float], dict[str, float], list[str]]:
+    """Measured values and standard deviations of the gauges by key characteristic, mm, and how they were read.
 
     Parameters
     ----------
     path : Path
-        Columns ``measurement``, ``value`` and, unless `gauge` is given, ``gauge``.
+        See :func:`mic.scene.measured_report.read_measured_report`.
     gauge : float or None
-        Standard deviation of the gauge for rows that give none, mm.
+        Standard deviation of the gauge for characteristics without one in the file, mm.
+    scene : Scene
+        Placed.
+    piece : str, optional
+        Serial number of the assembly, if the file holds several.
+    align : bool
+        Whether the values are as the machine read them, and have to be brought into the frames of the scene.
 
     Raises
     ------
     SceneError
-        If the file is invalid; the message names file, row and column.
+        If the file is invalid, or holds several assemblies; the message names file, row and column.
     """
-    cells, separator = read_cells(path)
-    columns = [str(name) for name in cells.columns]
-    for name in columns:
-        if name not in COLUMNS:
-            raise SceneError(f"{path}: row 1: unknown column {name!r}; columns are {', '.join(COLUMNS)}")
-    for name in COLUMNS[: 2 if gauge is not None else 3]:
-        if name not in columns:
-            remedy = "add it, or give --gauge" if name == "gauge" else "add it"
-            raise SceneError(f"{path}: row 1: column {name!r} is missing; {remedy}")
-    values: dict[str, float] = {}
-    gauges: dict[str, float] = {}
-    for line, row in enumerate(cells.to_dict("records"), 2):
-        texts = {str(key): str(cell).strip() for key, cell in row.items()}
-        if not any(texts.values()):
-            continue
-        name = texts["measurement"]
-        if not name or name in values:
-            what = f"{name!r} is given twice; delete one row" if name else "is empty; name the key characteristic"
-            raise SceneError(f"{path}: row {line}, column measurement: {what}")
-        values[name] = _number(path, line, "value", texts["value"], separator)
-        own = texts.get("gauge", "")
-        if own or gauge is None:
-            gauges[name] = _number(path, line, "gauge", own, separator)
-        else:
-            gauges[name] = gauge
-    if not values:
-        raise SceneError(f"{path}: no row below the header; add one for each measured key characteristic")
-    return values, gauges
-
-
-def _number(path: Path, row: int, column: str, cell: str, separator: str) -> float:
-    value = read_number(cell, separator)
-    if not np.isfinite(value) or (column == "gauge" and value <= 0):
-        kind = "number above 0" if column == "gauge" else "finite number"
-        raise SceneError(f"{path}: row {row}, column {column}: {cell!r} is not a {kind}; give mm")
-    return value
+    names = [item.name for item in scene.measurements]
+    readings = single_readings(scene)
+    points = [name for name in readings if name not in names] if align else []
+    directions = {name: tuple(reading.rigid[:3]) for name, reading in readings.items()}
+    directions |= {item.name: item.direction for item in scene.measurements if item.direction is not None}
+    report = read_measured_report(path, [*names, *points], "key characteristic", directions)
+    pieces = list(report.values)
+    if piece not in pieces and (piece is not None or len(pieces) > 1):
+        what = f"no assembly {piece!r}" if piece is not None else f"{len(pieces)} assemblies"
+        known = ", ".join(pieces[:MAX_PIECES]) + ", …" * (len(pieces) > MAX_PIECES)
+        raise SceneError(f"{path}: the file holds {what}; choose one by --piece: {known}")
+    values = report.values[piece or pieces[0]]
+    said = [*report.said, *alignments(scene)]
+    if align:
+        values = aligned(scene, values)
+        said.append(f"The values of {path.name} are aligned likewise.")
+    gauges = {name: report.gauge.get(name, gauge) for name in values}
+    for name, sigma in gauges.items():
+        if sigma is None or not 0 < sigma < np.inf:
+            given = "no standard deviation of the gauge" if sigma is None else f"{sigma:g}, not a number above 0"
+            raise SceneError(f"{path}: {name}, column gauge: {given}; give mm, in the file or by --gauge")
+    return values, {name: float(sigma) for name, sigma in gauges.items() if sigma is not None}, said
 
 
 def _print_sources(console, found):

@@ -4,19 +4,18 @@ from __future__ import annotations
 
 import csv
 import time
-from collections.abc import Iterator
 from pathlib import Path
 
-import numpy as np
 import pandas as pd
 from rich.progress import Progress, TextColumn
 
 from mic.commands.invocation import first_rank_only, open_model
 from mic.errors import FormatError, SceneError, Stopped
+from mic.process.description import alignments
 from mic.report.style import percent
 from mic.results.run_identity import identity
 from mic.results.schema import PREDICTIONS
-from mic.scene.tables import read_cells, read_number
+from mic.scene.measured_report import read_measured_report
 from mic.studies.emulator_training import tolerance
 from mic.studies.prediction import Predictor
 from mic.system.console import plain
@@ -24,8 +23,9 @@ from mic.system.disk_cache import cache_folder
 from mic.system.files import Format, append_text, reading, write_text
 from mic.system.regular_files import read_regular
 
-__all__ = ["PredictionLog", "predict", "read_parts"]
+__all__ = ["PredictionLog", "predict"]
 
+WATCHED = (".csv", ".txt", ".tsv", ".xlsx", ".dfq", ".dfx")  # files of measured parts
 PAUSE = 0.2  # s between two looks into a watched folder
 STYLES = {"accepted": "green", "rejected": "red", "open": "yellow", "refused": "red", "failed": "red"}
 
@@ -38,9 +38,10 @@ def predict(source, parts, watch, log, adjust, shim, force, error, exact, law):
     if watch is not None and not watch.is_dir():
         raise SceneError(f"--watch {watch}: there is no such folder; create it, or give another")
     console, model, _, law, _ = open_model(source, law)
+    console.say_each(alignments(model.scene))
     predictions = PredictionLog(log, identity(model, 0)[:12])
     if parts is not None:
-        list(read_parts(parts, model.parameters))  # reports errors before the training
+        read_measured_report(parts, model.parameters, "deviation")  # reports errors before the training
     try:
         predictor = _predictor(console, model, law, adjust or (), shim, force, error, exact)
     except ValueError as problem:
@@ -48,7 +49,7 @@ def predict(source, parts, watch, log, adjust, shim, force, error, exact, law):
     if parts is not None:
         _predict_file(console, predictor, predictions, parts)
         return
-    console.say(f"Watching {watch} for CSV files. Press Ctrl-C to stop.")
+    console.say(f"Watching {watch} for tables and Q-DAS files. Press Ctrl-C to stop.")
     try:
         _watch_folder(console, predictor, predictions, watch)
     except (KeyboardInterrupt, Stopped):
@@ -60,7 +61,7 @@ def _watch_folder(console, predictor: Predictor, predictions: PredictionLog, fol
     seen: dict[Path, tuple[int, int]] = {}
     done: dict[Path, tuple[int, int]] = {}
     while True:
-        for path in sorted(folder.glob("*.csv")):
+        for path in sorted(file for file in folder.iterdir() if file.suffix.lower() in WATCHED):
             version = _version(path)
             if seen.get(path) == version != done.get(path):  # unchanged since the last look: completely written
                 done[path] = version
@@ -103,7 +104,9 @@ def _version(path: Path) -> tuple[int, int]:
 
 def _predict_file(console, predictor: Predictor, predictions: PredictionLog, path: Path) -> None:
     """Predict the assemblies of a file that are not in the log."""
-    for row, values in read_parts(path, predictor.model.parameters):
+    report = read_measured_report(path, predictor.model.parameters, "deviation")
+    console.say_each(report.said)
+    for row, (piece, values) in zip(report.rows, report.values.items()):
         if (str(path), row) in predictions:
             continue
         start = time.perf_counter()
@@ -116,7 +119,7 @@ def _predict_file(console, predictor: Predictor, predictions: PredictionLog, pat
             for item in found.iloc[:-1].to_dict("records")
             if item["verdict"] != "accepted"
         ]
-        line = f"{path.name} row {row}: {assembly['verdict']}"
+        line = f"{path.name} {piece}: {assembly['verdict']}"
         line += f" ({', '.join(not_accepted)})" if not_accepted else ""
         line += f"; {assembly['said']}" if assembly["said"] else ""
         method = ", evaluated" if assembly["way"] == "evaluated" else ""
@@ -126,35 +129,6 @@ def _predict_file(console, predictor: Predictor, predictions: PredictionLog, pat
             highlight=False,
             soft_wrap=True,
         )
-
-
-def read_parts(path: Path, names: list[str]) -> Iterator[tuple[int, dict[str, float]]]:
-    """Row numbers of a CSV file of measured parts, each with its measured deviations by name.
-
-    Raises
-    ------
-    SceneError
-        If the file is invalid; the message names file, row and column.
-    """
-    cells, separator = read_cells(path)
-    unknown = [str(name) for name in cells.columns if name not in names]
-    if unknown:
-        raise SceneError(f"{path}: row 1: unknown deviation {unknown[0]!r}; the scene has: {', '.join(names)}")
-    for number, record in enumerate(cells.to_dict("records"), 2):
-        values = {}
-        for column, cell in record.items():
-            text = str(cell).strip()
-            if not text:
-                continue
-            value = read_number(text, separator)
-            if not np.isfinite(value):
-                raise SceneError(
-                    f"{path}: row {number}, column {column}: {text!r} is not a finite number; correct it, or leave the "
-                    "cell empty if the deviation was not measured"
-                )
-            values[str(column)] = value
-        if values:
-            yield number, values
 
 
 class PredictionLog:

@@ -12,7 +12,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import pandas as pd
 from scipy.spatial import cKDTree
 
 from mic.errors import FormatError
@@ -20,13 +19,19 @@ from mic.geometry.deck import UNITS, Deck
 from mic.geometry.readers import READERS, read_raw
 from mic.geometry.surface import Surface
 from mic.geometry.triangles import rotation
+from mic.scene.table_columns import Columns
+from mic.scene.table_file import TableFile, TableSettings, parse_table
 from mic.system.foreign_files import reading
 
-__all__ = ["FACING", "Cloud", "Deviations", "Fit", "deviations", "read_cloud", "sheet_normals", "spread"]
+__all__ = ["FACING", "Cloud", "Deviations", "Fit", "deviations", "read_clouds", "sheet_normals", "spread"]
 
-TEXT = (".csv", ".txt", ".xyz", ".asc")
+TEXT = (".csv", ".txt", ".xyz", ".asc", ".tsv", ".xlsx")
 AXES = ("x", "y", "z")
-SEPARATORS = (";", "\t", ",")  # between cells; otherwise blanks
+ACTUAL = ("actual_x", "actual_y", "actual_z")
+#: Columns of a table of points; those of normals and limits are not used.
+COLUMNS = Columns.of_file(
+    ("name", "node", *AXES, *ACTUAL, "deviation", "serial", "i", "j", "k", "nominal", "lower", "upper", "tolerance")
+)
 FITS = 50  # iterations of the best fit, each with new nearest points
 CONVERGED = 1e-9  # of the part's size: motion below which the best fit has converged
 EXCLUDED = 0.05  # largest share of excluded points
@@ -93,15 +98,17 @@ class Deviations:
     sure: np.ndarray
 
 
-def read_cloud(path: Path, unit: str, surface: Surface, deck: Deck | None, folder: Path | None = None) -> Cloud:
-    """Read the points of one measured piece.
+def read_clouds(
+    path: Path, unit: str, surface: Surface, deck: Deck | None, folder: Path | None = None
+) -> dict[str, Cloud]:
+    """Read the points of measured pieces.
 
     Parameters
     ----------
     path : Path
-        Text with a header of columns, or a mesh file, whose points are used.
+        A table, or a mesh file, whose points are used.
     unit : str
-        Unit of length in the file, one of `UNITS`.
+        Unit of length in the file, one of `UNITS`, for columns that name none.
     surface : Surface
         Nominal surface, for nodal deviations.
     deck : Deck or None
@@ -109,69 +116,63 @@ def read_cloud(path: Path, unit: str, surface: Surface, deck: Deck | None, folde
     folder : Path, optional
         Of the scene that names the file, see :func:`mic.system.foreign_files.reading`.
 
+    Returns
+    -------
+    dict of str to Cloud
+        By serial number; that of a file with one piece is empty.
+
     Raises
     ------
     FormatError
         Naming the file, and the line of an error.
     """
-    scale = UNITS[unit][0]
-    if path.suffix.lower() not in TEXT:
-        if path.suffix.lower() not in READERS:
-            raise FormatError(
-                f"{path}: measured points cannot be read from {path.suffix or 'files without a suffix'}; save "
-                f"them as {', '.join(TEXT)} with a header x, y, z, or as one of {', '.join(READERS)}"
-            )
-        points = scale * read_raw(path, folder=folder).points
-        if not len(points):
-            raise FormatError(f"{path}: the file has no points; export the measured points")
-        return Cloud(_finite(path, points, AXES), None)
-    with reading(path, "file of measured points", folder):
-        frame = _table(path)
-    columns = set(frame.columns)
-    if {"node", "deviation"} <= columns and not columns & {*AXES}:
-        return _nodal_deviations(path, frame, scale, surface, deck)
-    missing = [axis for axis in AXES if axis not in columns]
-    if missing:
+    if path.suffix.lower() in TEXT:
+        with reading(path, "file of measured points", folder):
+            return _clouds(parse_table(path, COLUMNS, TableSettings(unit=unit), AXES), surface, deck)
+    if path.suffix.lower() not in READERS:
         raise FormatError(
-            f"{path}: row 1: column {', '.join(missing)} is missing; give x, y, z, or x, y, z, deviation, or node, "
-            "deviation"
+            f"{path}: measured points cannot be read from {path.suffix or 'files without a suffix'}; save "
+            f"them as {', '.join(TEXT)} with a header x, y, z, or as one of {', '.join(READERS)}"
         )
-    points = _finite(path, scale * frame[list(AXES)].to_numpy(float), AXES)
-    return Cloud(points, _deviation(path, frame, scale) if "deviation" in columns else None)
+    points = UNITS[unit][0] * read_raw(path, folder=folder).points
+    if not len(points):
+        raise FormatError(f"{path}: the file has no points; export the measured points")
+    return {"": Cloud(_finite(path, points, AXES), None)}
 
 
-def _table(path: Path) -> pd.DataFrame:
-    """A text file as numbers by column; the index is the row number in the file."""
-    try:
-        text = path.read_text(encoding="utf-8-sig")
-    except UnicodeDecodeError as problem:
-        raise FormatError(f"the file is no text file ({problem}); export the measured points as CSV") from None
-    lines = text.splitlines()
-    if not lines or not lines[0].strip():
-        raise FormatError("row 1: the header is missing; name the columns x, y, z")
-    separator = max(SEPARATORS, key=lines[0].count)
-    split = lambda line: [cell.strip() for cell in (line.split(separator) if separator in lines[0] else line.split())]
-    columns = [column.lower().strip('"') for column in split(lines[0])]
-    twice = sorted({column for column in columns if columns.count(column) > 1})
-    if twice:
-        raise FormatError(f"row 1: the column {twice[0]!r} appears twice; rename or remove one")
-    rows = {number: split(line) for number, line in enumerate(lines[1:], 2) if line.strip()}
-    if not rows:
+def _clouds(table: TableFile, surface: Surface, deck: Deck | None) -> dict[str, Cloud]:
+    """The pieces of a table: one, or several by serial number, or one for each column of deviations."""
+    keys = table.key_of
+    axes = next((axes for axes in (ACTUAL, AXES) if all(axis in keys for axis in axes)), None)
+    if not table.rows:
         raise FormatError("there are no rows below the header; export the measured points")
-    for number, cells in rows.items():
-        if len(cells) != len(columns):
-            counts = f"{len(cells)} cells and {len(columns)} columns"
-            raise FormatError(f"row {number}: there are {counts}; give one cell for each")
-    found = pd.DataFrame.from_dict(rows, orient="index", columns=columns)
-    found = found[[column for column in columns if column in (*AXES, "deviation", "node")]]
-    if separator == ";":  # the comma may be a decimal separator
-        found = found.apply(lambda column: column.str.replace(",", "."))
-    numbers = found.apply(pd.to_numeric, errors="coerce")
-    wrong = np.argwhere(numbers.isna().to_numpy())
-    if len(wrong):
-        row, column = wrong[0]
-        cell = f"{found.columns[column]} is {found.iloc[row, column]!r}"
-        raise FormatError(f"row {found.index[row]}: {cell}; give a number in every row")
+    if axes is None and ("node" not in keys or any(axis in keys for axis in AXES)):
+        missing = ", ".join(axis for axis in AXES if axis not in keys)
+        usual = "give x, y, z, or x, y, z, deviation, or node, deviation"
+        raise FormatError(f"row {table.header_row}: column {missing} is missing; {usual}")
+    points = _nodes(table, surface, deck) if axes is None else np.column_stack([_numbers(table, axis) for axis in axes])
+    if axes == ACTUAL or "deviation" in keys or (axes == AXES and "name" not in keys):
+        value = _numbers(table, "deviation") if "deviation" in keys and axes != ACTUAL else None
+        serial = np.array(table.texts("serial") if "serial" in keys else [""] * len(points))
+        own = {str(piece): serial == piece for piece in dict.fromkeys(serial.tolist())}
+        return {piece: Cloud(points[rows], None if value is None else value[rows]) for piece, rows in own.items()}
+    columns = {
+        header: np.array(table.numbers(at)) for at, header in enumerate(table.header.headers) if at not in keys.values()
+    }
+    pieces = {header: (np.isfinite(column), column) for header, column in columns.items() if np.isfinite(column).any()}
+    if not pieces and axes is None:
+        raise FormatError(f"row {table.header_row}: column deviation is missing; add it, or a column for each piece")
+    scale = table.factor("deviation") if "deviation" in keys else UNITS[table.settings.unit or "mm"][0]
+    found = {header: Cloud(points[known], scale * column[known]) for header, (known, column) in pieces.items()}
+    return found or {"": Cloud(points, None)}
+
+
+def _numbers(table: TableFile, key: str) -> np.ndarray:
+    """(n,) numbers of a column, one in every row."""
+    numbers = np.array(table.numbers(key))
+    for i in np.flatnonzero(~np.isfinite(numbers))[:1]:
+        cell = f"{table.header.headers[table.key_of[key]]} is {table.texts(key)[i]!r}"
+        raise FormatError(f"row {table.rows[i][0]}: {cell}; give a number in every row")
     return numbers
 
 
@@ -184,23 +185,18 @@ def _finite(path: Path, values: np.ndarray, names: tuple[str, ...]) -> np.ndarra
     return values
 
 
-def _nodal_deviations(path: Path, frame: pd.DataFrame, scale: float, surface: Surface, deck: Deck | None) -> Cloud:
-    """Deviations at numbered nodes of the part's mesh."""
+def _nodes(table: TableFile, surface: Surface, deck: Deck | None) -> np.ndarray:
+    """(n, 3) points of numbered nodes of the part's mesh."""
     if deck is None or not len(deck.nodes):
-        raise FormatError(f"{path}: the mesh of the part has no node numbers; give x, y, z, deviation")
+        raise FormatError("the mesh of the part has no node numbers; give x, y, z, deviation")
     place = dict(zip(deck.nodes.tolist(), deck.node_points.tolist()))
     found = []
-    for row, node in zip(frame.index, frame["node"]):
+    for (row, _), node in zip(table.rows, _numbers(table, "node")):
         point = place.get(int(node), -1)
         if point < 0 or node != int(node):
-            raise FormatError(f"{path}: row {row}: the part has no node {node:g} on its surface; remove the row")
+            raise FormatError(f"row {row}: the part has no node {node:g} on its surface; remove the row")
         found.append(point)
-    return Cloud(surface.points[np.array(found)], _deviation(path, frame, scale))
-
-
-def _deviation(path: Path, frame: pd.DataFrame, scale: float) -> np.ndarray:
-    """The column of deviations, mm."""
-    return _finite(path, scale * frame[["deviation"]].to_numpy(float), ("deviation",))[:, 0]
+    return surface.points[np.array(found)]
 
 
 def sheet_normals(surface: Surface, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -10,27 +10,33 @@ A *reading* ``r = u(x) · d`` is the mean displacement u of a disc, or of a hole
 
 Under a rigid motion ``a + ω × x`` of the assembly a point reads ``N_i (a, ω)`` with ``N_i = [d, x × d]``. *Best fit*:
 before reading i, the assembly moves as a rigid body to the position with the least sum of squares of the fitted
-readings F. That subtracts ``N_i N_F⁺ r_F``; motions that the readings F do not see are not made.
+readings F. That subtracts ``N_i N_F⁺ r_F``; motions that the readings F do not see are not made. With weights w it
+subtracts ``N_i (√w N_F)⁺ √w r_F``. A *frame* is such an alignment for several characteristics; a 3-2-1 alignment is the
+one to six readings that see all motions, and makes these zero.
 
 Except for ``max``, ``min`` and ``|·|`` everything is linear and part of the rows (:mod:`mic.model.rows`).
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
+from scipy.linalg import null_space
 
 from mic.errors import SceneError
 from mic.model.rows import Rows
 from mic.scene import Measurement, Scene
-from mic.scene.checks import entry
+from mic.scene.checks import entry, free_motions
+from mic.scene.frame import Frame
 
-__all__ = ["Characteristics", "retain"]
+__all__ = ["Characteristics", "aligned", "retain", "single_readings"]
 
 Term = tuple[str, int, float]  #: part, functional of the part, coefficient
 NOTHING = 1e-9  # remaining coefficient below which a best fit has removed a reading
+DETERMINED = 1e-6  # relative to the largest singular value of N_F: a motion that six readings determine
 UNSEEN = 1e-9  # relative to the largest singular value of N_F: a motion that the fitted readings do not see
 
 
@@ -54,16 +60,57 @@ def retain(rows: Rows, problems) -> None:
         Collects each :class:`SceneError`: points off their part, characteristics that their best fit removes.
     """
     readings: dict[str, list[_Reading]] = {}
+    frames: dict[str, tuple[list[_Reading], Any]] = {}  # fitted readings, and roots of their weights or None
     for i, item in enumerate(rows.scene.measurements):
         with problems:
             readings[item.name] = _readings(rows, f"measurements[{i}]", item)
+    for i, frame in enumerate(rows.scene.frames):
+        with problems:
+            try:
+                frames[frame.name] = _fitted(rows, entry("frames", i, frame, "points"), frame, readings)
+            except KeyError:
+                continue  # the error of a point is already reported
     for i, item in enumerate(rows.scene.measurements):
+        own = rows.scene.frame_of(item)
         if any(name not in readings for name in (item.name, *(item.best_fit or ()))):
             continue  # its error is already reported
-        fitted = [reading for name in item.best_fit or () for reading in readings[name]]
+        if own is not None and own.name not in frames:
+            continue
+        fitted, weights = [reading for name in item.best_fit or () for reading in readings[name]], None
+        if own is not None:
+            fitted, weights = frames[own.name]
         with problems:
-            for label, terms in _fit(entry("measurements", i, item, "best_fit"), readings[item.name], fitted):
+            at = entry("measurements", i, item, "best_fit" if own is None else "frame")
+            for label, terms in _fit(at, readings[item.name], fitted, weights):
                 rows.add("measurement", label, *terms)
+
+
+def _fitted(rows: Rows, key: str, frame: Frame, readings: Mapping[str, list[_Reading]]):
+    """The readings that a frame fits, and their weights or None; raises KeyError for a point without readings."""
+    locators = {item.name: item for item in rows.scene.locators}
+    found: list[list[_Reading]] = []
+    for point in rows.scene.points_of(frame):
+        if isinstance(point, str) and point not in locators:
+            found.append(readings[point])
+            continue
+        item = locators[point] if isinstance(point, str) else point
+        patch = rows.item_patch(key, item.name, item)
+        found.append([_reading(rows, f"{frame.name} {item.name}", item.part, patch, np.array(item.direction))])
+    fitted = [reading for each in found for reading in each]
+    if not fitted:
+        raise SceneError(f"{key}: the scene has no measurement of kind point; name the points of the frame")
+    if frame.kind == "3-2-1":
+        N = _scaled(fitted, fitted)[0]
+        free = null_space(N, rcond=DETERMINED)
+        if free.shape[1] or len(fitted) != N.shape[1]:
+            raise SceneError(
+                f"{key}: its {len(fitted)} readings determine {N.shape[1] - free.shape[1]} of 6 rigid-body motions"
+                f"{free_motions(free)}; give three points across one plane, two across another, and one along the third"
+            )
+    weights = None
+    if frame.weights is not None:
+        weights = np.repeat(np.sqrt(frame.weights), [len(each) for each in found])
+    return fitted, weights
 
 
 def _readings(rows: Rows, key: str, item: Measurement) -> list[_Reading]:
@@ -89,19 +136,33 @@ def _reading(rows: Rows, label: str, part: str, patch: int, d: np.ndarray) -> _R
     return _Reading(label, ((part, functional, 1.0),), np.concatenate([d, np.cross(x, d)]), x)
 
 
-def _fit(key: str, measured: list[_Reading], fitted: list[_Reading]) -> list[tuple[str, tuple[Term, ...]]]:
-    """Rows of a measurement after a best fit of other readings: ``r_i − N_i N_F⁺ r_F``."""
-    if not fitted:
-        return [(reading.label, reading.terms) for reading in measured]
-    # About the centre of the fitted points, in units of their spread: then translations and rotations weigh alike.
+def _scaled(measured: list[_Reading], fitted: list[_Reading]) -> tuple[np.ndarray, np.ndarray]:
+    """N of both about the centre of the fitted points, in units of their spread: then all motions weigh alike."""
     points = np.array([reading.point for reading in fitted])
     centre = points.mean(axis=0)
     spread = np.sqrt(((points - centre) ** 2).sum(axis=1).mean()) or 1.0
     N, N_F = (np.array([reading.rigid for reading in readings]) for readings in (measured, fitted))
     for matrix in (N, N_F):
         matrix[:, 3:] = (matrix[:, 3:] - np.cross(centre, matrix[:, :3])) / spread
+    return N, N_F
+
+
+def _shares(measured: list[_Reading], fitted: list[_Reading], weights: np.ndarray | None) -> np.ndarray:
+    """(m, f) what the motion of a best fit takes from each reading for a unit of each fitted one."""
+    N, N_F = _scaled(measured, fitted)
+    if weights is None:
+        return N @ np.linalg.pinv(N_F, rcond=UNSEEN)
+    return N @ (np.linalg.pinv(weights[:, None] * N_F, rcond=UNSEEN) * weights)
+
+
+def _fit(
+    key: str, measured: list[_Reading], fitted: list[_Reading], weights: np.ndarray | None
+) -> list[tuple[str, tuple[Term, ...]]]:
+    """Rows of a measurement after a best fit of other readings, with roots of their weights: ``r_i − N_i N_F⁺ r_F``."""
+    if not fitted:
+        return [(reading.label, reading.terms) for reading in measured]
     rows, largest = [], 0.0
-    for reading, shares in zip(measured, N @ np.linalg.pinv(N_F, rcond=UNSEEN)):
+    for reading, shares in zip(measured, _shares(measured, fitted, weights)):
         terms: dict[tuple[str, int], float] = {(part, f): value for part, f, value in reading.terms}
         for other, share in zip(fitted, shares):
             for part, f, value in other.terms:
@@ -111,9 +172,65 @@ def _fit(key: str, measured: list[_Reading], fitted: list[_Reading]) -> list[tup
     if largest < NOTHING:
         raise SceneError(
             f"{key}: the best fit removes everything that this measurement reads, so it is always 0; fit on more "
-            "points, or on others"
+            'points, or on others, or give the measurement frame = "none"'
         )
     return rows
+
+
+def single_readings(scene: Scene) -> dict[str, _Reading]:
+    """The readings of measurements with one, of locators and of the points of frames, by name, in a placed scene."""
+    own = [point for frame in scene.frames for point in frame.points or () if not isinstance(point, str)]
+    items: list[Any] = [*own, *scene.locators, *scene.measurements]
+    found = {}
+    for item in items:
+        if getattr(item, "kind", "point") in Measurement.OVER:
+            continue
+        d, ends = np.array(item.direction), [np.array(item.point)]
+        if getattr(item, "to", None) is not None:
+            ends.append(np.array(item.to.point))
+        rigid = [np.concatenate([d, np.cross(x, d)]) for x in ends]
+        found[item.name] = _Reading(
+            item.name, (), rigid[0] if len(ends) == 1 else rigid[1] - rigid[0], np.mean(ends, axis=0)
+        )
+    return found
+
+
+def aligned(scene: Scene, measured: Mapping[str, float]) -> dict[str, float]:
+    """Measured values in the frames and best fits of their characteristics.
+
+    Parameters
+    ----------
+    scene : Scene
+        Placed.
+    measured : mapping of str to float
+        Deviations as the machine read them, mm: of key characteristics, and of the points of the frames.
+
+    Raises
+    ------
+    SceneError
+        If a point of a frame is not measured, or a characteristic is no single reading.
+    """
+    readings, found = single_readings(scene), {}
+    for item in scene.measurements:
+        if item.name not in measured:
+            continue
+        frame = scene.frame_of(item)
+        fitted = item.best_fit or []
+        if frame is not None:
+            fitted = [point if isinstance(point, str) else point.name for point in scene.points_of(frame)]
+        lacking = [name for name in fitted if name not in measured or name not in readings]
+        if lacking or (fitted and item.name not in readings):
+            raise SceneError(
+                f"{item.name}: it cannot be aligned, since {(lacking or [item.name])[0]!r} has no single measured "
+                "value; add it, or align the values before and leave out --align"
+            )
+        value = measured[item.name]
+        if fitted:
+            weights = None if frame is None or frame.weights is None else np.sqrt(frame.weights)
+            shares = _shares([readings[item.name]], [readings[name] for name in fitted], weights)[0]
+            value -= float(shares @ [measured[name] for name in fitted])
+        found[item.name] = value
+    return found
 
 
 @dataclass(frozen=True)

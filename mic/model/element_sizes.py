@@ -138,7 +138,8 @@ def _graded(scene: Scene, part: str, size: float) -> GradedSize:
     """The size, limited to the radius of each disc that the scene has on a part."""
     forces = [item for item in scene.deviations if isinstance(item, ForceDeviation)]
     seconds = [item.to for item in scene.measurements if item.to is not None]
-    tables = (scene.welds, scene.clamps, scene.locators, forces, scene.measurements, seconds)
+    aligned = [point for frame in scene.frames for point in frame.points or () if not isinstance(point, str)]
+    tables = (scene.welds, scene.clamps, scene.locators, forces, scene.measurements, seconds, aligned)
     discs = [(point, radius) for point, radius in _discs(part, *tables) if radius > 0]
     return GradedSize(size, [point for point, _ in discs], [radius for _, radius in discs])
 

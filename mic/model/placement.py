@@ -32,6 +32,7 @@ from mic.model.rows import REACH, on_part, xyz
 from mic.scene import Scene
 from mic.scene.checks import entry, find_errors
 from mic.scene.deviation import ClampDeviation, targets
+from mic.scene.frame import Frame
 from mic.scene.keys import NORMAL
 from mic.scene.measurement import Measurement
 
@@ -77,6 +78,7 @@ def place(
         table: [new for i, item in enumerate(getattr(scene, table)) for new in work.item(table, i, item)]
         for table in ("locators", "clamps", "welds", "deviations", "measurements", "fixtures")
     }
+    changes["frames"] = [work.frame(i, frame) for i, frame in enumerate(scene.frames)]
     changes = {table: items for table, items in changes.items() if items != getattr(scene, table)}
     if not changes:
         return scene, ()
@@ -140,6 +142,12 @@ class _Placing:
             return [item.model_copy(update=changes)]
         self.dropped.add((table, item.name))
         return []
+
+    def frame(self, i: int, frame: Frame) -> Frame:
+        """A frame with its own points placed."""
+        placed = lambda point: [point] if isinstance(point, str) else self.item("frames", i, point)
+        points = None if frame.points is None else [new for point in frame.points for new in placed(point)]
+        return frame.model_copy(update={"points": points})
 
     def _pad(self, key: str, fixture: Any) -> Any:
         """A pad that touches a part, with its own centre and normal."""
@@ -280,7 +288,10 @@ class _Placing:
         if item.kind in item.OVER:
             return self._many_points(key, item)
         assert item.to is not None  # the schema requires it for these kinds
-        (point, rim), (far, far_rim) = self._point(key, item), self._point(f"{key}.to", item.to)
+        point, rim = self._point(key, item)
+        far, far_rim = self._point(f"{key}.to", item.to)
+        if far is None:
+            far = self._nearest(f"{key}.to", item, point)
         along = item.direction
         if item.kind == "distance" or (item.kind == "gap" and along == NORMAL):
             line = np.subtract(far, point)
@@ -298,6 +309,16 @@ class _Placing:
             along = self._direction(key, item, point, rim)
         to = item.to.model_copy(update=_position(far, far_rim))
         return item.model_copy(update=_position(point, rim) | {"to": to, "direction": along})
+
+    def _nearest(self, key: str, item: Measurement, point: Vector) -> Vector:
+        """The point of the second part that is nearest to the first point, on its own part."""
+        assert item.to is not None  # the schema requires it for these kinds
+        start = on_part(f"{key.removesuffix('.to')}.point", item.part, self.surfaces[item.part], point).point[0]
+        foot = self.surfaces[item.to.part].project(start)
+        self.messages.append(
+            f"{key}: {xyz(foot.point[0])}, the nearest point of {item.to.part}, {foot.distance[0]:.3g} mm"
+        )
+        return _vector(foot.point[0])
 
     def _many_points(self, key: str, item: Measurement) -> Measurement:
         """A measurement over many points, with all of them."""

@@ -32,7 +32,7 @@ from scipy.spatial import cKDTree
 
 from mic.errors import FormatError, Problems, SceneError
 from mic.geometry.deck import Deck
-from mic.geometry.measured_points import FACING, Deviations, deviations, read_cloud, sheet_normals, spread
+from mic.geometry.measured_points import FACING, Deviations, deviations, read_clouds, sheet_normals, spread
 from mic.geometry.surface import Surface
 from mic.model.random_field import correlation, modes_of
 from mic.model.rows import on_part
@@ -111,7 +111,7 @@ def expand_modes(
             else:
                 thickness = next(part.thickness for part in scene.parts if part.name == item.part)
                 pieces = _pieces(at, item, scene.folder, surfaces[item.part], decks[item.part], thickness)
-                inputs |= {f"{item.name}: {file.name}": fingerprint(file.read_bytes()) for file in pieces}
+                inputs |= {f"{item.name}: {file.name}": fingerprint(file.read_bytes()) for file, _ in pieces}
                 modes, message = _measured(at, item, surfaces[item.part], pieces)
             expanded += modes
             messages.append(message)
@@ -159,35 +159,37 @@ def _field(at: str, item: FieldDeviation, surface: Surface) -> tuple[list[ShapeD
 
 def _pieces(
     at: str, item: MeasuredDeviation, folder: Path, surface: Surface, deck: Deck | None, thickness: float | None
-) -> dict[Path, Deviations]:
-    """The measured pieces by file."""
+) -> dict[tuple[Path, str], Deviations]:
+    """The measured pieces by file and serial number."""
     problems = Problems()
-    pieces: dict[Path, Deviations] = {}
-    same: dict[bytes, Path] = {}
+    pieces: dict[tuple[Path, str], Deviations] = {}
+    same: dict[bytes, str] = {}
     skin = 0.5 * item.skin * (thickness or 0.0)
     for file in _files(at, item.files, folder):
         with problems:
             try:
-                cloud = read_cloud(file, item.unit, surface, deck, folder)
-                pieces[file] = deviations(file, cloud, surface, skin, item.align, item.within, item.unit)
+                for serial, cloud in read_clouds(file, item.unit, surface, deck, folder).items():
+                    found = deviations(file, cloud, surface, skin, item.align, item.within, item.unit)
+                    pieces[file, serial] = found
             except FormatError as problem:
                 raise SceneError(f"{at}: files: {problem}") from problem
     more = len(problems.lines) - REPORTED
     if more > 0:  # a folder in another unit is one mistake
         problems.lines[REPORTED:] = [f"{at}: files: {more} more files have errors; correct these first"]
     problems.raise_all()
-    for file, piece in pieces.items():
-        first = same.setdefault(piece.points.tobytes() + piece.value.tobytes(), file)
-        if first is not file:
-            raise SceneError(f"{at}: files: {file.name} and {first.name} have the same content; remove one of them")
+    for (file, serial), piece in pieces.items():
+        name = f"{file.name} {serial}".rstrip()
+        first = same.setdefault(piece.points.tobytes() + piece.value.tobytes(), name)
+        if first is not name:
+            raise SceneError(f"{at}: files: {name} and {first} have the same content; remove one of them")
     return pieces
 
 
 def _measured(
-    at: str, item: MeasuredDeviation, surface: Surface, by_file: Mapping[Path, Deviations]
+    at: str, item: MeasuredDeviation, surface: Surface, by_piece: Mapping[tuple[Path, str], Deviations]
 ) -> tuple[list[ShapeDeviation], str]:
     """The mean shape of measured pieces and the modes about it, and a summary."""
-    pieces, n = list(by_file.values()), len(by_file)
+    pieces, n = list(by_piece.values()), len(by_piece)
     points, values, share_of_noise = _common_points(at, item, surface, pieces)
     noise = item.noise * share_of_noise
     Z, W, scatter = _without_noise(values, noise) if n > 1 and item.noise and not item.pieces else (values, None, 0.0)
@@ -210,8 +212,9 @@ def _measured(
     scores = np.sqrt(n - 1) * Wt[:count].T
     amount = np.ones(count) if W is None else np.linalg.norm((W - W.mean(axis=0)).T @ Wt[:count].T, axis=0)
     noise_of_mode = amount / np.sqrt(n - 1)
-    stems = [file.stem for file in by_file]
-    names = stems if len(set(stems)) == n else [file.name for file in by_file]
+    names = [serial or file.stem for file, serial in by_piece]
+    if len(set(names)) < n:
+        names = [f"{file.name} {serial}".rstrip() for file, serial in by_piece]
     modes = [ShapeDeviation(name=f"{item.name}.mean", **common, **mean_keys)] if item.mean else []
     for k in range(count if item.sigma else 0):
         keys: dict[str, Any] = {"sigma": item.sigma, "noise": _noise(noise * noise_of_mode[k])}

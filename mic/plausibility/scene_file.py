@@ -186,15 +186,20 @@ def measured_at_a_locator(scene) -> Iterator[Finding]:
     """Measurements of what a closed locator prescribes."""
     *_, (_, closed) = held_by_stage(scene)
     for item in scene.measurements:
-        for locator in scene.locators if item.kind == "point" and item.best_fit is None else ():
+        for locator in scene.locators if item.kind == "point" and not _aligned(scene, item) else ():
             if locator.name in closed and item.part == locator.part and _alike(item, locator):
                 yield about("measurements", item, f"reads where locator {locator.name} holds the part")
+
+
+def _aligned(scene, item):
+    """The best fit or the frame of a measurement; None without either."""
+    return item.best_fit or scene.frame_of(item)
 
 
 def measured_twice(scene) -> Iterator[Finding]:
     """Two measurements of one point and direction."""
     for a, b in itertools.combinations(scene.measurements, 2):
-        if a.kind != b.kind or a.best_fit != b.best_fit or a.part != b.part:
+        if a.kind != b.kind or _aligned(scene, a) != _aligned(scene, b) or a.part != b.part:
             continue
         along = a.kind == "profile" or abs(_cosine(a, b)) > 1 - 1e-6
         apart = _apart(a, b) if a.kind == "point" else 0.0 if a.places == b.places else np.inf
@@ -216,15 +221,6 @@ def welds_upon_each_other(scene) -> Iterator[Finding]:
             # A stack of three sheets is welded at one point, pair by pair.
             if set(a.parts) == set(b.parts) or apart > PINNED:
                 yield about("welds", b, f"is {apart:.3g} mm from weld {a.name}: the nuggets overlap")
-
-
-def welded_without_zone(scene) -> Iterator[Finding]:
-    """Welds between parts without a contact zone."""
-    joined = {frozenset(zone.parts) for zone in scene.zones}
-    for weld in scene.welds:
-        if frozenset(weld.parts) not in joined:
-            joined.add(frozenset(weld.parts))  # one warning for two parts
-            yield about("welds", weld, f"joins parts {' and '.join(weld.parts)} without a zone")
 
 
 def path_doubles_back(scene) -> Iterator[Finding]:

@@ -9,7 +9,7 @@ from mic.process.actions import Action, Close, Join, Open, Placement, PlaceParts
 from mic.process.plan import StagePlan, Step
 from mic.scene.stages import placing_stages
 
-__all__ = ["opening", "sentences"]
+__all__ = ["alignments", "opening", "sentences"]
 
 MAX_NAMES = 6  # longer lists are shortened to their first names and the last
 
@@ -91,6 +91,24 @@ def _clauses(scene, action: Action) -> Iterable[str]:
     elif isinstance(action, Read):
         count = len(scene.measurements)
         yield "1 key characteristic is measured" if count == 1 else f"{count} key characteristics are measured"
+        yield from (f"{sentence[0].lower()}{sentence[1:-1]}" for sentence in alignments(scene))
+
+
+def alignments(scene) -> Iterable[str]:
+    """A sentence for each frame and best fit: before which measurements it aligns the assembly, and to which points."""
+    aligned: dict[tuple, list[str]] = {}
+    for item in scene.measurements:
+        frame = scene.frame_of(item)
+        if frame is not None:
+            points = [point if isinstance(point, str) else point.name for point in scene.points_of(frame)]
+            key = (frame.kind.replace("-fit", " fit"), f"frame {frame.name}, ", *points)
+            aligned.setdefault((key, tuple(frame.weights or ())), []).append(item.name)
+        elif item.best_fit is not None:
+            aligned.setdefault((("best fit", "", *item.best_fit), ()), []).append(item.name)
+    for ((kind, name, *points), weights), names in aligned.items():
+        weighted = f", weights {_enumeration([f'{weight:g}' for weight in weights])}" if weights else ""
+        of = _enumeration(names) if len(names) < len(scene.measurements) else "all of them"
+        yield f"Before {of}, the assembly is aligned ({name}{kind} of {_enumeration(points)}{weighted})."
 
 
 def _closing(scene, action: Close) -> Iterable[str]:

@@ -11,6 +11,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from mic.process.description import alignments
 from mic.report.picture import MOST_PANELS, Picture, svg, wide
 from mic.report.style import RC, number, percent
 from mic.report.template import render
@@ -35,7 +36,7 @@ def write_explanation(path: str | PathLike[str], found: Explanation) -> Path:
     page = render(
         "explanation.html",
         found=found,
-        sentences=sentences(found),
+        sentences=[*sentences(found), *alignments(found.scene)],
         sources=found.table.to_dict("records"),
         further=found.further.to_dict("records"),
         pictures=explanation_pictures(found),

@@ -9,6 +9,7 @@ from typing import Any
 from plotly.offline import get_plotlyjs
 
 from mic.contact.solution import Status
+from mic.process.description import alignments
 from mic.report import driver_sentences
 from mic.report.background_pictures import BackgroundPictures
 from mic.report.context import Context, read_context, study_tables
@@ -70,6 +71,7 @@ def write_report(
         outcome=outcome,
         context=context,
         verdict=verdict(outcome),
+        alignments=list(alignments(outcome.model.scene)),
         drivers=_drivers(outcome),
         misses=_misses(outcome),
         remedies=_remedies(outcome),

@@ -19,9 +19,10 @@ from mic.scene.optimisation import check_optimisation
 from mic.scene.stages import CLOSING, check_stages, moves_assembly, placing_stages, unknown
 from mic.system.foreign_files import reason_to_refuse, scripts_allowed
 
-__all__ = ["entry", "find_errors"]
+__all__ = ["entry", "find_errors", "free_motions"]
 
-NAMED = (*CLOSING, "zones", "deviations", "measurements", "stages")  # tables of items with names
+AS_IT_STANDS = "none"  # `frame` of a measurement without one
+NAMED = (*CLOSING, "zones", "deviations", "measurements", "frames", "stages")  # tables of items with names
 
 
 def find_errors(scene, complete: bool = True) -> list[str]:
@@ -122,13 +123,37 @@ def check_parts(scene) -> Iterator[str]:
 
 
 def check_characteristics(scene) -> Iterator[str]:
-    """Measurements of a best fit exist; an accuracy of 6σ has something to vary and to measure."""
+    """Measurements of a best fit and frames exist; an accuracy of 6σ has something to vary and to measure."""
     if scene.monte_carlo.accuracy is not None and not (scene.measurements and scene.deviations):
         yield "monte_carlo.accuracy: it needs measurements and deviations; add them, or remove it"
     measured = {item.name for item in scene.measurements}
     for key, i, item in _items(scene, "measurements"):
         for name in getattr(item, "best_fit", None) or ():
             yield from unknown(entry(key, i, item, "best_fit"), name, measured, "measurement")
+        if getattr(item, "frame", None) is not None:
+            frames = {AS_IT_STANDS, *(frame.name for frame in scene.frames)}
+            yield from unknown(entry(key, i, item, "frame"), item.frame, frames, "frame")
+    yield from _frame_errors(scene, measured)
+
+
+def _frame_errors(scene, measured: set[str]) -> Iterator[str]:
+    """Points of frames exist, and at most one frame is for all measurements."""
+    bodies, located = {part.name for part in scene.parts}, {item.name for item in scene.locators}
+    for key, i, frame in _items(scene, "frames"):
+        at = entry(key, i, frame, "points")
+        for point in frame.points or ():
+            if not isinstance(point, str):
+                yield from unknown(at, point.part, bodies, "part")
+                if point.name in measured | located:
+                    yield f"{at}: a measurement or locator is called {point.name!r}, too; rename one of them"
+            elif point in measured and point in located:
+                yield f"{at}: {point!r} is a measurement and a locator; rename one of them"
+            else:
+                yield from unknown(at, point, measured | located, "measurement or locator")
+        if frame.name == AS_IT_STANDS:
+            yield f"{entry(key, i, frame, 'name')}: this name means no frame; give another"
+        if frame.all and any(other.all for other in scene.frames[:i]):
+            yield f"{entry(key, i, frame, 'all')}: another frame is for all measurements; leave all out of one of them"
 
 
 def check_targets(scene) -> Iterator[str]:
@@ -248,8 +273,8 @@ def check_held(scene) -> Iterator[str]:
         if held < 6:
             yield (
                 f"parts[{i}] ({part.name}): its {len(locators)} locators of the locate stage hold {held} of its 6 "
-                f"rigid-body motions{_named(free)}; add locators (at least a 3-2-1 scheme) until all six are held; "
-                "if it rests on another part, set rests = true and add a zone between the two"
+                f"rigid-body motions{free_motions(free)}; add locators (at least a 3-2-1 scheme) until all six are "
+                "held; if it rests on another part, set rests = true and add a zone between the two"
             )
 
 
@@ -258,7 +283,7 @@ def entry(key: str, i: int, item, field: str = "") -> str:
     return f"{key}[{i}]{field and '.' + field} ({item.name})"
 
 
-def _named(free: np.ndarray) -> str:
+def free_motions(free: np.ndarray) -> str:
     """The motions along and about the axes that are completely free, in a basis (6, f) of the free motions."""
     names = [f"{kind} {axis}" for kind in ("along", "about") for axis in "xyz"]
     axes = [name for name, share in zip(names, (free**2).sum(axis=1)) if share > 1 - 1e-9]

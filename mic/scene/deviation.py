@@ -285,9 +285,9 @@ class MeasuredDeviation(DeviationKeys):
     """the part that was measured"""
 
     files: FileName
-    """a file per piece, as a name or a pattern such as `measured/outer-*.csv`: CSV with columns x, y, z (points,
+    """a file per piece, as a name or a pattern such as `measured/outer-*.csv`: a table with columns x, y, z (points,
     mm), or x, y, z, deviation (nominal points, mm along the normals), or node, deviation; or a point cloud (PLY,
-    STL, VTK, …)"""
+    STL, VTK, …). A table may hold several pieces: with a column `serial`, or with a column of deviations for each"""
 
     unit: Literal["mm", "cm", "m", "um", "in", "ft"] = "mm"
     """unit of length of the files"""

@@ -27,7 +27,7 @@ __all__ = ["Measurement", "OtherPoint"]
 
 
 class OtherPoint(Table):
-    """The second point of a characteristic between two points."""
+    """The second point of a characteristic between two points; without a place: the nearest point of its part."""
 
     part: Name
     """the part that it is on"""
@@ -49,7 +49,8 @@ class OtherPoint(Table):
 
     @model_validator(mode="after")
     def _one_place(self):
-        return check_single_place(self)
+        nearest = self.point is None and self.node is None and self.set is None and self.hole is None
+        return self if nearest else check_single_place(self)
 
 
 class Measurement(OnPart):
@@ -77,10 +78,12 @@ class Measurement(OnPart):
     """of the probe, mm; 0: a single node"""
 
     to: OtherPoint | None = None
-    """`flush`, `gap`, `distance`: the second point, `{ part = NAME, point = [x, y, z] }`"""
+    """`flush`, `gap`, `distance`: the second point, `{ part = NAME, point = [x, y, z] }`; `{ part = NAME }`: the
+    point of that part nearest to the first"""
 
     points: Annotated[list[Vector], Field(min_length=2)] | None = None
-    """`parallelism`, `profile`: the points, mm, at most 5 mm from the part"""
+    """`parallelism`, `profile`: the points, mm, at most 5 mm from the part; `flush`, `gap`, `distance`: one
+    characteristic at each, `NAME-1`, `NAME-2` …"""
 
     spacing: Positive | None = None
     """or points all over the part, at most this far apart, mm"""
@@ -91,6 +94,10 @@ class Measurement(OnPart):
     best_fit: Annotated[list[Name], Field(min_length=1)] | None = None
     """measurements to which the assembly is first aligned as a rigid body by least squares; `parallelism` and
     `profile` may name themselves"""
+
+    frame: Name | None = None
+    """the frame in which it is measured (`[[frames]]`); `none`: as the assembly stands in the measure stage, even if a
+    frame is for all"""
 
     lower: FiniteFloat
     """lower tolerance limit, mm from nominal; omitted for `parallelism` and `profile`: 0"""
@@ -148,6 +155,8 @@ class Measurement(OnPart):
     def _ordered(self):
         if self.kind in self.OVER and self.lower != 0:
             raise ValueError(f"{self.kind} is never negative and its lower limit is 0: remove lower")
+        if self.frame is not None and self.best_fit is not None:
+            raise ValueError("frame and best_fit exclude each other: remove one of them")
         if self.lower >= self.upper:
             raise ValueError("lower must be smaller than upper")
         return self

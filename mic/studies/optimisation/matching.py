@@ -26,7 +26,7 @@ from scipy.optimize import linear_sum_assignment
 
 from mic.errors import SceneError
 from mic.scene import Scene
-from mic.scene.tables import read_cells, read_number
+from mic.scene.measured_report import read_measured_report
 from mic.statistics.estimates import Estimate
 from mic.statistics.paired_differences import mean_change
 from mic.studies.optimisation.design import Design
@@ -117,21 +117,14 @@ def read_kinds(scene: Scene) -> list[Kind]:
 
 
 def _read(name: str, path: Path, scene: Scene, names: list[str]) -> Kind:
-    cells, separator = read_cells(path, scene.folder)
-    unknown = [str(column) for column in cells.columns if column not in names]
-    if unknown:
-        raise SceneError(
-            f"{path}: row 1: there is no deviation {unknown[0]!r} in this scene; known: {', '.join(names)}"
-        )
-    columns = [names.index(str(column)) for column in cells.columns]
-    cells = cells.apply(lambda column: column.str.strip())
-    cells = cells[(cells != "").any(axis=1)]
-    values = np.array([[read_number(cell, separator) for cell in row] for row in cells.to_numpy().tolist()])
+    report = read_measured_report(path, names, "deviation", folder=scene.folder)
+    columns = [j for j, column in enumerate(names) if any(column in own for own in report.values.values())]
+    values = np.array([[own.get(names[j], np.nan) for j in columns] for own in report.values.values()])
     for (i, j), value in np.ndenumerate(values):
         item = scene.deviations[columns[j]]
-        at = f"{path}: row {cells.index[i] + 2}, column {item.name}"
-        if not np.isfinite(value):
-            raise SceneError(f"{at}: {cells.iat[i, j]!r} is not a finite number; correct it")
+        at = f"{path}: row {report.rows[i]}, column {item.name}"
+        if np.isnan(value):
+            raise SceneError(f"{at}: is empty; add the value, or remove the part")
         if abs(value - item.mean) > FARTHEST * item.sigma:
             raise SceneError(
                 f"{at}: {value:g} is more than {FARTHEST:g} standard deviations ({item.sigma:g}) off the mean, "
@@ -139,7 +132,7 @@ def _read(name: str, path: Path, scene: Scene, names: list[str]) -> Kind:
             )
     if len(values) < 2:
         raise SceneError(f"{path}: the file has fewer than two parts; add rows")
-    return Kind(name, columns, values, [row + 2 for row in cells.index])
+    return Kind(name, columns, values, report.rows)
 
 
 def assign_parts(kinds: Sequence[Kind], cost: Callable[[np.ndarray], np.ndarray]) -> Matched:
