@@ -11,6 +11,7 @@ from pathlib import Path
 
 import matplotlib.pyplot as plt
 import numpy as np
+import pandas as pd
 from scipy.io import mmwrite
 from scipy.sparse import coo_matrix
 
@@ -19,7 +20,6 @@ from mic import examples
 from mic.geometry.readers.vtu import write_vtu
 from mic.geometry.structured import extrude
 from mic.report import pictures
-from mic.statistics.draw import draw
 
 YOUNG, THICKNESS, SPACING = 210e3, 1.0, 5.0  # MPa, mm, mm
 
@@ -64,24 +64,48 @@ for name, start, height in (("lower", 0.0, 0.0), ("upper", 60.0, THICKNESS)):
 scene = mic.load_scene(folder)
 
 # %%
-# From here on, everything is as with finite elements. A saved model evaluates on any machine.
+# From here on, everything is as with finite elements. A saved model evaluates on any machine. At the end of a cell, a
+# model shows itself.
 mic.reduce(scene).save(folder / "model.npz")
 model = mic.ReducedModel.load(folder / "model.npz")
-print(model.evaluate({"F1": -7.0, "D1": 0.08}).measurements[0].round(3))
+model
 
 # %%
-# 200 assemblies with Coulomb friction and without friction: mean and 6σ of the displacement of the end of the upper
-# strip, and the change of each assembly by friction.
-deviations = draw(scene, seed=1, first=0, count=200)
-displacement = {law: model.evaluate(deviations, law).measurements[:, 0] for law in ("coulomb", "frictionless")}
-for law, values in displacement.items():
-    print(f"{law}: mean {values.mean():.3f} mm, 6σ {6 * values.std(ddof=1):.3f} mm")
-figure, axis = plt.subplots(figsize=(7, 3.2), layout="constrained")
-axis.scatter(deviations[:, 0], 1e3 * (displacement["coulomb"] - displacement["frictionless"]), s=12)
-axis.set(xlabel="F1 (N)", ylabel="M1 with friction − without (µm)")
+# Names stand for deviations, and missing ones take their means. Results are arrays, and tables on request.
+print(model.evaluate({"F1": [-7.0, -5.0], "D1": 0.08}).to_frame().round(3).to_string())
+
+# %%
+# Samples are a DataFrame with a column for each deviation. It may come from anywhere: columns are found by name.
+samples = model.sample(100)
+print(samples.head(3).round(3).to_string(), samples.attrs["units"])
+
+# %%
+# A friction sweep: the same 100 assemblies with other coefficients.
+sweep = {mu: model.evaluate(samples, "coulomb", friction=mu) for mu in (0.0, 0.1, 0.2, 0.3, 0.4, 0.5)}
+measured = pd.concat({mu: found.to_frame("measurements") for mu, found in sweep.items()}, names=["friction"])
+summary = measured.groupby("friction").agg(["mean", lambda column: 6 * column.std()])
+summary.columns = [f"{kind} of {name}, mm" for name in measured for kind in ("mean", "6σ")]
+print(summary.round(4).to_string())
+
+# %%
+# State of the contact pairs that press on each other while the clamps are closed: stick or slip.
+contacts = pd.concat({mu: found.to_frame("contacts") for mu, found in sweep.items()}, names=["friction"]).reset_index(0)
+pressing = contacts[(contacts["stage"] == "clamp") & (contacts["state"] != "open")]
+slipping = (pressing["state"] == "slip").groupby(pressing["friction"]).mean()
+
+figure, (left, right) = plt.subplots(1, 2, figsize=(9, 3.2), layout="constrained")
+for name in measured:
+    change = measured[name].unstack("friction")
+    change = 1e3 * change.sub(change[0.0], axis=0)
+    left.errorbar(change.columns, change.mean(), change.std(), marker="o", capsize=3, label=name)
+left.set(xlabel="coefficient of friction", ylabel="change by friction (µm), mean ± σ")
+left.legend()
+right.plot(100 * slipping, "o-")
+right.set(xlabel="coefficient of friction", ylabel="pressing pairs that slip (%)", ylim=(0, 105))
 plt.show()
 
 # %%
-# Which deviation causes the scatter.
-(shares,) = pictures(mic.contributors(model, "coulomb", samples=32, seed=1))
+# Which deviation causes the scatter. A bar shows the progress of longer computations in a notebook; `progress=False`
+# turns it off.
+(shares,) = pictures(mic.contributors(model, "coulomb", samples=32, seed=1, progress=False))
 shares
