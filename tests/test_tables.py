@@ -118,6 +118,38 @@ TABLES_OF_PEOPLE = {
         Measurement,
         POINT,
     ),
+    "quoted German export": (
+        '"Spot Name";"X (mm)";"Y (mm)";"Z (mm)";"Normal X";"Connected Parts"\n'
+        '"W1";"1250,50";"-30,25";"0,50";"0,00";"Rail,Plate"\n',
+        Weld,
+        WELD,
+    ),
+    "labels and layers": (
+        "$ exported\nWeld_Point_Label X Y Z LAYER1 LAYER2 LAYER3\nW1 1250.5 -30.25 0.5 1 PLATE cap.stl\n",
+        Weld,
+        WELD | {"parts": ["rail", "plate", "cap"]},
+    ),
+    "tolerance zone and unit vector": (
+        "Pt #,Part,X Nom,Y Nom,Z Nom,I Nom,J Nom,K Nom,Surface Profile\nM1,1,1250.5,-30.25,0.5,0,0,1,1.0\n",
+        Measurement,
+        POINT | {"lower": -0.5, "direction": [0.0, 0.0, 1.0]},
+    ),
+    "unit in a column": (
+        "Point;Part;X;Y;Z;LSL;USL;Unit\nM1;rail;10.5;-2.0;0.125;-1;1;inch\n",
+        Measurement,
+        {"name": "M1", "part": "rail", "point": INCH, "lower": -25.4, "upper": 25.4},
+    ),
+    "metres": (
+        "id,X [m],Y [m],Z [m],part a,part b\nW1,1.2505,-0.03025,0.0005,rail,plate\n",
+        Weld,
+        WELD,
+    ),
+    "markdown": (
+        "| id | x | y | z | part 1 | part 2 |\n|----|---|---|---|--------|--------|\n"
+        "| W1 | 1250.5 | -30.25 | 0.5 | rail | plate |\n",
+        Weld,
+        WELD,
+    ),
     "header of two rows": (
         "Measurement plan;;;;;;;;;\n;;Nominal;;;Actual;;;Tolerance;\nPos;Part;X;Y;Z;X;Y;Z;+;-\n"
         "M1;Rail;1250.5;-30.25;0.5;;;;0.5;-0.3\nTotal: 1;;;;;;;;;\n",
@@ -143,6 +175,10 @@ def test_tables_as_people_have_them_are_read_unchanged(case, tmp_path):
     rows, said = rows_of(tmp_path, content, kind)
     assert rows[0] == first
     assert said.startswith("I read your columns so: ")
+
+
+#: Cases whose numbers in a workbook went through another unit and back.
+ROUNDED = ("locators in inches", "row of units", "clamps", "units in cells", "unit in a column", "metres")
 
 
 @pytest.mark.parametrize("case", TABLES_OF_PEOPLE)

@@ -354,6 +354,25 @@ def test_tables_call_renamed_parts_by_the_names_of_their_decks(tmp_path):
         write_scene(laid(tmp_path), tmp_path / "other", {None: 1.0}, renamed={"a": "b"})
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "text, said",
+    [
+        ("Weld;X;Y;Z\nS1;65,000;15,000;1,000\n", 'decimal = ","'),
+        ("All dimensions in inch\nWeld;X;Y;Z\nS1;2.5591;0.5906;0.0394\n", 'unit = "in"'),
+    ],
+)
+def test_the_reading_that_puts_the_welds_onto_the_parts_is_taken(text, said, tmp_path):
+    (tmp_path / "w.csv").write_text(text)
+    folder, proposal = propose(FLAT, tmp_path, tmp_path / "w.csv")
+    (weld,) = load_scene(folder).welds
+    assert weld.point == pytest.approx((65, 15, 1), abs=0.01)
+    assert f"{said}, as all points then lie on parts" in proposal.sentences[0]
+    (tmp_path / "w.csv").write_text(text + text.splitlines()[-1].replace("S1;", "S2;-9") + "\n")  # far from the parts
+    with pytest.raises(mic.SceneError, match="say which by --table"):
+        write_scene(laid(tmp_path), tmp_path / "other", {None: 1.0}, tmp_path / "w.csv")
+
+
 def test_a_weld_of_three_sheets_is_two(tmp_path):
     (tmp_path / "w.csv").write_text("name,x,y,z\nW,40,25,1\n")
     folder, _ = propose({f"s{i}": grid(80, 50, 10, z=i) for i in range(3)}, tmp_path, tmp_path / "w.csv")

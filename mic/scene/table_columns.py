@@ -25,8 +25,13 @@ SHORTEST = 5  # letters of a header that may be misspelt
 
 @cache
 def data() -> dict[str, Any]:
-    """The content of ``columns.toml``."""
-    return tomllib.loads(Path(__file__).with_name("columns.toml").read_text(encoding="utf-8"))
+    """The content of ``columns.toml``, with the headers of names composed."""
+    content = tomllib.loads(Path(__file__).with_name("columns.toml").read_text(encoding="utf-8"))
+    named = content["named"]
+    content["columns"]["name"] += [
+        f"{thing} {label}".strip() for label in (*named["labels"], "") for thing in named["things"]
+    ]
+    return content
 
 
 def squash(text: str) -> str:

@@ -38,6 +38,7 @@ TITLED_UNIT = re.compile(r"\b(?:units?|einheit(?:en)?|dimensions?)\b(?:\W+(?:are
 SPELT = re.compile(r"\b(?:inch(?:es)?|zoll|met(?:er|re)s?)\b", re.IGNORECASE)
 WITH_UNIT = re.compile(r"(.*\d[.,]?)\s*([^\d\s.,]+)")
 LOCAL = (";", "")  # separators of programs that write numbers as their country does; none in a workbook
+RULE = re.compile(r"[-=_:+]{3,}")  # between the header and the rows
 CONTROL = re.compile(r"[\x00-\x08\x0e-\x1f\x7f-\x9f]")
 SPACE = re.compile(r"[\s\ufeff]")
 LINE = "say which by a line in the scene"
@@ -50,17 +51,16 @@ class TableSettings(Table):
     """Keys of a table beside `file`, for files that can be read in more than one way."""
 
     columns: dict[str, str] | Annotated[list[str], Field(min_length=1)] | None = None
-    """headers by key, such as `{ x = "Nominal X" }`, where several may be meant; or all keys in their order, of a
-    file without headers"""
+    """headers by key, `{ x = "Nominal X" }`; or all keys in their order, of a file without headers"""
 
     unit: Literal["mm", "cm", "m", "um", "in", "ft"] | None = None
-    """unit of the lengths whose header names none; default: mm"""
+    """of lengths whose header names none; default: mm"""
 
     decimal: Literal[".", ","] | None = None
-    """decimal mark, where the numbers do not show it"""
+    """decimal mark, if the numbers do not show it"""
 
     sheet: str | None = None
-    """sheet of an Excel workbook, where several hold a table"""
+    """of a workbook with several tables"""
 
 
 @dataclass(frozen=True)
@@ -394,7 +394,7 @@ def _arranged(
     rows: Rows, columns: Columns, settings: TableSettings, default: Sequence[str], separator: str
 ) -> _Arranged:
     """Rows with the header: the row with most known columns, else the first, unless that holds numbers alone."""
-    filled = [(number, cells) for number, cells in rows if any(cells)]
+    filled = [(number, cells) for number, cells in rows if any(cells) and not RULE.fullmatch("".join(cells))]
     data = [(number, cells) for number, cells in filled if not _is_comment(cells)]
     if not data:
         raise SceneError("not a table: row 1: the header is missing; give a header and a row for each item")
@@ -490,7 +490,8 @@ def _refuse_ambiguous(number: int, header: Header, rows: Rows) -> None:
 
 def _refuse_titled_unit(above: Rows, header: Header) -> None:
     """Refuse lengths without a unit below a title or comment that names one other than mm."""
-    heads = [header.headers[header.key_of[key]] for key in header.unitless if quantity_of(key) == "length"]
+    lengths = [key for key in header.key_of if key in header.unitless and quantity_of(key) == "length"]
+    heads = [header.headers[header.key_of[key]] for key in lengths]
     for number, cells in above if heads else ():
         text = " ".join(cells)
         units = [unit for word in re.findall(r"[^\W\d_]+", text) if (unit := unit_of(word, "length"))]

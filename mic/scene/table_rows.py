@@ -12,12 +12,13 @@ from pydantic import BaseModel
 
 from mic.errors import SceneError
 from mic.scene.part_names import PartNames
-from mic.scene.table_columns import Columns, data, squash
+from mic.scene.table_columns import Columns, data, squash, unit_of
 from mic.scene.table_file import LINE, TableFile, TableSettings, open_table
 
 __all__ = ["AXES", "WrongRows", "read_rows"]
 
 AXES = ("x", "y", "z")
+UNITS = ("mm", "cm", "m", "um", "in", "ft")
 FLAGS = {"true": True, "yes": True, "ja": True, "false": False, "no": False, "nein": False}
 AXIS = re.compile(r"([+-]?)([xyz])", re.IGNORECASE)
 SYMMETRIC = re.compile(r"(?:±|\+\s*/\s*-)\s*([\d.,]+)")
@@ -80,7 +81,7 @@ def read_rows(
         If the file is not a table, has no rows, or may be read in several ways.
     """
     fields = kind.model_fields
-    keys = [*AXES, *(name for name in fields if name != "point")]
+    keys = [*AXES, "unit", *(name for name in fields if name != "point")]
     keys += [name for key, names in COMPOSED.items() if key in fields for name in names]
     columns = Columns.of_file(keys)
     if "parts" in fields and "part" not in fields:
@@ -90,9 +91,20 @@ def read_rows(
     table = open_table(path, columns, folder, settings)
     try:
         table.columns.refuse_misspelt(table.header)
-        return _rows(table, kind, parts or PartNames({})), table.said
+        return _rows(_in_unit(table), kind, parts or PartNames({})), table.said
     except SceneError as problem:
         raise SceneError(f"{path}: {problem}") from None
+
+
+def _in_unit(table: TableFile) -> TableFile:
+    """The table with the unit that a column of units states; raises SceneError if it states several."""
+    if "unit" not in table.key_of or table.settings.unit is not None:
+        return table
+    found = {unit[1]: text for text in table.texts("unit") if (unit := unit_of(text, "length"))}
+    name = next((name for name in UNITS if unit_of(name, "length") == ("length", *found)), None)
+    if len(found) > 1 or (found and name is None):
+        raise SceneError(f"the rows are in {' and '.join(found.values())}: convert them to one unit, mm or in")
+    return replace(table, settings=table.settings.model_copy(update={"unit": name})) if found else table
 
 
 def _rows(table: TableFile, kind: type[BaseModel], parts: PartNames) -> list[tuple[int, dict[str, Any]]]:
@@ -176,7 +188,7 @@ def _members(text: str) -> list[str]:
 def _direction(table: TableFile, text: str) -> list[float] | str:
     """Three numbers, an axis, or the text."""
     if axis := AXIS.fullmatch(text):
-        return [(-1.0 if axis[1] == "-" else 1.0) * (axis[2].lower() == name) for name in AXES]
+        return [(-1.0 if axis[1] == "-" else 1.0) if axis[2].lower() == name else 0.0 for name in AXES]
     numbers = [table.number("direction", word) for word in _members(text)]
     return text.lower() if np.isnan(numbers).any() else numbers
 

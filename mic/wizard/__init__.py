@@ -31,6 +31,9 @@ from mic.wizard.scene_text import scene_text
 
 __all__ = ["Proposal", "write_scene"]
 
+#: Settings of a table that the places of its points may decide, and their values.
+READINGS = {"decimal": (",", "."), "unit": ("mm", "cm", "m", "in", "ft")}
+
 
 @checked
 def write_scene(
@@ -138,7 +141,7 @@ def _listed_welds(file: Path, bodies: list[Body], settings: TableSettings, said:
     welds: list[dict[str, Any]] = []
     problems = WrongRows(file)
     known = PartNames({body.name: body.other_names for body in bodies})
-    for number, row, point in _placed_rows(file, Weld, known, settings, said, problems):
+    for number, row, point in _placed_rows(file, Weld, bodies, settings, said, problems):
         given, own = row.get("parts", []), bodies
         if wrong := [known.unknown(name) for name in given if name not in known.names]:
             problems.add(number, "parts", wrong[0])
@@ -173,7 +176,7 @@ def _listed_points(file: Path, bodies: list[Body], settings: TableSettings, said
     measurements: list[dict[str, Any]] = []
     problems = WrongRows(file)
     known = PartNames({body.name: body.other_names for body in bodies})
-    rows = _placed_rows(file, Measurement, known, settings, said, problems)
+    rows = _placed_rows(file, Measurement, bodies, settings, said, problems)
     for count, (number, row, point) in enumerate(rows, 1):
         distance = {body.name: float(body.surface.project(point).distance[0]) for body in bodies}
         part = row.get("part", min(distance, key=distance.__getitem__))
@@ -206,20 +209,56 @@ def _table_settings(text: str | None) -> TableSettings:
 
 
 def _placed_rows(
-    file: Path, kind: type[BaseModel], parts: PartNames, settings: TableSettings, said: list[str], problems: WrongRows
+    file: Path, kind: type[BaseModel], bodies: list[Body], settings: TableSettings, said: list[str], problems: WrongRows
 ) -> list[tuple[int, dict[str, Any], list[float]]]:
     """The number in the file, cells and point of each row of a list; rows without a point are added to `problems`."""
+    parts = PartNames({body.name: body.other_names for body in bodies})
     try:
         rows, read = read_rows(file, kind, None, settings, parts)
-    except SceneError as problem:
-        raise SceneError(str(problem).replace(LINE, "say which by --table")) from None
+    except SceneError as question:
+        rows, read = _read_by_places(file, kind, bodies, settings, question)
     said += [f"{file.name}: {read}"] * bool(read)
     placed = []
     for number, row in rows:
-        point = row.get("point")
-        if point is None or len(point) != 3 or any(isinstance(x, str) or not np.isfinite(x) for x in point):
-            given = "nothing" if point is None else ", ".join(str(x) or "nothing" for x in point)
+        if (point := _point(row)) is None:
+            given = ", ".join(str(x) or "nothing" for x in row.get("point", [""]))
             problems.add(number, "", f"x, y and z must be numbers, mm; got {given}")
         else:
-            placed.append((number, row, [float(x) for x in point]))
+            placed.append((number, row, point))
     return placed
+
+
+def _point(row: dict[str, Any]) -> list[float] | None:
+    """The point of a row, None if it has none."""
+    point = row.get("point", ())
+    good = len(point) == 3 and not any(isinstance(x, str) or not np.isfinite(x) for x in point)
+    return [float(x) for x in point] if good else None
+
+
+def _read_by_places(
+    file: Path, kind: type[BaseModel], bodies: list[Body], settings: TableSettings, question: SceneError
+) -> tuple[list[tuple[int, dict[str, Any]]], str]:
+    """A list that may be read in two ways, in the only one that puts all its points onto the parts.
+
+    Raises
+    ------
+    SceneError
+        The question, if several ways do, or none.
+    """
+    parts, fitting = PartNames({body.name: body.other_names for body in bodies}), []
+    key = next((key for key in READINGS if f'{key} = "' in str(question)), "")
+    for value in READINGS.get(key, ()):
+        try:
+            rows, read = read_rows(file, kind, None, settings.model_copy(update={key: value}), parts)
+        except SceneError:
+            continue
+        points = [_point(row) for _, row in rows]
+        if None not in points:
+            near = [body.surface.project(np.array(points)).distance <= NEAR for body in bodies]
+            if (np.sum(near, axis=0) >= (2 if kind is Weld else 1)).all():
+                fitting.append(
+                    (rows, f'{read or "I read your table so"}; {key} = "{value}", as all points then lie on parts')
+                )
+    if len(fitting) != 1:
+        raise SceneError(str(question).replace(LINE, "say which by --table")) from None
+    return fitting[0]
