@@ -155,7 +155,7 @@ def test_a_scene_is_verified_and_cached(lap, cache, tmp_path, monkeypatch):
             assert row["corrected mean"] == pytest.approx(row["mean"], abs=1e-8)
     page = (tmp_path / "report.html").read_text()
     assert "{'" not in page, "a table shows its data structure instead of its text"
-    assert "<img" in page and "http" not in page.replace("http://www.w3.org", "")
+    assert "<img" in page and "://" not in page.replace("http://www.w3.org", "")
     written = json.loads((tmp_path / "summary.json").read_text())
     monkeypatch.setattr(FullModel, "evaluate", None)
     again = verify_scene(lap, tmp_path, cache, 3, False, Team(), lambda line: None, ())

@@ -21,9 +21,9 @@ import numpy as np
 import ufl
 from dolfinx import cpp, fem
 
-__all__ = ["form", "no_compiler"]
+__all__ = ["CELLS", "form", "no_compiler"]
 
-_CELLS = 1024  # at once; the kernel of a shell holds ten thousand arrays of so many numbers
+CELLS = 1024  #: evaluated at once; the kernel of a shell holds ten thousand arrays of so many numbers
 _known: dict[str, tuple] = {}  # kernels by signature of the form
 
 
@@ -108,7 +108,7 @@ class _Kernel:
         constants = cpp.fem.pack_constants(self.form)
         packed = list(cpp.fem.pack_coefficients(self.form).values())
         coefficients = packed[0] if packed else np.empty((self.cells, 0))
-        parts = [slice(first, first + _CELLS) for first in range(0, self.cells, _CELLS)]
+        parts = [slice(first, first + CELLS) for first in range(0, self.cells, CELLS)]
         return np.concatenate([self._batch(points[part], coefficients[part], constants) for part in parts])
 
     def _batch(self, points, coefficients, constants) -> np.ndarray:

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import sys
 from dataclasses import replace
-from importlib.metadata import version
 from importlib.util import find_spec
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -69,7 +68,11 @@ def outcome(model: ReducedModel, increments: int, deviations: np.ndarray) -> dic
 
 def platform() -> str:
     """What the last digits depend on: the finite elements, and whose products and factorisations they use."""
-    elements = version("fenics-dolfinx") if find_spec("dolfinx") else "none"
+    elements = "none"
+    if find_spec("dolfinx"):
+        from fem_reference.shell.versions import installed
+
+        elements = installed()
     blas = [library for library in threadpool_info() if library["user_api"] == "blas"]
     libraries = sorted({f"{one['internal_api']} {one['version']} {one.get('architecture')}" for one in blas})
     return f"dolfinx {elements}; numpy {np.__version__}; " + ", ".join(libraries)
