@@ -17,6 +17,7 @@ __all__ = [
     "FreeMotion",
     "ImpossibleSample",
     "MicError",
+    "MissingLibrary",
     "MissingProvider",
     "Problems",
     "RunError",
@@ -99,6 +100,10 @@ class StorageError(MicError):
 
 class MissingProvider(MicError, ImportError):
     """A finite-element computation is needed and no provider is installed."""
+
+
+class MissingLibrary(MicError, ImportError):
+    """An optional library is needed and not installed; the message gives the command that installs it."""
 
 
 class Stopped(BaseException):

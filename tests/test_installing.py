@@ -4,13 +4,17 @@ import os
 import re
 import shutil
 import subprocess
+import sys
 import tomllib
 from pathlib import Path
 
+import numpy as np
 import pytest
 from packaging.requirements import Requirement
 
 from fem_reference.shell.versions import supported
+from mic.contact import ContactSolver
+from mic.errors import MissingLibrary
 
 ROOT = Path(__file__).resolve().parents[1]
 TOOLS = ("awk", "bash", "cat", "cut", "dirname", "env", "grep", "id", "sed", "sha256sum", "uname")
@@ -90,3 +94,11 @@ def test_the_image_is_built_by_the_script_that_is_tested_on_its_debian():
     lines = (ROOT / "Dockerfile").read_text(encoding="utf-8").splitlines()
     steps = [line for line in lines if line.startswith(("FROM", "RUN"))]
     assert steps == ["FROM debian:trixie-slim", "RUN script/bootstrap && rm -rf /var/lib/apt/lists/*"]
+
+
+def test_a_solver_of_the_paper_that_is_not_installed_is_refused_with_the_command(monkeypatch):
+    monkeypatch.setitem(sys.modules, "cvxpy", None)
+    with pytest.raises(
+        MissingLibrary, match=r"ecos needs CVXPY, which is not installed: pip install 'mic-contact\[peers\]'"
+    ):
+        ContactSolver(np.eye(3), 0.3, "associated", backend="ecos")

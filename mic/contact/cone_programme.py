@@ -18,6 +18,7 @@ import numpy as np
 
 from mic.contact.friction import Friction
 from mic.contact.laws import Law
+from mic.errors import MissingLibrary
 
 __all__ = ["OPTIMISERS", "ConeProgramme"]
 
@@ -45,7 +46,7 @@ class ConeProgramme:
     ValueError
         For a law with De Saxcé's shift, which is no optimisation problem, and for cones with a quadratic-programme
         solver.
-    ImportError
+    MissingLibrary
         If CVXPY or the solver is missing.
     """
 
@@ -58,10 +59,11 @@ class ConeProgramme:
         try:
             import cvxpy
         except ImportError:
-            raise ImportError(f"backend {backend} needs CVXPY: pip install 'mic-contact[peers]'") from None
+            command = "pip install 'mic-contact[peers]'"
+            raise MissingLibrary(f"backend {backend} needs CVXPY, which is not installed: {command}") from None
         self._solver, self._settings = OPTIMISERS[backend]
         if self._solver not in cvxpy.installed_solvers():
-            raise ImportError(f"backend {backend} needs its solver: pip install {backend}")
+            raise MissingLibrary(f"backend {backend} needs its solver, which is not installed: pip install {backend}")
         self._error = cvxpy.error.SolverError
         self._stride = 1 if law.frictional else dimension
         S = S[:: self._stride, :: self._stride]
