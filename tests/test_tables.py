@@ -501,6 +501,13 @@ def test_equal_errors_of_rows_are_one_with_their_count(tmp_path):
     assert "row 11, column z" in other
 
 
+def test_an_unknown_part_is_one_error_whatever_its_name(tmp_path):
+    (tmp_path / "w.csv").write_text("id;x;y;z;part 1;part 2\nW;1;2;3;Rail (new);plate\n")
+    with pytest.raises(SceneError, match=r"no part called 'Rail \(new\)'; did you mean 'rail'") as told:
+        expand_tables(scene_table(tmp_path, welds=[{"file": "w.csv"}]), TABLES)
+    assert "\n" not in str(told.value)
+
+
 def test_equal_errors_of_items_are_one_with_their_count(tmp_path):
     weld = '[[welds]]\nname = "W{}"\npoint = [{}, 0, 0]\nparts = ["RAIL", "{}"]\n'
     welds = "".join(weld.format(i, i, "rial" if i < 8 else "pan") for i in range(9))

@@ -160,18 +160,21 @@ def _single_items(item: dict[str, Any], kind: type[BaseModel]) -> list[dict[str,
 
 def _row_errors(kind, item: dict[str, Any], row: dict[str, Any], parts: PartNames) -> Iterator[tuple[str, str]]:
     """Column and text of each error of a row."""
+    unknown = set()
+    for column in ("part", "parts"):
+        given = row.get(column) or []
+        for name in [given] if isinstance(given, str) else given:
+            if name not in parts.names:
+                unknown.add(column)
+                yield column, parts.unknown(name)
     for wrong in _errors(kind, item):
         column, text = _column(wrong["loc"]), wrong["msg"].removeprefix("Value error, ")
         if text == "Field required":
             text = "is required; fill it in"
         elif column:
             text += f"; got {wrong['input']!r}, correct it"
-        yield column, text
-    for column in ("part", "parts"):
-        given = row.get(column) or []
-        for name in [given] if isinstance(given, str) else given:
-            if name not in parts.names:
-                yield column, parts.unknown(name)
+        if column not in unknown:
+            yield column, text
 
 
 def _errors(kind: type[BaseModel], row: dict[str, Any]) -> list[Any]:
