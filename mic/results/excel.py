@@ -60,8 +60,10 @@ def write_excel(folder: Path, path: Path) -> Path:
                 sheet.write_string(1, j, column.unit, grey)
                 sheet.set_column(j, j, min(WIDEST, max(8, len(column.name) + 1)))
                 for i, value in enumerate(frame[column.name].tolist()):
-                    if not isinstance(value, float) or math.isfinite(value):  # unknown values stay empty
-                        sheet.write(2 + i, j, value[:LONGEST] if isinstance(value, str) else value)
+                    if isinstance(value, str) and value:
+                        sheet.write_string(2 + i, j, value[:LONGEST])
+                    elif not isinstance(value, float) or math.isfinite(value):  # unknown values stay empty
+                        sheet.write(2 + i, j, value)
                 legend.write_row(line, 0, (table.name, column.name, column.unit, column.meaning))
                 line += 1
         legend.set_column(0, 2, WIDEST)
