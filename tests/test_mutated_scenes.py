@@ -11,7 +11,14 @@ from support import attack_scenes
 from support.attack_scenes import attack, mutated, outcome, scene_table
 
 import mic
-from mic.plausibility import Results, find_warnings, find_warnings_of_results, validity
+from mic.model.one_sigma import Displacement
+from mic.plausibility import (
+    Results,
+    find_warnings,
+    find_warnings_of_results,
+    find_warnings_of_sources,
+    validity,
+)
 from mic.scene.load import read_table
 
 LAP = attack_scenes.MESHES / "lap_joint" / "scene.toml"
@@ -84,8 +91,18 @@ def test_results_out_of_proportion_are_warned_of():
     scene, extent = read_table(scene_table("lap_joint"), LAP), {"lower": 100.0, "upper": 100.0}
     far = Results(scene, extent, np.array([0.1, 0.2]), np.array([23.0, 1.0]), {"clamp": 1e7})
     assert [str(warning).split(";")[0] for warning in find_warnings_of_results(far)] == [
-        "measurement M1: its 6σ is 23 mm, and part upper measures 100 mm",
+        "measurement M1: its 6σ is 23 mm, and part upper measures 100 mm and is 1 mm thick",
         "stage clamp: a support or a contact pair carries 1e+07 N",
     ]
     usual = Results(scene, extent, np.array([0.1, 0.2]), np.array([2.0, 1.0]), {"clamp": 500.0})
     assert find_warnings_of_results(usual) == ()
+    bent = Results(scene, {"lower": 1000.0, "upper": 1000.0}, np.array([0.1, 5.1]), np.array([4.9, 1.0]))
+    (warning,) = find_warnings_of_results(bent)  # more than five thicknesses
+    assert str(warning).startswith("measurement M2: its mean is 5.1 mm") and "5 thicknesses" in str(warning)
+
+
+def test_sources_that_move_a_part_far_are_warned_of():
+    """One standard deviation beyond a tenth of a usual 6σ; what is not known is not warned of."""
+    moved = [Displacement(name, (), length, "upper") for name, length in (("far", 0.51), ("near", 0.49), ("?", np.nan))]
+    (warning,) = find_warnings_of_sources(moved)
+    assert str(warning).startswith("deviation far: its 1 σ moves part upper by 0.51 mm; usual is at most 0.5 mm")

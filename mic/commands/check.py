@@ -8,7 +8,6 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
-from rich.table import Column
 
 from mic.commands.invocation import first_rank_only, store_study, with_options
 from mic.commands.output import CommandConsole
@@ -21,13 +20,14 @@ from mic.geometry.mesh_summary import mesh_summary
 from mic.geometry.normals import COARSE, Rule
 from mic.model.assembly import assemble
 from mic.model.mesh_accuracy import estimate_accuracy
-from mic.model.one_sigma import one_sigma
+from mic.model.one_sigma import displacements, one_sigma
 from mic.model.overlap import frozen_gaps
 from mic.model.reduction import Reduction
 from mic.plausibility import (
     Results,
     find_warnings,
     find_warnings_of_results,
+    find_warnings_of_sources,
     find_warnings_unplaced,
     loadable_parts,
     raise_warnings,
@@ -70,6 +70,8 @@ def check(scene, law, accuracy, converge, normals, overlap, strict, page):
     scene = with_options(load_scene(scene), law)
     for script in dict.fromkeys(part.geometry for part in scene.parts if part.geometry is not None):
         console.say(f"This scene contains a program: {scene.folder / script} is executed to create its meshes.")
+    console.say_each(scene.tables_read)
+    console.say_step(f"{scene.name}: reading meshes and pairing")
     try:
         assembly = assemble(scene, cache_folder(), progress=console.say_step, check=plan_assembly)
         plans, optimisation = plan_assembly(assembly), []
@@ -98,7 +100,8 @@ def check(scene, law, accuracy, converge, normals, overlap, strict, page):
         console.say_each(f"• {sentence}" for sentence in optimisation)
     model = _cached_model(assembly)
     warnings += _few_samples(console, assembly, model, order)
-    shapes = _print_sources(console, assembly, model)
+    shapes, far = _print_sources(console, assembly, model)
+    warnings += far
     _print_thicknesses(console, assembly, model)
     console.say_each(f"• {sentence}" for sentence in _cost(assembly, plans))
     if accuracy:
@@ -171,43 +174,46 @@ def _cached_model(assembly):
 
 
 def _print_sources(console, assembly, model):
-    """Print the sources with the largest displacement under 1 σ, as far as that is cheap; return the shapes."""
+    """Print what 1 σ of each source does to the free parts, the largest first; return the shapes and warnings."""
     items, shapes = assembly.scene.deviations, []
     if not items:
-        return shapes
-    if model is not None:
-        try:
-            shapes = one_sigma(assembly, model)
-        except MissingProvider as problem:
-            console.warn("no shapes", problem)
-    largest = {shape.name: shape.largest for shape in shapes}
+        return shapes, ()
+    try:
+        shapes = one_sigma(assembly, model)
+    except MissingProvider as problem:
+        console.warn("no shapes", problem)
+    found = displacements(assembly, shapes)
     rows = [
         (
-            item.name,
-            item.kind,
-            deviation_unit(item, assembly.scene),
-            f"{item.mean:g}",
-            f"{item.sigma:g}",
-            _one_sigma(assembly, item, largest),
+            one.name + f" ({len(one.items)} modes)" * (len(one.items) > 1),
+            one.items[0].kind,
+            deviation_unit(one.items[0], assembly.scene),
+            f"{one.items[0].mean:g}",
+            f"{one.items[0].sigma:g}",
+            _one_sigma(one),
         )
-        for item in items[:MAX_SOURCES]
+        for one in found[:MAX_SOURCES]
     ]
     console.table("Sources", ("source", "kind", "unit", "mean", "σ", "largest displacement under 1 σ"), rows)
-    if len(items) > MAX_SOURCES:
-        console.print(f"… and {len(items) - MAX_SOURCES} more")
-    if model is None:
-        console.print("Displacements under 1 σ of a force: available once the influence coefficients are computed.")
-    return shapes
+    if len(found) > MAX_SOURCES:
+        console.print(f"… and {len(found) - MAX_SOURCES} more")
+    if model is None and any(one.rule in ("estimate", "stiffness") for one in found):
+        console.print(
+            "“About”: by a rough stiffness, within a factor of 3 for forces; the displacements by that of the finite "
+            "elements are available once the influence coefficients are computed (`mic run`).",
+            soft_wrap=True,
+        )
+    return shapes, find_warnings_of_sources(found)
 
 
-def _one_sigma(assembly, item, largest) -> str:
-    if item.name in largest:
-        part, vertex, length = largest[item.name]
-        point = next(own.surface for own in assembly.parts if own.name == part).points[vertex]
-        return f"{length:.3g} mm, {part} at ({', '.join(f'{x:.0f}' for x in point)})"
-    if item.kind == "shape":
-        return f"{item.sigma * np.abs(item.known).max():.3g} mm at its points"
-    return ""
+def _one_sigma(one) -> str:
+    """What one standard deviation of a source does, in words."""
+    if one.rule in ("stiffness", "none"):
+        return "needs the stiffness" if one.rule == "stiffness" else "moves no free part"
+    if one.point is None:
+        return f"{one.length:.3g} mm at its item, whose part bends"
+    about = "about " if one.rule == "estimate" else ""
+    return f"{about}{one.length:.3g} mm, {one.part} at ({', '.join(f'{x:.0f}' for x in one.point)})"
 
 
 def _print_thicknesses(console, assembly, model):
@@ -463,7 +469,7 @@ def _check_convergence(console, scene, assembly):
 def _print_convergence(console, assembly, found):
     """Key characteristics with denser pairs beside those with the pairs of the scene."""
     figures = [head for name in ("nominal", "mean", "6σ") for head in (name, "change")]
-    heads = [Column("mm", overflow="fold"), *(Column(head, overflow="fold", justify="right") for head in figures)]
+    heads = ["mm", *figures]
     rows = []
     for k, item in enumerate(assembly.scene.measurements):
         (nominal, mean, spread), (denser_nominal, denser_mean, denser_spread) = [

@@ -39,6 +39,7 @@ from mic.geometry.refinement import halved
 from mic.geometry.surface import Patch, Surface
 from mic.model.assembly_types import Assembly
 from mic.model.characteristics import Characteristics
+from mic.model.rigid_motion import rigid_readings
 from mic.model.shape import datum_rows
 from mic.system.disk_cache import ABSENT, Cache
 from mic.system.files import Format, fingerprint
@@ -218,7 +219,7 @@ def _compared_rows(assembly: Assembly, p: int) -> tuple[Part, dict[str, csr_matr
     for kind in ("measurement", "locator"):
         if not pushing.shape[0]:  # nothing pushes this part
             pushing = rows[kind][acting[kind]]
-    G, locators = _rigid_readings(part), rows["locator"][acting["locator"]]
+    G, locators = rigid_readings(part), rows["locator"][acting["locator"]]
     datum = datum_rows(assembly, p, G)
     free = completing_rows(locators @ G, datum @ G, motion_size((G,)))  # motions that the locators leave free
     tables = {
@@ -236,24 +237,6 @@ def _compared_rows(assembly: Assembly, p: int) -> tuple[Part, dict[str, csr_matr
 def _evenly_chosen(rows):
     """At most `PAIRS` of the rows, evenly spaced."""
     return rows[np.unique(np.linspace(0, len(rows) - 1, min(PAIRS, len(rows))).round().astype(int))]
-
-
-def _rigid_readings(part: Part) -> np.ndarray:
-    """(n, 6) readings of a part's functionals under its rigid motions, about the surface's centroid.
-
-    u = a + ω × (x − c), θ = ω; a functional off the mid-surface by s reads u + θ × s n.
-    """
-    f, surface = part.functionals, part.surface
-    G = np.zeros((len(f), 6))
-    for i in range(len(f)):
-        patch, d = f.patches[f.patch[i]], f.direction[i]
-        if f.rotation[i]:
-            G[i, 3:] = d
-            continue
-        offset = f.side[i] * part.thickness / 2 * surface.normals[patch.triangle]
-        arm = patch.weight @ (surface.at(patch.triangle, patch.barycentric) + offset) - surface.centroid
-        G[i, :3], G[i, 3:] = d, np.cross(arm, d)
-    return G
 
 
 def _restricted(part: Part, functionals: np.ndarray) -> Part:

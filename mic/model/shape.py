@@ -41,6 +41,7 @@ from mic.compliance.blocks import Blocks
 from mic.compliance.elimination import eliminate
 from mic.compliance.support import completing_rows, independent_rows, motion_size, statically_determinate
 from mic.errors import FreeMotion, SceneError
+from mic.geometry.pairing.standing_edges import STEEP
 from mic.model.sources import KnownShape, sources
 from mic.scene.stages import placing_stages
 
@@ -219,7 +220,10 @@ def thickening(assembly, p: int, skin: int) -> np.ndarray:
         for i, share in zip(entries.col, entries.data):
             patch = part.functionals.patches[part.functionals.patch[i]]
             normal = np.abs(patch.weight) @ part.surface.normals[patch.triangle]
-            side = -share * np.sign(normal @ part.functionals.direction[i])  # of the face, relative to the normals
+            facing = normal @ part.functionals.direction[i]
+            if part.functionals.side[i] == 0.0 and abs(facing) < STEEP * np.linalg.norm(normal):
+                continue  # read at the edge on which the sheet stands
+            side = -share * np.sign(facing)  # of the face, relative to the normals
             moved[i] = -share * 0.5 * (1.0 - skin * side)
     return moved
 

@@ -4,7 +4,8 @@ A fused nugget is one piece: it ties all relative displacements over its disc up
 
     ∫ φ (u_b − u_a) dA / A,        φ = 1, x, y,
 
-with x and y from the centre, in radii. An averaged weld ties the means of displacements and rotations.
+with x and y from the centre, in radii. An averaged weld ties the means of displacements and rotations, and so does one
+along the edge by which a sheet stands on the other.
 
 Both parts are read at the same point, half of any nominal gap off their facing surfaces: otherwise turning the welded
 assembly as a whole would strain the weld.
@@ -49,10 +50,14 @@ def weld_rows(key: str, weld, rows: Rows) -> np.ndarray:
 
 def weld_terms(weld, pair: ContactPair, rows: Rows) -> list[tuple]:
     """Retain the functionals of a weld over a pair; for each of its rows the label and the terms of the two parts."""
-    moments = _moment_weights(pair, rows.surfaces[weld.parts[0]], weld.radius) if weld.fused and weld.moment else {}
+    moments = {}
+    if weld.fused and weld.moment and pair.offsets is None:
+        moments = _moment_weights(pair, rows.surfaces[weld.parts[0]], weld.radius)
     functionals: list[list[int]] = []
-    for name, patch, side in zip(weld.parts, pair.patches, pair.sides):
-        middle = side * (1 + pair.gap / (2 * rows.bodies[name].half_thickness))
+    middles = pair.offsets or [
+        side * (1 + pair.gap / (2 * rows.bodies[name].half_thickness)) for name, side in zip(weld.parts, pair.sides)
+    ]
+    for name, patch, middle in zip(weld.parts, pair.patches, middles):
         mean = rows.patch(name, patch)
         readings = [("", mean, False)]
         readings += [(label, rows.patch(name, replace(patch, weight=w)), False) for label, w in moments.items()]
@@ -84,9 +89,9 @@ def drawn_gap(weld, pair: ContactPair, rows: Rows) -> np.ndarray:
     The mean gap, mm; for a fused nugget the moments ∫ φ g dA / A, mm, φ = x, y in radii; for an averaged weld the
     rotation of the second sheet against the first about t1, t2 that opens g = g₀ + α x + β y, (β, −α), rad.
     """
-    gap_read = np.zeros(3 if not weld.moment else 9 if weld.fused else 6)
+    gap_read = np.zeros(3 if not weld.moment else 9 if weld.fused and pair.offsets is None else 6)
     gap_read[0] = pair.gap
-    if len(gap_read) == 3:
+    if len(gap_read) == 3 or pair.offsets is not None:
         return gap_read
     first, second = (rows.surfaces[name] for name in weld.parts)
     a, b = pair.patches

@@ -14,13 +14,14 @@ from typing import TYPE_CHECKING
 from mic.errors import SceneError
 from mic.geometry.load import LoadedPart, load_part
 from mic.plausibility.results import Results
-from mic.plausibility.rules import FILE, MESHES, PARTS, RESULTS, SceneWarning, apply_rules
+from mic.plausibility.rules import FILE, MESHES, PARTS, RESULTS, SOURCES, SceneWarning, apply_rules
 from mic.system.disk_cache import ABSENT, Cache
 from mic.system.files import Format
 from mic.system.memoise import memoise
 
 if TYPE_CHECKING:
     from mic.model.assembly import Assembly
+    from mic.model.one_sigma import Displacement
     from mic.scene import Scene
 
 __all__ = [
@@ -28,6 +29,7 @@ __all__ = [
     "SceneWarning",
     "find_warnings",
     "find_warnings_of_results",
+    "find_warnings_of_sources",
     "find_warnings_unplaced",
     "loadable_parts",
     "raise_warnings",
@@ -82,6 +84,11 @@ def find_warnings_unplaced(scene: Scene, parts: Sequence[LoadedPart]) -> tuple[S
 def find_warnings_of_results(results: Results) -> tuple[SceneWarning, ...]:
     """The warnings of results out of all proportion, in the order of the rules."""
     return tuple(apply_rules(RESULTS, results))
+
+
+def find_warnings_of_sources(found: Sequence[Displacement]) -> tuple[SceneWarning, ...]:
+    """The warnings of sources whose standard deviation moves a free part out of all proportion."""
+    return tuple(apply_rules(SOURCES, found))
 
 
 def loadable_parts(scene: Scene, cache: Path) -> list[LoadedPart]:

@@ -13,8 +13,10 @@ import numpy as np
 from scipy.optimize import nnls
 from scipy.spatial import cKDTree
 
+from mic.geometry.pairing.standing_edges import STEEP
 from mic.geometry.surface import Surface
 from mic.model.overlap import mean_gaps
+from mic.model.rigid_motion import amplification
 from mic.plausibility.finding import Finding, Point, about, label
 from mic.plausibility.scene_file import held_at, held_by_stage
 from mic.scene.stages import placing_stages
@@ -108,11 +110,27 @@ def pad_large(assembly) -> Iterator[Finding]:
 def nugget_over_edge(assembly) -> Iterator[Finding]:
     """Nuggets that run over the edge of a sheet."""
     for table, item, part in _on_parts(assembly):
-        if table == "welds" and item.radius > 0:
+        if table == "welds" and item.radius > 0 and not _by_an_edge(assembly, item):
             apart = _to_border(part.surface, part.surface.project(item.point).point[0])
             if apart < item.radius:
                 text = f"has radius {item.radius:g} mm and is {apart:.2g} mm from the edge of part {part.name}"
                 yield about(table, item, text)
+
+
+def _by_an_edge(assembly, weld) -> bool:
+    """Whether a weld joins a sheet to another one on which it stands by its edge."""
+    surfaces = [part.surface for part in assembly.parts if part.name in weld.parts]
+    a, b = (surface.normals[surface.project(weld.point).triangle[0]] for surface in surfaces)
+    return bool(abs(a @ b) < STEEP)
+
+
+def welded_without_zone(assembly) -> Iterator[Finding]:
+    """Welds between parts without a contact zone; a sheet that stands on the other by its edge cannot have one."""
+    joined = {frozenset(zone.parts) for zone in assembly.scene.zones}
+    for weld in assembly.scene.welds:
+        if frozenset(weld.parts) not in joined and not _by_an_edge(assembly, weld):
+            joined.add(frozenset(weld.parts))  # one warning for two parts
+            yield about("welds", weld, f"joins parts {' and '.join(weld.parts)} without a zone")
 
 
 def clamp_inclined(assembly) -> Iterator[Finding]:
@@ -285,11 +303,8 @@ def locators_in_line(assembly) -> Iterator[Finding]:
             continue  # rests on another part
         centre = np.mean([item.point for item in own], axis=0)
         rows = [[*item.direction, *np.cross(np.subtract(item.point, centre), item.direction)] for item in own]
-        scale = np.array([1.0] * 3 + [part.surface.diameter] * 3)
-        motion = np.linalg.pinv(np.array(rows) / scale, rcond=1e-9) / scale[:, None]
-        arm = part.surface.points - centre
-        moved = motion[None, :3] + np.cross(motion[None, 3:].transpose(0, 2, 1), arm[:, None]).transpose(0, 2, 1)
-        far = np.linalg.norm(moved, axis=1)
+        moved = amplification(np.array(rows), part.surface.points - centre)
+        far = np.linalg.norm(moved, axis=2)
         vertex, worst = np.unravel_index(int(np.argmax(far)), far.shape)
         if far[vertex, worst] > AMPLIFIED:
             names, moved_by = ", ".join(item.name for item in own), far[vertex, worst]

@@ -13,7 +13,7 @@ import numpy as np
 from mic.plausibility import meshes, results, scene_file
 from mic.plausibility.finding import Finding, Point, label
 
-__all__ = ["FILE", "MESHES", "PARTS", "RESULTS", "Rule", "SceneWarning", "apply_rules"]
+__all__ = ["FILE", "MESHES", "PARTS", "RESULTS", "SOURCES", "Rule", "SceneWarning", "apply_rules"]
 
 
 @dataclass(frozen=True)
@@ -117,6 +117,8 @@ FILE = (
 PARTS = tuple(_rule(meshes, **row) for row in _TABLES["parts"])
 #: Rules that need the assembly with its contact pairs.
 MESHES = tuple(_rule(meshes, **row) for row in _TABLES["assembly"])
+#: Rules that need the displacements of free parts by the sources.
+SOURCES = tuple(_rule(results, **row) for row in _TABLES["sources"])
 #: Rules that need solved samples.
 RESULTS = tuple(_rule(results, **row) for row in _TABLES["results"])
 

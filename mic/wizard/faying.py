@@ -14,7 +14,7 @@ from mic.geometry.surface import Surface
 from mic.geometry.triangles import components
 from mic.wizard.bodies import Body
 
-__all__ = ["Faying", "restrict", "find_faying", "nearest_distance"]
+__all__ = ["Faying", "restrict", "find_faying", "nearest_distance", "pieces"]
 
 GAP = 2.0  # mm between facing surfaces, the default of zones
 ANGLE = 30.0  # degrees between facing surfaces, the default of zones
@@ -117,7 +117,7 @@ def find_faying(first: Body, second: Body) -> Faying | None:
         normal=n,
         height=along,
         depth=cKDTree(outside).query(x)[0] if len(outside) else np.full(len(x), np.inf),
-        piece=_pieces(x, 2.5 * spacing),
+        piece=pieces(x, 2.5 * spacing),
         area=float(area.sum()),
         spacing=spacing,
         side=float(np.sign(area @ along)),
@@ -140,7 +140,7 @@ def restrict(lap: Faying, chosen: np.ndarray) -> Faying | None:
         normal=lap.normal[chosen],
         height=lap.height[chosen],
         depth=depth,
-        piece=_pieces(point, 2.5 * lap.spacing),
+        piece=pieces(point, 2.5 * lap.spacing),
         area=area,
     )
 
@@ -160,7 +160,7 @@ def _near(a: Surface, b: Surface, reach: float) -> np.ndarray:
     return np.flatnonzero(tree.query(a.corners.mean(1))[0] <= bound)
 
 
-def _pieces(points: np.ndarray, link: float) -> np.ndarray:
+def pieces(points: np.ndarray, link: float) -> np.ndarray:
     """(n,) number of the connected piece of each point, the largest first."""
     pairs = cKDTree(points).query_pairs(link, output_type="ndarray")
     label = components(pairs[:, 0], pairs[:, 1], len(points))[1]

@@ -11,6 +11,7 @@ and if these are badly conditioned, six rows among all places and directions are
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 
@@ -21,7 +22,7 @@ from scipy.spatial import cKDTree
 from mic.geometry.holes import Hole, find_holes
 from mic.wizard.bodies import NO_POINTS, Body
 
-__all__ = ["Support", "conditioning", "propose_fixture", "spread"]
+__all__ = ["Support", "conditioning", "propose_fixture", "readings", "spread"]
 
 PAD = 4.0  # mm, radius of a locator's pad
 FLAT = 12.0  # degrees by which normals turn under a pad
@@ -60,18 +61,18 @@ class Support:
 
 def conditioning(supports: list[Support]) -> float:
     """Ratio of the smallest to the largest singular value of G; 0 if a motion is free."""
-    values = np.linalg.svd(_readings(supports), compute_uv=False)
+    values = np.linalg.svd(readings(supports), compute_uv=False)
     return float(values[5] / values[0]) if len(values) == 6 else 0.0
 
 
-def _readings(supports: list[Support]) -> np.ndarray:
-    """(n, 6) readings G of the rigid-body motions."""
+def readings(supports: Sequence[Support], scale: float | None = None) -> np.ndarray:
+    """(n, 6) readings G of the rigid-body motions about the mean point; ρ is half the extent, or as given, mm."""
     points, directions = _points(supports), np.array([support.direction for support in supports])
     arms = points - points.mean(0)
-    return np.column_stack([directions, np.cross(arms, directions) / max(1e-9, _extent(points) / 2)])
+    return np.column_stack([directions, np.cross(arms, directions) / (scale or max(1e-9, _extent(points) / 2))])
 
 
-def _points(supports: list[Support]) -> np.ndarray:
+def _points(supports: Sequence[Support]) -> np.ndarray:
     return np.array([support.point for support in supports])
 
 
@@ -202,7 +203,7 @@ def _six_by_qr(places: list[Support]) -> list[Support]:
     rows = []
     for place in places:
         rows += [place, *(_in_plane(place.point, axis, place.direction) for axis in _axes(place.direction))]
-    order = qr(_readings(rows).T, pivoting=True, mode="r")[1]
+    order = qr(readings(rows).T, pivoting=True, mode="r")[1]
     return sorted((rows[i] for i in order[:6]), key=lambda row: row.direction_text != "normal")
 
 

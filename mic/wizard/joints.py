@@ -15,7 +15,7 @@ from mic.wizard.bodies import NO_POINTS, Body
 from mic.wizard.faying import Faying
 from mic.wizard.fixture import spread
 
-__all__ = ["Joints", "force", "joined", "one_digit", "propose_joints"]
+__all__ = ["Joints", "at_pitch", "force", "joined", "propose_joints"]
 
 DEEP = 10.0  # mm from the edge of a lap
 LEAST = 4.0  # mm: least depth of a lap for a nugget of 5 mm
@@ -76,7 +76,7 @@ def propose_joints(
     tongs = NO_POINTS
     for points in candidates:
         present = np.count_nonzero(cKDTree(points).query(stack_tongs)[0] <= DEEP)
-        count = max(1, round(len(_at_pitch(points, pitch)) / 2)) - present
+        count = max(1, round(len(at_pitch(points, pitch)) / 2)) - present
         for point in points[spread(points, count, occupied)]:
             others = np.concatenate([occupied, tongs])
             if np.linalg.norm(others - point, axis=1).min(initial=np.inf) >= CLEAR:
@@ -119,10 +119,10 @@ def _candidates(lap: Faying, gap: np.ndarray) -> list[np.ndarray]:
 
 
 def _weld_points(candidates: list[np.ndarray], pitch: float, given: np.ndarray) -> np.ndarray:
-    return np.concatenate([NO_POINTS, *(points[_at_pitch(points, pitch, given)] for points in candidates)])
+    return np.concatenate([NO_POINTS, *(points[at_pitch(points, pitch, given)] for points in candidates)])
 
 
-def _at_pitch(points: np.ndarray, pitch: float, given: np.ndarray = NO_POINTS) -> np.ndarray:
+def at_pitch(points: np.ndarray, pitch: float, given: np.ndarray = NO_POINTS) -> np.ndarray:
     """Indices of points a pitch apart and a pitch off `given`, the ends first; at least two if half a pitch apart."""
     chosen = spread(points, 4 * MOST, given)
     at = points[chosen]
@@ -163,10 +163,10 @@ def joined(point: np.ndarray, bodies: list[Body]) -> tuple[list[tuple[str, str]]
 
 def force(first: Body, second: Body) -> float:
     """Force of a tong, N: 100 N/mm² times the squared thickness of the thinner sheet, to one digit."""
-    return one_digit(100.0 * min(first.thickness, second.thickness) ** 2)
+    return _one_digit(100.0 * min(first.thickness, second.thickness) ** 2)
 
 
-def one_digit(value: float) -> float:
+def _one_digit(value: float) -> float:
     """A positive number rounded to its first digit."""
     digit = 10.0 ** np.floor(np.log10(value))
     return float(round(value / digit) * digit)

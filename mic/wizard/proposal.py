@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
@@ -12,9 +12,11 @@ from scipy.spatial import cKDTree
 from mic.wizard.bodies import NO_POINTS, Body
 from mic.wizard.faying import Faying, find_faying, nearest_distance, restrict
 from mic.wizard.fixture import Support, conditioning, propose_fixture, spread
-from mic.wizard.joints import Joints, one_digit, propose_joints
+from mic.wizard.joints import Joints, propose_joints
+from mic.wizard.standing import Standing, find_standing
+from mic.wizard.variation import Variation, propose_variation
 
-__all__ = ["Proposal", "Shaping", "Tong", "propose"]
+__all__ = ["Proposal", "Tong", "propose"]
 
 CLOSED = 0.25  # of the thinner sheet: overlap that a zone closes by default
 BETWEEN = 0.8  # of the thickness of a sheet between two others: least gap of these
@@ -22,23 +24,7 @@ PAIRS = 800  # approximate number of contact pairs of a first run
 ACROSS = 4.0  # thicknesses between two candidates on finer meshes
 MEASURED = 4  # measured points of each part, on its free edges
 LAP_DISTANCE = 12.0  # mm between a measured point and a lap
-SHAPE = 0.3  # mm of deflection of a flat sheet by a corrective force
 OVERLAP_FACTOR = 1.1  # of the largest overlap found here, since a zone has more points
-
-
-@dataclass(frozen=True)
-class Shaping:
-    """A corrective force that shapes a part.
-
-    Attributes
-    ----------
-    point : (3,) array
-    sigma : float
-        N.
-    """
-
-    point: np.ndarray
-    sigma: float
 
 
 @dataclass(frozen=True)
@@ -78,6 +64,8 @@ class Proposal:
         By lap, the gap beyond which another sheet is between the two, mm; 0 if there is none.
     joints : list of Joints
         By lap.
+    standing : list of Standing
+        Parts that stand on others by their edges.
     tongs : list of Tong
     fixtures : dict of str to list of Support
         The first six of each hold the part.
@@ -86,7 +74,7 @@ class Proposal:
     base : list of str
         The part of each welded group whose six locators stay closed.
     measured : dict of str to (k, 3) array
-    shaping : dict of str to Shaping
+    variation : dict of str to Variation
     sentences : list of str
         Notes for the user.
     """
@@ -99,12 +87,13 @@ class Proposal:
     spacing: float | None
     reach: list[float]
     joints: list[Joints]
+    standing: list[Standing]
     tongs: list[Tong]
     fixtures: dict[str, list[Support]]
     conditioned: dict[str, float]
     base: list[str]
     measured: dict[str, np.ndarray]
-    shaping: dict[str, Shaping]
+    variation: dict[str, Variation]
     sentences: list[str]
 
     def summary(self) -> str:
@@ -114,7 +103,7 @@ class Proposal:
             "locator": sum(map(len, self.fixtures.values())),
             "contact zone": len(self.laps),
             "clamp": len(self.tongs),
-            "weld": sum(len(joint.welds) for joint in self.joints),
+            "weld": sum(len(joint.welds) for joint in (*self.joints, *self.standing)),
         }
         return ", ".join(f"{number or 'no'} {what}{'' if number == 1 else 's'}" for what, number in count.items())
 
@@ -138,9 +127,16 @@ def propose(bodies: Sequence[Body], welds: Mapping[tuple[str, str], np.ndarray] 
     offsets, why = _offsets(bodies, laps, sentences)
     laps, reach = _touching(bodies, laps, offsets)
     joints = _joints(laps, offsets, welds)
-    lap_points = {body.name: _lap_points(body, laps) for body in bodies}
+    standing = _standing(bodies, laps, welds, sentences)
+    lap_points = {body.name: _lap_points(body, laps, standing) for body in bodies}
     fixtures = {body.name: propose_fixture(body, lap_points[body.name]) for body in bodies}
-    _note_unconnected(bodies, laps, joints, sentences)
+    _note_unconnected(bodies, laps, joints, standing, sentences)
+    variation = {body.name: propose_variation(body, fixtures[body.name][:6]) for body in bodies}
+    sentences += [
+        f"{name} has too few or too many elements for a proposed random field of its shape: only its locators vary"
+        for name, proposed in variation.items()
+        if not proposed.sigma
+    ]
     return Proposal(
         bodies=list(bodies),
         offsets=offsets,
@@ -150,12 +146,13 @@ def propose(bodies: Sequence[Body], welds: Mapping[tuple[str, str], np.ndarray] 
         spacing=_spacing(laps),
         reach=reach,
         joints=joints,
+        standing=standing,
         tongs=_tongs(laps, joints),
         fixtures=fixtures,
         conditioned={name: conditioning(supports[:6]) for name, supports in fixtures.items()},
-        base=_base(bodies, laps, joints, welds),
+        base=_base(bodies, laps, joints, [one.names for one in standing], welds),
         measured={body.name: _measured(body, lap_points[body.name]) for body in bodies},
-        shaping={body.name: _shaping(body, fixtures[body.name], lap_points[body.name]) for body in bodies},
+        variation=variation,
         sentences=sentences,
     )
 
@@ -239,7 +236,7 @@ def _tongs(laps: Sequence[Faying], joints: Sequence[Joints]) -> list[Tong]:
         feet = {name: body.surface.project(point).point[0] for name, body in stack.items()}
         order = sorted(stack, key=lambda name: float((feet[name] - point) @ n) * (lap.side or 1.0))
         first, second = order[0], order[-1]
-        tongs.append(Tong(stack[first], stack[second], (feet[first] + feet[second]) / 2 if len(order) > 2 else point))
+        tongs.append(Tong(stack[first], stack[second], (feet[first] + feet[second]) / 2))
     return tongs
 
 
@@ -265,30 +262,47 @@ def _thinner(lap: Faying) -> float:
     return min(lap.first.thickness, lap.second.thickness)
 
 
-def _lap_points(body: Body, laps: Sequence[Faying]) -> np.ndarray:
-    """(n, 3) points of a part in its laps, mm."""
+def _standing(bodies, laps: Sequence[Faying], welds, sentences) -> list[Standing]:
+    """Parts without a common lap of which one stands on the other by its edge; their welds, unless these are listed."""
+    lapped = [{*lap.names} for lap in laps]
+    apart = [pair for pair in combinations(bodies, 2) if {pair[0].name, pair[1].name} not in lapped]
+    standing = [found for pair in apart if (found := find_standing(*pair)) is not None]
+    for one in standing:
+        sheet, edge = one.names
+        count = f"{len(one.welds)} proposed" if welds is None else "listed"
+        place = f"over {one.length:.0f} mm and {round(one.gap, 2) + 0.0:g} mm off its face"
+        sentences.append(
+            f"{edge} stands on {sheet} by its edge, {place}: {count} welds along it join the two; the contact of an "
+            "edge is not modelled, so between welds it may pass into the sheet"
+        )
+    return standing if welds is None else [replace(one, welds=NO_POINTS) for one in standing]
+
+
+def _lap_points(body: Body, laps: Sequence[Faying], standing: Sequence[Standing]) -> np.ndarray:
+    """(n, 3) points of a part in its laps, and along the edges on which parts stand, mm."""
     points = [
         lap.point if body is lap.first else body.surface.project(lap.point).point for lap in laps if body in lap.bodies
     ]
-    return np.concatenate([NO_POINTS, *points])
+    return np.concatenate([NO_POINTS, *points, *(one.point for one in standing if body.name in one.names)])
 
 
-def _note_unconnected(bodies, laps, joints, sentences) -> None:
+def _note_unconnected(bodies, laps, joints, standing, sentences) -> None:
+    joined = {name for one in standing for name in one.names}
     for body in bodies:
         welds = [len(joint.welds) for lap, joint in zip(laps, joints) if body in lap.bodies]
         others = [other for other in bodies if other is not body]
-        if not welds and others:
+        if not welds and others and body.name not in joined:
             distance, name = min((nearest_distance(body, other), other.name) for other in others)
             sentences.append(f"{body.name} has no lap with another part; the nearest is {name}, {distance:.3g} mm away")
         elif welds and not any(welds):
             sentences.append(f"{body.name} has no weld: its laps have no room for one")
 
 
-def _base(bodies, laps, joints, welds) -> list[str]:
+def _base(bodies, laps, joints, standing, welds) -> list[str]:
     """The largest part of every welded group."""
     group = {body.name: body.name for body in bodies}
     pairs = [lap.names for lap, joint in zip(laps, joints) if len(joint.welds)]
-    for a, b in [*pairs, *(welds or {})]:
+    for a, b in [*pairs, *standing, *(welds or {})]:
         old, new = group[b], group[a]
         group = {name: new if label == old else label for name, label in group.items()}
     area = {body.name: float(body.surface.areas.sum()) for body in bodies}
@@ -312,16 +326,3 @@ def _free_edge(body: Body, lap_points: np.ndarray, distance: float) -> np.ndarra
 def _measured(body: Body, lap_points: np.ndarray) -> np.ndarray:
     points = _free_edge(body, lap_points, LAP_DISTANCE)
     return points[spread(points, MEASURED)]
-
-
-def _shaping(body: Body, supports: Sequence[Support], lap_points: np.ndarray) -> Shaping:
-    """A force at the point of the free edge farthest from the supports.
-
-    A flat square cantilever of length L deflects under F by 4 F L²/(E t³).
-    """
-    points = _free_edge(body, lap_points, 0.0)
-    distance = cKDTree([support.point for support in supports]).query(points)[0]
-    best = int(np.argmax(distance))
-    length = max(float(distance[best]), 10 * body.thickness)
-    sigma = SHAPE * body.young * body.thickness**3 / (4 * length**2)
-    return Shaping(points[best], one_digit(sigma))

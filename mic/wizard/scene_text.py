@@ -183,10 +183,11 @@ def _clamps(proposal: Proposal) -> Iterator[dict[str, Any]]:
 
 
 def _welds(proposal: Proposal) -> Iterator[dict[str, Any]]:
-    joined = [(lap, joints.welds) for lap, joints in zip(proposal.laps, proposal.joints) if len(joints.welds)]
-    for number, (lap, points) in enumerate(joined, 1):
+    joined = [(lap.names, joints.welds) for lap, joints in zip(proposal.laps, proposal.joints)]
+    joined += [(one.names, one.welds) for one in proposal.standing]
+    for number, (names, points) in enumerate([one for one in joined if len(one[1])], 1):
         places = [_point(point) for point in points]
-        yield {"name": f"W{number}", "parts": lap.names, "points": places, "radius": NUGGET}
+        yield {"name": f"W{number}", "parts": names, "points": places, "radius": NUGGET}
 
 
 def _stages(proposal: Proposal, listed: bool) -> Iterator[dict[str, Any]]:
@@ -194,7 +195,7 @@ def _stages(proposal: Proposal, listed: bool) -> Iterator[dict[str, Any]]:
     clamped = bool(proposal.tongs) or any(
         support.further for supports in proposal.fixtures.values() for support in supports
     )
-    welded = listed or any(len(joints.welds) for joints in proposal.joints)
+    welded = listed or any(len(joints.welds) for joints in (*proposal.joints, *proposal.standing))
     if clamped:
         yield {"kind": "clamp", "_note": "further locators close, then one clamp after the other"}
     if welded:
@@ -206,14 +207,14 @@ def _stages(proposal: Proposal, listed: bool) -> Iterator[dict[str, Any]]:
 
 
 def _deviations(proposal: Proposal) -> Iterator[dict[str, Any]]:
-    for name, shaping in proposal.shaping.items():
-        place = {"part": name, "point": _point(shaping.point), "direction": "normal"}
-        yield {"name": f"{name}-shape", "kind": "force", **place, "sigma": _number(shaping.sigma)}
-        labels = _labels(proposal.fixtures[name])
-        for label in (labels[0], labels[5]):
+    for name, variation in proposal.variation.items():
+        if variation.sigma:
+            sizes = {"sigma": variation.sigma, "length": _number(variation.length)}
+            note = f"1 σ moves no node of the free part by more than {variation.moved:.2g} mm"
+            yield {"name": f"{name}-shape", "kind": "field", "part": name, **sizes, "_note": note}
+        for label, sigma in zip(_labels(proposal.fixtures[name]), variation.locators):
             target = f"{name}-{label}"
-            values = {"name": f"{target}-off", "kind": "locator", "target": target, "sigma": 0.1}
-            yield values | {"_note": "standard deviation in mm"}
+            yield {"name": f"{target}-off", "kind": "locator", "target": target, "sigma": sigma}
 
 
 def _measurements(proposal: Proposal) -> Iterator[dict[str, Any]]:

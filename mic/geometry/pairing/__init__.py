@@ -45,6 +45,7 @@ from mic.geometry.pairing.candidates import candidate_spacing
 from mic.geometry.pairing.contact_pair import ContactPair, PressedPoint, Side
 from mic.geometry.pairing.node_pairs import node_pairs
 from mic.geometry.pairing.pair_search import find_between, find_pairs, pair_at
+from mic.geometry.pairing.standing_edges import standing_edge
 
 __all__ = [
     "ContactPair",
@@ -55,4 +56,5 @@ __all__ = [
     "find_pairs",
     "node_pairs",
     "pair_at",
+    "standing_edge",
 ]

@@ -62,11 +62,14 @@ class ContactPair:
     patches : tuple of two Patch
         Quadrature points on the first and the second body.
     sides : tuple of two int
-        Side of each body that faces the other (+1: along its triangle normals).
+        Side of each body that faces the other (+1: along its triangle normals); 0 for one that stands on its edge.
     nugget : int
         Number of the weld whose nugget contains the pair; -1 for none.
     spacing : float
         Intended distance to the neighbouring candidates, mm; NaN for a pair that is no candidate.
+    offsets : tuple of two float, optional
+        Where one body stands on the other by its edge: the points that are read, off the mid-surface of each, in half
+        thicknesses along its normals.
     """
 
     point: np.ndarray
@@ -79,6 +82,7 @@ class ContactPair:
     sides: tuple[int, int]
     nugget: int = -1
     spacing: float = np.nan
+    offsets: tuple[float, float] | None = None
 
 
 @dataclass(frozen=True)

@@ -19,6 +19,7 @@ from mic.geometry.pairing.cell_centres import (
 from mic.geometry.pairing.contact_pair import ContactPair, PressedPoint, Side, set_tangents, weld_numbers
 from mic.geometry.pairing.facing_points import FINE, Bodies
 from mic.geometry.pairing.sheet_sides import sheet_sides, side_of_points
+from mic.geometry.pairing.standing_edges import standing_pair
 from mic.geometry.surface import EQUAL
 
 __all__ = ["find_between", "find_pairs", "pair_at"]
@@ -173,6 +174,8 @@ def find_between(
 def pair_at(point, radius: float, first: Side, second: Side) -> ContactPair:
     """The pair at a given point, over a disc of the first surface, such as a weld's nugget.
 
+    Where a body stands on the other by its free edge, it is that over the edge (:mod:`.standing_edges`).
+
     Parameters
     ----------
     point : (3,) array
@@ -191,7 +194,10 @@ def pair_at(point, radius: float, first: Side, second: Side) -> ContactPair:
     bodies = Bodies(None, first, second, False, reach, np.pi / 3)
     reading = bodies.project(disc.triangle, disc.barycentric, disc.weight, both=False)
     if not len(reading.area):
-        raise ValueError("the two parts do not face each other there")
+        standing = standing_pair(point, radius, first, second)
+        if standing is None:
+            raise ValueError("the two parts do not face each other there")
+        return standing
     pair = bodies.pair(reading, np.pi * radius**2)
     set_tangents([pair])
     return pair
