@@ -152,13 +152,14 @@ def test_a_terminated_run_is_completed_by_another_number_of_processes(one_proces
         (1, "bug", "RuntimeError: planted bug", 1),
         (0, "folder", "planted sentence", 2),
         (1, "interrupt", "process 2 of 2: ended with status 130", 130),
-        (1, "death", "on signal 9 (Killed)", 137),
+        (1, "death", r"signal 9 \(Killed\)|Killed \(signal 9\)", 137),  # in the words of Open MPI, of MPICH
     ],
 )
 def test_one_failing_process_ends_all_with_one_message(one_process, scene, cache, tmp_path, rank, what, words, status):
     begin, out = time.monotonic(), tmp_path / "out"
     code, output = mic_on(2, ["run", scene, "--out", out], cache, plant=(rank, what))
-    assert code == status and " ".join(output.split()).count(words) == 1, output
+    assert code == status or (code, status) == (9, 137), output  # MPICH's launcher ends with the signal's number
+    assert len(re.findall(words, " ".join(output.split()))) == 1, output
     assert output.count("Traceback") == (what == "bug")
     assert time.monotonic() - begin < SECONDS / 2
     if what == "death":

@@ -49,7 +49,7 @@ PLANTS = {
 if __name__ == "__main__":
     rank, what = sys.argv[1], sys.argv[2]
     sys.argv[:] = ["mic", *sys.argv[3:]]
-    own = os.environ.get("OMPI_COMM_WORLD_RANK", "0")
+    own = os.environ.get("OMPI_COMM_WORLD_RANK") or os.environ.get("PMI_RANK", "0")  # Open MPI, MPICH
     if own == "0":  # the one that draws
         skip_pictures(setattr)
     if own == rank:
