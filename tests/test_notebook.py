@@ -61,6 +61,8 @@ def test_models_and_scenes_are_five_lines(which, request):
         assert str(one) == repr(one)
         assert f"{len(found.scene.parts)} parts: {', '.join(part.name for part in found.scene.parts)}" in lines[1]
         assert f"{len(found.scene.locators)} locators" in lines[1]
+    long = [letter * 50 for letter in "abcd"]
+    assert {len(line) for line in repr(clamped(long, 0.0)).splitlines()} >= {120}
     assert "1 contact pair in 1 zone: z;" in repr(dragged()) and "P (mm), D (mm)" in repr(dragged())
     assert "12 key characteristics: Ma0, Ma1, Ma2, Ma3, Mb0, Mb1, …;" in repr(request.getfixturevalue("three"))
 

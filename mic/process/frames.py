@@ -115,8 +115,8 @@ def contact_columns(
 
     n, m, d, count = len(number), len(names.zone), names.dimension, len(stages)
 
-    def named(codes: Any, words: Any) -> pd.Categorical:
-        return pd.Categorical.from_codes(np.asarray(codes, dtype=int), list[Any](words))
+    def named(codes, words):
+        return pd.Categorical.from_codes(np.asarray(codes, dtype=int), list(words))
 
     joined = lambda pieces, dtype: np.concatenate([np.zeros(0, dtype), *(np.asarray(piece, dtype) for piece in pieces)])
     columns = {

@@ -16,7 +16,7 @@ from mic.scene.deviation import deviation_unit
 
 __all__ = ["html", "lines"]
 
-NAMES = 6  # names in a line
+NAMES, LETTERS = 6, 120  # in a line
 WIDTH, HEIGHT, MARGIN = 640.0, 400.0, 40.0  # of the picture
 TILT = np.radians(55)  # of the assembly's plane to the line of sight
 DOTS = 2000  # contact pairs in the picture, evenly chosen
@@ -43,17 +43,18 @@ def lines(scene: Any, kind: str, contacts: str) -> list[str]:
     contacts : str
         What is known of the contacts.
     """
-    text = " ".join(scene.description.split())
-    about = text if len(text) <= 90 else text[:89] + "…"
+    about = " ".join(scene.description.split())
     units = [(item.name, deviation_unit(item, scene)) for item in scene.deviations]
     fixture = [(scene.locators, "locator"), (scene.clamps, "clamp"), (scene.welds, "weld")]
-    return [
+    stages = [stage.name for stage in scene.stages]
+    found = [
         f"{kind} {scene.name!r}{': ' * bool(about)}{about}",
         f"  {named(scene.parts, 'part')}; " + ", ".join(named(items, word, ()) for items, word in fixture),
-        f"  {contacts}; stages: {', '.join(stage.name for stage in scene.stages)}",
+        f"  {contacts}; stages: {', '.join(stages[:NAMES])}{', …' * (len(stages) > NAMES)}",
         f"  {named(units, 'deviation', (f'{name} ({unit})' if unit else name for name, unit in units))}",
         f"  {named(scene.measurements, 'key characteristic')}; contact laws: {', '.join(scene.report.laws)}",
     ]
+    return [line if len(line) <= LETTERS else line[: LETTERS - 1] + "…" for line in found]
 
 
 def html(scene: Any, text: list[str], pairs: Mapping[str, np.ndarray] | None = None) -> str:

@@ -52,7 +52,7 @@ def checked(function: Callable[P, T]) -> Callable[P, T]:
         if not reports or callable(progress):
             return function(*args, **kwargs)
         with ProgressBar(progress) as bar:
-            return function(**given | {"progress": bar.advance})  # type: ignore[arg-type]
+            return function(**given | {"progress": bar.advance})  # type: ignore[call-arg]
 
     return call
 
