@@ -43,6 +43,7 @@ def three():
 # ------------------------------------------------------------------------------------------------- names and texts
 
 
+@pytest.mark.slow
 def test_completion_offers_the_public_names_and_nothing_else():
     offered = {name for name in dir(mic) if not name.startswith("__")}
     assert offered == set(mic.__all__) and {"load_scene", "reduce", "examples", "report", "ContactState"} <= offered
@@ -249,6 +250,7 @@ def test_a_scene_without_deviations_or_measurements_has_tables_too():
 # ------------------------------------------------------------------------------------------------------------ friction
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("law", ["coulomb", "associated", "frictionless"])
 def test_another_friction_gives_the_bits_of_a_scene_with_that_friction(model, law):
     x = model.sample(4)
