@@ -235,6 +235,13 @@ QUESTIONS = {
         {"decimal": "."},
         {"point": [1.25, 2.5, 3.75]},
     ),
+    "points between tabs": (
+        "name\tx\ty\tz\nW1\t1.250\t2.500\t3.750\n",
+        Weld,
+        r"'1.250' is 1.25 or 1250",
+        {"decimal": ","},
+        {"point": [1250.0, 2500.0, 3750.0]},
+    ),
     "quoted": ('name,x,y,z\nW1,"1,250",0.5,3\n', Weld, r"1.25 or 1250", {"decimal": "."}, {"point": [1250.0, 0.5, 3]}),
     "two sets of coordinates": (
         "name;x;Nominal X;y;z\nW1;1;2;3;4\n",

@@ -37,7 +37,7 @@ OLD_EXCEL = b"\xd0\xcf\x11\xe0"
 TITLED_UNIT = re.compile(r"\b(?:units?|einheit(?:en)?|dimensions?)\b(?:\W+(?:are|sind|in))*\W+(\w+)", re.IGNORECASE)
 SPELT = re.compile(r"\b(?:inch(?:es)?|zoll|met(?:er|re)s?)\b", re.IGNORECASE)
 WITH_UNIT = re.compile(r"(.*\d[.,]?)\s*([^\d\s.,]+)")
-LOCAL = (";", "")  # separators of programs that write numbers as their country does; none in a workbook
+LOCAL = (";", "\t", "")  # separators of spreadsheets, which write numbers as their country does; none in a workbook
 RULE = re.compile(r"[-=_:+]{3,}")  # between the header and the rows
 CONTROL = re.compile(r"[\x00-\x08\x0e-\x1f\x7f-\x9f]")
 SPACE = re.compile(r"[\s\ufeff]")
