@@ -16,7 +16,8 @@ class Weld(OnSheet):
     """name of the weld in results"""
 
     parts: tuple[Name, Name]
-    """the two parts that it joins; nodes and sets are those of the first"""
+    """the two parts that it joins, on each other or one on the other by its free edge (a T joint); nodes and sets are
+    those of the first"""
 
     radius: NonNegative = 2.5
     """of the nugget, mm"""
