@@ -369,7 +369,7 @@ def test_pictures_begun_before_tables_and_fields_are_written_are_those_of_the_pa
 @pytest.mark.slow
 def test_a_law_has_one_colour_in_pictures_and_tables(page, outcome, every_picture):
     for law in outcome.laws:
-        assert f'style="color:{LAWS[law].colour}"><b>{law}</b>' in page.source
+        assert f'style="--mark:{LAWS[law].colour}"><b>{law}</b>' in page.source
     colours = set(re.findall(r"#[0-9a-f]{6}", every_picture["measurements"].data.decode()))
     neutral = {"#000000", "#ffffff", RC["axes.edgecolor"], RC["grid.color"], LIMIT_COLOUR}
     assert colours - neutral == {LAWS[law].colour for law in outcome.laws}

@@ -44,6 +44,12 @@ def copied(folder, tmp_path):
     return shutil.copytree(folder, tmp_path / "run")
 
 
+def required(outcome, **target):
+    """The model of an outcome, whose scene requires another capability."""
+    scene = outcome.model.scene
+    return replace(outcome.model, scene=scene.model_copy(update={"report": scene.report.model_copy(update=target)}))
+
+
 def beyond(outcome):
     """(n, k) which characteristics of which samples miss a limit."""
     items = outcome.model.scene.measurements
@@ -80,19 +86,27 @@ def test_report_and_summary_state_the_same_verdict(folder):
 @pytest.mark.parametrize(
     "target, opening",
     [
-        ({"target_cpk": 0.05}, "Capable: Cpk of "),
-        ({"target_cpk": 0.45}, f"Not decided by {SAMPLES} samples: Cpk of "),
-        ({"target_outside": 0.9}, "Capable: the share outside limits is "),
-        ({"target_outside": 0.001}, "Not capable: the share outside limits is "),
+        ({"target_cpk": 0.5}, "Capable: Cpk of M1, the least capable, is 1.50 ("),
+        ({}, f"Not decided by {SAMPLES} samples: Cpk of M1 is 1.50 ("),
+        ({"target_cpk": 4.0}, "Not capable: Cpk of M1 is 1.50 ("),
+        ({"target_outside": 0.5}, "Capable: the share outside limits is at most 11.6 %, required at most 50.0 %"),
+        ({"target_outside": 0.001}, f"Not decided by {SAMPLES} samples: the share outside limits is at most 11.6 %"),
     ],
 )
 def test_the_requirement_of_the_scene_decides(folder, target, opening):
+    """With limits that make Cpk 1.5 and 2 without a sample outside; none of 3687 outside would show 0.1 %."""
     outcome = read_outcome(folder)
-    scene = outcome.model.scene
-    scene = scene.model_copy(update={"report": scene.report.model_copy(update=target)})
-    first = verdict(read_outcome(folder, replace(outcome.model, scene=scene))).sentences[0]
+    items = []
+    for item, cpk in zip(outcome.model.scene.measurements, (1.5, 2.0)):
+        x = outcome.measured("coulomb", item.name)
+        half = 3 * cpk * x.std(ddof=1)
+        items.append(item.model_copy(update={"lower": x.mean() - half, "upper": x.mean() + half}))
+    model = required(outcome, **target)
+    wide = replace(model, scene=model.scene.model_copy(update={"measurements": items}))
+    first = verdict(read_outcome(folder, wide)).sentences[0]
     assert first.startswith(opening)
     assert ("samples would decide if" in first) == opening.startswith("Not decided")
+    assert "target_outside" not in target or target["target_outside"] > 0.1 or "3700 samples" in first
 
 
 def test_the_worst_characteristic_is_first_and_missing_studies_name_their_commands(copied):
@@ -164,6 +178,13 @@ def test_the_verdict_shows_a_computed_rare_miss(copied):
     said = verdict(read_outcome(copied)).sentences
     assert "Expected assemblies outside a limit: 25 ppm (10 to 60), by subset simulation." in said
     assert not any("first-order estimate" in each for each in said)
+    for target, opening in (
+        (1e-4, "Capable: the share outside limits is 25 ppm"),
+        (1e-6, "Not capable: "),
+        (3e-5, "Not"),
+    ):
+        found = verdict(read_outcome(copied, required(read_outcome(copied), target_outside=target))).sentences[0]
+        assert found.startswith(opening) and ("`mic rare` with more samples" in found) == (target == 3e-5)
     RARE.write(copied, pd.DataFrame([row | {"first_order": 2e-6, "agrees": False}]))
     said = verdict(read_outcome(copied)).sentences
     assert "The first-order estimate differs, 2.0 ppm: the limits are curved." in said

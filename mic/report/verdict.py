@@ -10,7 +10,7 @@ import numpy as np
 from mic.plausibility import Results, find_warnings_of_results
 from mic.report.driver_sentences import adjusted, named
 from mic.report.style import change, number, probability
-from mic.results.capability_verdict import COUNTED, CapabilityVerdict, capability_verdict
+from mic.results.capability_verdict import COUNTED, NORMAL, SUBSET, CapabilityVerdict, capability_verdict
 from mic.results.error_sources import Source, error_budget
 from mic.results.outcome import Outcome
 from mic.results.schema import CONTRIBUTORS, FRICTION_EFFECTS, LINEARITY, RARE, REMEDIES
@@ -20,6 +20,7 @@ __all__ = ["SHOWN", "Verdict", "verdict"]
 
 SHOWN = 10  # characteristics in the first table, the least capable ones
 FEW = 10  # independent groups of samples: fewer give very wide intervals
+SMALLEST = 1e-8  # share outside: smaller ones are not told apart
 MARKS = {CAPABLE: "in", NOT_DECIDED: "close", NOT_CAPABLE: "out"}
 
 
@@ -112,12 +113,16 @@ def _first(judged: CapabilityVerdict, rows: list[dict[Any, Any]]) -> str:
 def _undecidable(judged: CapabilityVerdict) -> str:
     if np.isinf(judged.decision.needed):
         return "It is so close that more than ten million samples would be needed."
+    if judged.estimator == SUBSET:
+        return "`mic rare` with more samples would decide."
     return "So few samples, or groups of samples, give no interval: draw more."
 
 
 def _share(judged: CapabilityVerdict) -> str:
     """The share outside limits with its interval."""
     value, low, high = (float(x) for x in (judged.outside.value, judged.outside.low, judged.outside.high))
+    if high < SMALLEST:
+        return f"below {probability(SMALLEST)}"
     if value == 0 and high > 0:
         return f"at most {probability(high)}"
     return probability(value, low, high) if low == low else probability(value)
@@ -128,6 +133,8 @@ def _outside(judged: CapabilityVerdict, outcome: Outcome, law: str, rows: list[d
     by = judged.estimator
     if by == COUNTED:
         by += f" ({outcome.accumulators[law].counts['any outside',]} of {judged.samples})"
+    elif by == NORMAL and outcome.model.scene.monte_carlo.values is None:
+        by += f"; `mic rare {_folder(outcome)}` assumes none"
     sentences = [f"Expected assemblies outside a limit: {_share(judged)}, {by}."]
     if rows[0]["drivers"]:
         sentences.append(f"Main contributors of {rows[0]['measurement']}: {rows[0]['drivers']}.")
@@ -142,10 +149,14 @@ def _implausible(outcome: Outcome, rows: list[dict[Any, Any]]) -> list[str]:
     return [f"Warning: {warning}." for warning in find_warnings_of_results(Results(scene, extent, mean, six_sigma))]
 
 
+def _folder(outcome: Outcome) -> str:
+    """The results folder as an argument of a command."""
+    return f"results/{outcome.folder.name}" if outcome.folder.parent.name == "results" else str(outcome.folder)
+
+
 def _further(outcome: Outcome, law: str, rows: list[dict[Any, Any]], judged: CapabilityVerdict) -> list[str]:
     """Rare misses, contributors, remedies and friction: results, or the command that computes them."""
-    command = f"results/{outcome.folder.name}" if outcome.folder.parent.name == "results" else str(outcome.folder)
-    sentences = []
+    command, sentences = _folder(outcome), []
     rare = outcome.study(RARE)
     own = [] if rare is None else rare[(rare["law"] == law) & (rare["measurement"] == "")].to_dict("records")
     for row in own:

@@ -18,7 +18,11 @@ from mic.statistics.estimates import LEVEL, Estimate
 
 __all__ = ["COUNTED", "NORMAL", "SUBSET", "CapabilityVerdict", "capability_verdict"]
 
-SUBSET, COUNTED, NORMAL = "by subset simulation", "counted among the samples", "by normal distributions of the samples"
+SUBSET, COUNTED, NORMAL = (
+    "by subset simulation",
+    "counted among the samples",
+    "extrapolated by normal distributions of the samples",
+)
 COUNTABLE = 10  # samples outside from which counting is as good as any model
 
 
@@ -86,13 +90,14 @@ def capability_verdict(outcome: RunSamples, law: str, table: pd.DataFrame) -> Ca
     if not outcome.model.scene.measurements or not samples:
         return None
     cpk, freedom = _cpk(outcome, law, table)
-    outside, estimator = _outside(outcome, law)
+    outside, estimator = _outside(outcome, law, extrapolated=report.target_outside is None)
     if report.target_outside is None:
         target_cpk = report.target_cpk
         decision = decide(cpk.value, cpk.low, cpk.high, target_cpk, samples, freedom)
     else:
         target_cpk, decision = None, decide_share(outside, report.target_outside)
-    needed = _rounded(decision.needed, outcome.together) if math.isfinite(decision.needed) else None
+    by_samples = math.isfinite(decision.needed) and (target_cpk is not None or estimator != SUBSET)
+    needed = _rounded(decision.needed, outcome.together) if by_samples else None
     return CapabilityVerdict(cpk, decision, target_cpk, report.target_outside, samples, needed, outside, estimator)
 
 
@@ -112,12 +117,13 @@ def _bounds(outcome: RunSamples) -> np.ndarray:
     return np.array([item.bounds for item in outcome.model.scene.measurements]).T
 
 
-def _outside(outcome: RunSamples, law: str) -> tuple[Estimate, str]:
+def _outside(outcome: RunSamples, law: str, extrapolated: bool) -> tuple[Estimate, str]:
     """Share of the assemblies outside any limit, and its estimator, the first that is supported.
 
     Subset simulation, if it was computed; the count, if at least :data:`COUNTABLE` samples are outside; normal
     distributions, if no key characteristic contradicts them: the sum over the characteristics, whose interval reaches
-    from the largest lower end to the sum of the upper ends at level ``1 - α/k``; else the count.
+    from the largest lower end to the sum of the upper ends at level ``1 - α/k``; else the count. A decision on the
+    share itself uses no extrapolation: skewness that does not show in the samples multiplies so small a share.
     """
     accumulator, samples = outcome.accumulators[law], len(outcome.sample_numbers(law))
     rare = outcome.study(RARE)
@@ -128,7 +134,7 @@ def _outside(outcome: RunSamples, law: str) -> tuple[Estimate, str]:
     good, moments = whole_yield(outcome, law), accumulator.moments["measurements",]
     counted = Estimate(1 - good.value, 1 - good.high, 1 - good.low, good.used, good.excluded)
     few = int(accumulator.counts["any outside",]) < COUNTABLE
-    if not few or outcome.together > 1 or not np.all(looks_normal(moments)):
+    if not (few and extrapolated) or outcome.together > 1 or not np.all(looks_normal(moments)):
         return counted, COUNTED
     lower, upper = _bounds(outcome)
     shares = normal_share_outside(moments, lower, upper, 1 - (1 - LEVEL) / len(lower))
