@@ -50,7 +50,7 @@ def weld_rows(key: str, weld, rows: Rows) -> np.ndarray:
 
 def weld_terms(weld, pair: ContactPair, rows: Rows) -> list[tuple]:
     """Retain the functionals of a weld over a pair; for each of its rows the label and the terms of the two parts."""
-    moments = {}
+    moments: dict[str, np.ndarray] = {}
     if weld.fused and weld.moment and pair.offsets is None:
         moments = _moment_weights(pair, rows.surfaces[weld.parts[0]], weld.radius)
     functionals: list[list[int]] = []

@@ -65,11 +65,10 @@ def source_moves_far(found: Iterable[Displacement]) -> Iterator[Finding]:
     """Sources whose standard deviation alone moves a free part far."""
     for one in found:
         if one.length > TENTH:
-            about_ = "about " if one.rule == "estimate" else ""
-            what, where = f" part {one.part}" if one.part else " its item", None
-            if one.point is not None:
-                where = tuple(one.point.tolist())
-            yield f"deviation {one.name}", f"its 1 σ moves{what} by {about_}{one.length:.2g} mm", where
+            what = f"part {one.part}" if one.part else "its item"
+            roughly = "about " if one.rule == "estimate" else ""
+            where = None if one.point is None else tuple(one.point.tolist())
+            yield f"deviation {one.name}", f"its 1 σ moves {what} by {roughly}{one.length:.2g} mm", where
 
 
 def pressed_hard(results: Results) -> Iterator[Finding]:
