@@ -1,4 +1,4 @@
-"""The tutorial that starts from two meshes does what it says, and the machine needs less than two minutes for it."""
+"""The tutorial that starts from two meshes does what it says, and the machine needs less than three minutes for it."""
 
 import contextlib
 import io
@@ -9,6 +9,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pandas as pd
 import pytest
 from support.runs import skip_pictures
 from typer.testing import CliRunner
@@ -106,28 +107,30 @@ def test_no_sample_of_the_runs_fails(played):
 
 
 def test_the_first_run_leads_to_the_question_of_the_page(played):
-    """The corner that it names has the least capability, by the numbers that it gives; nothing else is in doubt."""
+    """The corner that it names has the least capability, by the numbers that it gives, and by far."""
     _, folder, _ = played
     found = capability(folder, "panel+channel")
     name, six_sigma, cpk = re.search(r"`([\w-]+)`, a corner .*?6σ = (\d+\.\d+) mm.*?Cpk = (\d+\.\d+)", TEXT).groups()
     assert min(found, key=lambda one: found[one]["cpk"]) == name
     assert found[name]["six_sigma"] == pytest.approx(float(six_sigma), abs=0.01)
     assert found[name]["cpk"] == pytest.approx(float(cpk), abs=0.01) and float(cpk) < 1.33
-    assert all(one["cpk"] > 1.5 for key, one in found.items() if key != name)
+    assert all(one["cpk"] > float(cpk) + 0.3 for key, one in found.items() if key != name)
 
 
 def test_the_cause_is_the_one_that_the_page_names(played):
-    said, _, _ = played
-    cause, millimetres = re.search(r"It is `([\w-]+)`.*?corner by ([\d.]+) mm", TEXT).groups()
-    printed = next(text for text in said if text.startswith(cause))
-    assert abs(float(printed.split()[1])) == pytest.approx(float(millimetres), abs=0.01)
+    _, folder, _ = played
+    name, cause, percent = re.search(r"contributor to `([\w-]+)` is `([\w-]+)`, with (\d+) %", TEXT).groups()
+    table = pd.read_csv(folder / "results" / "panel+channel" / "tables" / "contributors.csv")
+    shares = table[table["measurement"] == name].set_index("contributor")["total"]
+    assert shares.idxmax() == cause and 100 * shares[cause] == pytest.approx(float(percent), abs=1.0)
 
 
 def test_the_decision_holds(played):
     _, folder, _ = played
     cpk = float(re.search(r"is now ([\d.]+):", TEXT)[1])
-    assert capability(folder, "better")["panel-M2"]["cpk"] == pytest.approx(cpk, abs=0.01) and cpk > 1.33
+    assert capability(folder, "better")["panel-M2"]["cpk"] == pytest.approx(cpk, abs=0.01)
+    assert capability(folder, "panel+channel")["panel-M2"]["cpk"] + 0.25 < cpk < 1.33
 
 
-def test_the_tutorial_takes_less_than_two_minutes_of_processor_time(played):
-    assert played[2] < 90  # fields take up to half a minute more
+def test_the_tutorial_takes_less_than_three_minutes_of_processor_time(played):
+    assert played[2] < 150  # fields take up to half a minute more
