@@ -232,7 +232,7 @@ def _estimated(sheet: HeldSheet, items) -> list[np.ndarray]:
     item = items[0]
     amplitude = np.array([one.sigma or one.mean for one in items])
     if item.kind == "force":
-        row = sheet.rows([item.point], [item.direction], [item.radius])
+        row = sheet.rows(np.array([item.point]), np.array([item.direction]), [item.radius])
         return [(amplitude[0] * sheet.response(row)).reshape(-1, 3)]
     values = np.array([one.known for one in items]).T
     fields = known_shape_fields(sheet, np.array(item.points), values, item.loose, item.name)

@@ -96,6 +96,11 @@ class Proposal:
     variation: dict[str, Variation]
     sentences: list[str]
 
+    @property
+    def welds(self) -> int:
+        """Number of proposed welds."""
+        return sum(len(joint.welds) for joint in self.joints) + sum(len(edge.welds) for edge in self.standing)
+
     def summary(self) -> str:
         """Numbers of proposed items."""
         count = {
@@ -103,7 +108,7 @@ class Proposal:
             "locator": sum(map(len, self.fixtures.values())),
             "contact zone": len(self.laps),
             "clamp": len(self.tongs),
-            "weld": sum(len(joint.welds) for joint in (*self.joints, *self.standing)),
+            "weld": self.welds,
         }
         return ", ".join(f"{number or 'no'} {what}{'' if number == 1 else 's'}" for what, number in count.items())
 
