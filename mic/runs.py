@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext
 from pathlib import Path
 from typing import Any
@@ -89,6 +89,11 @@ class BarProgress(Progress):
             yield lambda law, count: bar.advance(count)
 
 
+def _report_notes(progress: Progress, sentences: Iterable[str]) -> None:
+    for sentence in sentences:
+        progress.report(f"note: {sentence}")
+
+
 @checked
 def run(
     scene: Scene,
@@ -134,8 +139,7 @@ def run(
             assembly, warnings = on_first(world, lambda: _assemble(scene, cache, report_line, progress, strict))
             scene = assembly.scene  # that of the first process, in case the file has changed
             for part in (part for part in scene.parts if part.name in assembly.decks):
-                for sentence in repair_summary(part, assembly.decks[part.name]):
-                    progress.report(f"note: {sentence}")
+                _report_notes(progress, repair_summary(part, assembly.decks[part.name]))
         laws, samples, seed = scene.report.laws, scene.monte_carlo.samples, scene.monte_carlo.seed
 
         def prepare() -> None:
@@ -160,8 +164,7 @@ def run(
         with clock("reduced model"):
             model = shared(world, lambda: _reduce(assembly, influence))
             influence.clear()  # the model holds it
-            for sentence in model.process().redundant + frozen_gaps(model):
-                progress.report(f"note: {sentence}")
+            _report_notes(progress, model.process().redundant + frozen_gaps(model))
         with clock("Monte Carlo"):
             tables_in_memory = TableCache()
             reused_samples = _sample_to_accuracy(folder, model, laws, samples, seed, progress, tables_in_memory)

@@ -195,7 +195,7 @@ def _stages(proposal: Proposal, listed: bool) -> Iterator[dict[str, Any]]:
     clamped = bool(proposal.tongs) or any(
         support.further for supports in proposal.fixtures.values() for support in supports
     )
-    welded = listed or any(len(joints.welds) for joints in (*proposal.joints, *proposal.standing))
+    welded = listed or proposal.welds > 0
     if clamped:
         yield {"kind": "clamp", "_note": "further locators close, then one clamp after the other"}
     if welded:
