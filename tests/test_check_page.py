@@ -75,15 +75,16 @@ def test_gaps_are_a_map_in_mm_and_overlap_lies_below_zero(thickness, gap, words,
 def test_warnings_stand_beside_the_view_and_are_numbered_in_it(tmp_path, cache):
     edits = (("force = 60", "force = 60000"), ("young = 210000", "young = 210"))
     html, data, output = checked(tmp_path, cache, *edits, page=tmp_path / "here.html")
-    verdict = "Implausible: 4 warnings, 2 of values that no assembly has."
+    verdict = "Implausible: 6 warnings, 2 of values that no assembly has."
     assert verdict in html and output.rstrip().endswith(verdict)
     assert output.index("implausible: part lower: young = 210 MPa") < output.index("Parts")
     assert "warning: part lower: young = 210 MPa" in output
-    items = re.findall(r"<li>([^:<]*): (?:young|force)", html)
-    assert items == ["part lower", "part upper", "clamp C1-upper", "clamp C1-lower"]
+    items = re.findall(r"<li>([^:<]*): (?:young|force|its 1 σ)", html)
+    assert items == ["part lower", "part upper", "clamp C1-upper", "clamp C1-lower", "deviation F1", "deviation F2"]
     (group,) = [group for group in data["points"] if group["name"] == "warnings"]
-    assert [re.sub("<.*?>", "", text) for text in group["numbers"]] == ["3, 4"]  # one ring: they are near
-    assert group["labels"] == ["3. clamp C1-upper<br>4. clamp C1-lower"] and group["points"] == [[72.0, 12.5, 1.0]]
+    assert [re.sub("<.*?>", "", text) for text in group["numbers"]] == ["3, 4", "5", "6"]  # near ones: a ring
+    assert group["labels"] == ["3. clamp C1-upper<br>4. clamp C1-lower", "5. deviation F1", "6. deviation F2"]
+    assert group["points"] == [[72.0, 12.5, 1.0], [60.0, 25.0, 1.0], [100.0, 0.0, 0.0]]
 
 
 @pytest.mark.slow
