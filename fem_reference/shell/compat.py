@@ -147,7 +147,7 @@ def _table(dofmap) -> np.ndarray:
 def compile_form(form) -> fem.Form:
     """Compile a UFL form, or fetch it from the user's cache; interpret it where dolfinx 0.11 finds no C compiler."""
     if _VERSION >= (0, 11):
-        from fem_reference.shell import interpreted_forms  # what it imports from FFCx is new in 0.11
+        from fem_reference.shell import interpreted_forms  # imported where it is needed
 
         if interpreted_forms.no_compiler():
             with _quietly():

@@ -15,8 +15,6 @@ from os import environ
 from pathlib import Path
 from types import SimpleNamespace
 
-import ffcx.compiler
-import ffcx.options
 import numpy as np
 import ufl
 from dolfinx import cpp, fem
@@ -63,6 +61,9 @@ def _generated(form: ufl.Form):
     """The Python kernel of a form, and the positions of the coefficients that it reads among those of the form."""
     if form.signature() in _known:
         return _known[form.signature()]
+    import ffcx.compiler
+    import ffcx.options  # new in 0.11; the documentation imports this module with every version
+
     options = ffcx.options.get_options({"language": "numba", "scalar_type": np.float64})
     (source,), _ = ffcx.compiler.compile_ufl_objects([form], options, namespace="shells")
     names: dict = {}
