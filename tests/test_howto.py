@@ -105,13 +105,13 @@ def test_commands_of_the_page_write_their_tables_and_the_report_shows_them(
     one_picture = lambda outcome, context, *_: {"contributors": draw("contributors", outcome, context)}
     monkeypatch.setattr("mic.report.page.draw_all", one_picture)
     done = CliRunner().invoke(app, ["report", str(folder)], env={"COLUMNS": "160"})
-    assert done.exit_code == 0 and "main contributors: " in done.output
+    assert done.exit_code == 0 and "Main contributors of " in done.output
     page = (folder / "report.html").read_text(encoding="utf-8")
     for anchor in ("verdict-table", "budget-table", "contributors-table", "friction-table", "contributors"):
         assert f'id="{anchor}"' in page
     assert "Friction has little effect" in page and "nearly linear" in page
     assert page.index('id="verdict"') < page.index('id="validity"')
     opening = page[page.index('<section id="verdict">') : page.index("</section>")]
-    assert "main contributors: " in opening and "not computed" not in opening
+    assert "Main contributors of " in opening and "not computed" not in opening
     for source in ("samples", "path", "contact residuals", "meshes", "contact pairs", "order of the process"):
         assert f"<b>{source}</b>" in opening
