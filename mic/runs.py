@@ -9,6 +9,7 @@ import sys
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +18,7 @@ import pandas as pd
 
 from mic.compliance.coefficients import InfluenceCoefficients, solver_versions
 from mic.errors import SceneError
+from mic.execution.engine import Engine, choose
 from mic.execution.monte_carlo import blocks, monte_carlo
 from mic.execution.ranks import communicator, on_first, shared
 from mic.geometry.mesh_summary import repair_summary
@@ -102,6 +104,7 @@ def run(
     progress: Progress | bool | None = None,
     replace: bool = False,
     strict: bool = False,
+    engine: str | None = None,
 ) -> Outcome | None:
     """Run the Monte Carlo of a scene into a results folder.
 
@@ -119,6 +122,9 @@ def run(
         Whether results of another run in the folder may be removed.
     strict : bool
         Whether to refuse a scene that :mod:`mic.plausibility` warns of.
+    engine : str, optional
+        What evaluates the samples, as :func:`mic.execution.engine.choose` takes it: ``"local"``, ``"local:4"``,
+        ``"mpi"``, ``"dask"``, ``"dask:ADDRESS"``. Default: all cores, under ``mpirun`` its processes.
 
     Returns
     -------
@@ -129,7 +135,7 @@ def run(
     ------
     SceneError, MissingProvider, RunError, FormatError, StorageError
     """
-    world, clock, folder = communicator(), _Clock(), Path(folder)
+    world, clock, folder, chosen = communicator(), _Clock(), Path(folder), choose(engine)
     progress = progress if isinstance(progress, Progress) else BarProgress(progress)
     with hold(folder, progress):
         clean([Path(cache) / "meshes", Path(cache) / "influence"])
@@ -167,7 +173,7 @@ def run(
             _report_notes(progress, model.process().redundant + frozen_gaps(model))
         with clock("Monte Carlo"):
             tables_in_memory = TableCache()
-            reused_samples = _sample_to_accuracy(folder, model, laws, samples, seed, progress, tables_in_memory)
+            reused_samples = _sample_to_accuracy(folder, model, laws, samples, seed, progress, tables_in_memory, chosen)
             samples = on_first(world, lambda: RunFolder(folder).record()["samples"])
         if world is not None and world.rank > 0:
             return None
@@ -185,6 +191,7 @@ def sample_into(
     seed: int,
     progress: Progress | None = None,
     replace: bool = False,
+    engine: str | None = None,
 ) -> dict[str, int]:
     """Run the Monte Carlo of a reduced model into a results folder, without statistics; under MPI a collective call.
 
@@ -200,6 +207,8 @@ def sample_into(
     progress : Progress, optional
     replace : bool
         Whether results of another run in the folder may be removed.
+    engine : str, optional
+        As in :func:`run`.
 
     Returns
     -------
@@ -213,7 +222,7 @@ def sample_into(
     folder, progress = Path(folder), progress or Progress()
     with hold(folder, progress):
         on_first(communicator(), lambda: _prepare(folder, model, laws, samples, seed, progress, replace))
-        return _sample_to_accuracy(folder, model, laws, samples, seed, progress, TableCache())
+        return _sample_to_accuracy(folder, model, laws, samples, seed, progress, TableCache(), choose(engine))
 
 
 def _assemble(scene: Scene, cache: Path, report_line, progress: Progress, strict: bool) -> tuple[Assembly, list[str]]:
@@ -260,7 +269,7 @@ def _prepare(
 
 
 def _sample_to_accuracy(
-    folder, model: ReducedModel, laws, samples, seed, progress: Progress, cached: TableCache
+    folder, model: ReducedModel, laws, samples, seed, progress: Progress, cached: TableCache, engine: Engine
 ) -> dict[str, int]:
     """Sample until the required accuracy or number of samples is reached; returns the reused samples by law.
 
@@ -269,7 +278,7 @@ def _sample_to_accuracy(
     """
     accuracy, world = model.scene.monte_carlo.accuracy, communicator()
     if accuracy is None:
-        return _sample(folder, model, laws, samples, seed, progress, cached)
+        return _sample(folder, model, laws, samples, seed, progress, cached, engine)
     ends = [first + count for _, first, count in blocks(laws[:1], samples, len(model.contacts))]
     store, checked = RunFolder(folder), 0
     reused: dict[str, int] = {}
@@ -283,7 +292,7 @@ def _sample_to_accuracy(
         if end < GROWTH * checked and end < samples:
             continue
         checked = end
-        already_finished = _sample(folder, model, laws, end, seed, progress, cached)
+        already_finished = _sample(folder, model, laws, end, seed, progress, cached, engine)
         reused = reused or already_finished
         uncertainty = on_first(world, check)
         if uncertainty <= accuracy or end == samples:
@@ -296,30 +305,31 @@ def _sample_to_accuracy(
     return reused
 
 
-def _sample(folder, model: ReducedModel, laws, samples, seed, progress: Progress, cached: TableCache) -> dict[str, int]:
+def _sample(
+    folder,
+    model: ReducedModel,
+    laws,
+    samples,
+    seed,
+    progress: Progress,
+    cached: TableCache,
+    engine: Engine,
+) -> dict[str, int]:
     """Compute and write the missing samples of a prepared folder; returns the reused samples by law."""
-    store, world = RunFolder(folder), communicator()
-    run_identity = identity(model, seed)
+    store = RunFolder(Path(folder).resolve())  # workers may have another working directory
 
     def start() -> dict[str, np.ndarray]:
         model.save(store.path / "model.npz")
         return {law: store.finished(law, samples) for law in laws}
 
-    finished = on_first(world, start)
+    finished = on_first(communicator(), start)
 
     def done(law: str, first: int, count: int) -> bool:
         start, stop = np.searchsorted(finished[law], (first, first + count))
         return bool(stop - start == count)
 
-    def sink(law: str, first: int, evaluation: Evaluation) -> dict[str, pd.DataFrame] | None:
-        block = Block(law, first, len(evaluation.deviations))
-        written = write_evaluation(store, block, run_identity, model, evaluation)
-        first_process = world is None or world.rank == 0  # it computes the statistics
-        return written if first_process and cached.store(block, written) else None
-
-    def take(law: str, first: int, count: int, written: dict[str, pd.DataFrame] | None) -> None:
-        if written is not None:
-            cached.store(Block(law, first, count), written)
+    def take(law: str, first: int, count: int, written: dict[str, pd.DataFrame]) -> None:
+        cached.store(Block(law, first, count), written)
 
     def expect(seconds: float) -> None:
         if seconds > LONG:
@@ -328,8 +338,22 @@ def _sample(folder, model: ReducedModel, laws, samples, seed, progress: Progress
                 'stay stored if the run is stopped; path = "one-step" in the stages takes a fraction.'
             )
 
+    sink = _BlockWriter(store, model, identity(model, seed))
     with progress.sampling(laws, samples) as advance:
-        return monte_carlo(model, laws, samples, seed, sink, done, advance, expect, take)
+        return monte_carlo(model, laws, samples, seed, sink, done, advance, expect, take, engine)
+
+
+@dataclass(frozen=True)
+class _BlockWriter:
+    """Writes the blocks of a run, in any process, and returns their tables."""
+
+    store: RunFolder
+    model: ReducedModel
+    identity: str
+
+    def __call__(self, law: str, first: int, evaluation: Evaluation) -> dict[str, pd.DataFrame]:
+        block = Block(law, first, len(evaluation.deviations))
+        return write_evaluation(self.store, block, self.identity, self.model, evaluation)
 
 
 def write_evaluation(

@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from mic.execution import local
 from mic.execution import monte_carlo as montecarlo
-from mic.execution import worker_process
-from mic.execution.monte_carlo import BLOCK, MANY_PAIRS, MAX_ENTRIES, SIZES, SMALL_BLOCK, blocks, monte_carlo
+from mic.execution.local import Local
+from mic.execution.monte_carlo import BLOCK, MAX_ENTRIES, MAX_FIRST_ENTRIES, SIZES, blocks, monte_carlo, pieces
 from mic.scene import Scene
 from mic.scene.samples import DESIGNS
 from mic.statistics import estimates
@@ -168,27 +169,47 @@ def test_every_sample_reaches_the_sink_once(lap_model):
     assert reused == {"coulomb": 0, "frictionless": 0}
 
 
-@pytest.mark.slow
-def test_a_worker_process_evaluates_some_blocks_to_the_same_bits(lap_model, monkeypatch):
-    """Of ten blocks; this process gets the results of both, and all samples are reported."""
-    sink = lambda law, first, evaluation: (os.getpid(), evaluation.measurements, evaluation.functional_force)
+def _process_and_values(law, first, evaluation):
+    return os.getpid(), evaluation.measurements, evaluation.functional_force
 
-    def found(core):
+
+@pytest.mark.slow
+@pytest.mark.parametrize("workers", [2, 9])
+def test_any_number_of_workers_gives_the_bits_of_one(lap_model, monkeypatch, workers):
+    """Ten blocks, of which nine workers evaluate pieces; all samples are reported, and each block is taken here."""
+    monkeypatch.setattr(local, "WORTHWHILE", 1e-9)
+
+    def found(engine):
         taken, heard = {}, []
-        monkeypatch.setattr(montecarlo, "has_spare_core", lambda: core)
-        monkeypatch.setattr(worker_process, "has_spare_core", lambda: core)
         advance = lambda law, count: heard.append(count)
         take = lambda law, first, count, result: taken.setdefault((law, first, count), result)
-        monte_carlo(lap_model, LAWS, 5 * BLOCK, 4, sink, advance=advance, take=take)
+        monte_carlo(lap_model, LAWS, 5 * BLOCK, 4, _process_and_values, advance=advance, take=take, engine=engine)
         assert sum(heard) == 2 * 5 * BLOCK
         assert sorted(taken) == [(law, first, BLOCK) for law in LAWS for first in range(0, 5 * BLOCK, BLOCK)]
         return taken
 
-    one, two = found(False), found(True)
-    assert {who for who, *_ in one.values()} == {os.getpid()} < {who for who, *_ in two.values()}
+    one, several = found(None), found(Local(workers))
+    assert {process for process, *_ in one.values()} == {os.getpid()}
+    others = {process for process, *_ in several.values()} - {os.getpid()}
+    assert len(others) == (0 if workers == 9 else 2)  # this process joins pieces, and writes their block
     for block, (_, *values) in one.items():
-        for value, other in zip(values, two[block][1:]):
+        for value, other in zip(values, several[block][1:]):
             np.testing.assert_array_equal(value, other)
+
+
+@pytest.mark.parametrize(
+    "workers, seconds, most", [(1, 0.01, BLOCK), (2, 0.01, BLOCK), (40, 0.01, 2), (2, 4.0, 2), (2, 60.0, 1)]
+)
+def test_blocks_are_divided_for_many_workers_and_slow_samples(workers, seconds, most):
+    every = blocks(LAWS, 3 * BLOCK + 10, 24)
+    found = pieces(every, workers, seconds)
+    assert max(piece.count for piece in found) == most
+    assert all(piece.whole == (piece.count == piece.block[2]) for piece in found)
+    samples = lambda items: [(law, number) for law, first, count in items for number in range(first, first + count)]
+    assert samples((piece.law, piece.first, piece.count) for piece in found) == samples(every)
+    assert workers == 1 or len(found) >= min(3 * workers, 2 * (3 * BLOCK + 10))
+    large = blocks(LAWS, 100_000, 24)
+    assert all(piece.whole for piece in pieces(large, 1024, 0.01) if piece.block[2] > 100)
 
 
 def test_finished_blocks_are_skipped_and_counted(lap_model):
@@ -198,11 +219,11 @@ def test_finished_blocks_are_skipped_and_counted(lap_model):
     found, reused = collected(lap_model, LAWS, BLOCK + 10, 4, done=done, advance=advance)
     assert ("coulomb", 0) not in [block[:2] for block in found] and len(found) == 3
     assert reused == {"coulomb": BLOCK, "frictionless": 0}
-    assert heard == [(law, count) for law in LAWS for count in (BLOCK, 10)]
+    assert {law: sum(count for name, count in heard if name == law) for law in LAWS} == dict.fromkeys(LAWS, BLOCK + 10)
 
 
 def test_a_sample_that_breaks_is_counted_and_the_rest_survives(lap_model, monkeypatch):
-    process = lap_model.process("coulomb", threads=len(os.sched_getaffinity(0)))
+    process = lap_model.process("coulomb")
     target = draw(lap_model.scene, 4, 7, 1)
     evaluate = process.evaluate
 
@@ -233,9 +254,9 @@ def test_blocks_grow_with_their_place_as_far_as_memory_allows():
     small, large = blocks(["coulomb"], 1_000_000, 24), blocks(["coulomb"], 1_000_000, 500)
     assert all(count == BLOCK for _, first, count in small if first < 1000)
     assert all(count <= max(BLOCK, first / 20) for _, first, count in small)
-    assert len(small) < 400 and max(count for *_, count in small) == SIZES[-1]
+    assert len(small) < 2100 and max(count for *_, count in small) == SIZES[-1]
     assert max(count for *_, count in large) * 500 <= MAX_ENTRIES
-    assert [block[2] for block in blocks(["coulomb"], 12, MANY_PAIRS + 1)] == [SMALL_BLOCK, SMALL_BLOCK, 2]
+    assert [block[2] for block in blocks(["coulomb"], 12, MAX_FIRST_ENTRIES // 5)] == [5, 5, 2]
 
 
 def test_slow_samples_are_reported_one_by_one_with_the_same_results(lap_model, monkeypatch):
@@ -244,7 +265,7 @@ def test_slow_samples_are_reported_one_by_one_with_the_same_results(lap_model, m
     told, expected = [], []
     advance = lambda law, count: told.append((law, count))
     pieces, _ = collected(lap_model, ["coulomb"], 6, 4, advance=advance, expect=expected.append)
-    assert told == [("coulomb", 1)] * 6 and len(expected) == 1 and 0 < expected[0] < 60
+    assert told == [("coulomb", 2)] + [("coulomb", 1)] * 4 and len(expected) == 1 and 0 < expected[0] < 60
     ((_, _, other),) = pieces
     for name in ("measurements", "deviations", "functional_force", "motion"):
         np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
@@ -253,8 +274,8 @@ def test_slow_samples_are_reported_one_by_one_with_the_same_results(lap_model, m
 
 
 def test_the_expected_duration_excludes_the_setup_in_the_first_sample(lap_model, monkeypatch):
-    ticks = iter([0.0, 0.0, 1000.0, 1000.0, 1006.0])
+    ticks = iter([0.0, 1000.0, 1000.0, 1006.0])
     monkeypatch.setattr(montecarlo.time, "perf_counter", lambda: next(ticks))
     expected = []
-    collected(lap_model, ["frictionless"], 2, 4, expect=expected.append)
-    assert expected == [12.0]  # 6 s each
+    collected(lap_model, ["frictionless"], 4, 4, expect=expected.append)
+    assert expected == [12.0]  # two more of 6 s each

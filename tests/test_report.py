@@ -21,7 +21,6 @@ from support.studies import left_by_studies
 
 import mic.report
 from mic.contact import ContactSolver
-from mic.execution import worker_process
 from mic.geometry.surface import Surface
 from mic.report.background_pictures import NAMES, BackgroundPictures
 from mic.report.context import read_context
@@ -143,7 +142,7 @@ def test_the_page_loads_nothing_and_escapes_the_text_of_the_scene(page):
 
 @pytest.mark.slow
 def test_hostile_texts_change_no_element_of_the_page(copied, given_pictures, monkeypatch):
-    monkeypatch.setattr("mic.report.page.get_plotlyjs", str)
+    monkeypatch.setattr("plotly.offline.get_plotlyjs", str)
     plain = elements(write_report(copied))
     make_texts_hostile(monkeypatch)
     assert elements(write_report(copied)) == plain
@@ -351,7 +350,7 @@ def test_writing_a_report_solves_nothing_and_changes_no_other_file(copied, monke
 def test_pictures_begun_before_tables_and_fields_are_written_are_those_of_the_page(
     folder, every_picture, tmp_path, monkeypatch
 ):
-    monkeypatch.setattr(worker_process, "has_spare_core", lambda: True)  # whatever this machine has
+    monkeypatch.setattr("mic.report.background_pictures.forked_workers", lambda: 3)  # whatever this machine has
     early = shutil.copytree(folder, tmp_path / "early", ignore=shutil.ignore_patterns("fields", "tables"))
     (early / "tables").mkdir()
     for table in (PATH, PATH_ERRORS):  # are written before

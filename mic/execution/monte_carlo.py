@@ -1,43 +1,71 @@
-"""The Monte Carlo loop: samples are drawn and evaluated in blocks, and the blocks are distributed over processes.
+"""The Monte Carlo loop: samples are drawn and evaluated in blocks, which an engine distributes over its workers.
 
-Under MPI the blocks are distributed over the ranks, else over this process and a forked worker if a second core is
-free. Each evaluated block is handed to a callback before the next one begins.
+A block is what is stored together, and does not depend on the number of workers. If there are fewer blocks than workers
+could share, or samples are slow, blocks are evaluated in pieces.
 """
 
 from __future__ import annotations
 
+import math
+import sys
 import time
 from collections.abc import Callable, Sequence
-from functools import partial
-from typing import Any, TypeVar
+from contextlib import closing
+from dataclasses import dataclass, replace
+from typing import Any, Generic, TypeVar, cast
 
-import numpy as np
-
-from mic.execution.ranks import communicator, on_first, wait
-from mic.execution.worker_process import WorkerProcess, has_spare_core
+from mic.execution.engine import Engine
+from mic.execution.local import Local
+from mic.execution.ranks import communicator, on_first
 from mic.process.evaluation import Evaluation
+from mic.process.model import ReducedModel
 from mic.statistics.draw import draw
-from mic.system.cores import available_cores
 
-__all__ = ["BLOCK", "MAX_ENTRIES", "SIZES", "blocks", "monte_carlo"]
+__all__ = ["BLOCK", "MAX_ENTRIES", "SIZES", "Piece", "blocks", "monte_carlo", "pieces"]
 
 T = TypeVar("T")
 Block = tuple[str, int, int]  # law, number of the first sample, number of samples
 BLOCK = 50  # samples in each of the first blocks
-SIZES = (BLOCK, 100, 250, 500, 1000, 2500, 5000)
+MIN_BLOCK = 5
+SIZES = (BLOCK, 100, 250, 500)
 SHARE = 20  # a block is at most 1/20 of the samples before it, so that an interrupt loses little
-MANY_PAIRS = 1000  # contact pairs above which a sample takes so long that blocks are small
-SMALL_BLOCK = 5
-MIN_BLOCKS = 4  # blocks that justify a worker process
-REPORT_INTERVAL = 10.0  # s between progress reports within a block
-MAX_ENTRIES = 200_000  # samples × contact pairs in a block: some hundred megabytes while it is evaluated or read
+MAX_FIRST_ENTRIES = 50_000  # samples × contact pairs in each of the first blocks: large models have slow samples
+MAX_ENTRIES = 200_000  # in a block: some hundred megabytes while it is evaluated or read
+PIECES = 4  # for each worker, at least, so that all end at about the same time
+REPORT_INTERVAL = 10.0  # s that a piece takes at most, since progress is reported after each
+MAX_JOINED = 100  # samples of a block that is divided for many workers: this process joins the pieces and writes it
+
+
+@dataclass(frozen=True)
+class Piece:
+    """Samples that are evaluated together.
+
+    Attributes
+    ----------
+    law : str
+    first, count : int
+        Number of the first sample, and number of samples.
+    block : (str, int, int)
+        The block that they belong to.
+    """
+
+    law: str
+    first: int
+    count: int
+    block: Block
+
+    @property
+    def whole(self) -> bool:
+        """Whether it is a whole block."""
+        return (self.law, self.first, self.count) == self.block
 
 
 def blocks(laws: Sequence[str], samples: int, pairs: int) -> list[Block]:
     """(law, first, count) of every block, in the order of evaluation.
 
-    Blocks grow from :data:`BLOCK` samples to thousands: short runs are reported and saved often, long ones produce few
-    files. The start of a block does not depend on the number of samples, so that a longer run reuses a shorter one.
+    Blocks grow from :data:`BLOCK` samples to hundreds: short runs are reported and saved often, long ones produce few
+    files. The start of a block depends neither on the number of samples nor on that of workers, so that a longer run
+    reuses a shorter one.
 
     Parameters
     ----------
@@ -46,17 +74,40 @@ def blocks(laws: Sequence[str], samples: int, pairs: int) -> list[Block]:
     pairs : int
         Contact pairs of the model.
     """
-    ranges, first = [], 0
+    ranges, first, pairs = [], 0, max(pairs, 1)
+    smallest = max(MIN_BLOCK, min(BLOCK, MAX_FIRST_ENTRIES // pairs))
     while first < samples:
-        limit = min(first // SHARE, MAX_ENTRIES // max(pairs, 1))
-        size = max((size for size in SIZES if size <= limit), default=BLOCK if pairs <= MANY_PAIRS else SMALL_BLOCK)
+        limit = min(first // SHARE, MAX_ENTRIES // pairs)
+        size = max((size for size in SIZES if size <= limit), default=smallest)
         ranges.append((first, min(size, samples - first)))
         first += size
     return [(law, *block) for law in laws for block in ranges]
 
 
+def pieces(missing: Sequence[Block], workers: int, seconds: float = 0.0) -> list[Piece]:
+    """The blocks, divided if there are fewer than :data:`PIECES` for each worker, or if their samples are slow.
+
+    Parameters
+    ----------
+    missing : sequence of (str, int, int)
+        As :func:`blocks` returns them.
+    workers : int
+    seconds : float
+        Duration of a sample.
+    """
+    slow = max(1, math.floor(min(REPORT_INTERVAL / max(seconds, 1e-9), sys.maxsize)))
+    few = workers > 1 and len(missing) < PIECES * workers
+    share = max(1, sum(count for *_, count in missing) // (PIECES * workers))
+    found = []
+    for law, first, count in missing:
+        parts = math.ceil(count / (min(slow, share) if few and count <= MAX_JOINED else slow))
+        ends = [first + count * i // parts for i in range(parts + 1)]
+        found += [Piece(law, a, b - a, (law, first, count)) for a, b in zip(ends, ends[1:])]
+    return found
+
+
 def monte_carlo(
-    model,
+    model: ReducedModel,
     laws: Sequence[str],
     samples: int,
     seed: int,
@@ -65,8 +116,9 @@ def monte_carlo(
     advance: Callable[[str, int], None] | None = None,
     expect: Callable[[float], None] | None = None,
     take: Callable[[str, int, int, T], None] | None = None,
+    engine: Engine | None = None,
 ) -> dict[str, int]:
-    """Evaluate all samples under all laws; under MPI a collective call that distributes the blocks.
+    """Evaluate all samples under all laws; under MPI a collective call.
 
     Parameters
     ----------
@@ -74,45 +126,64 @@ def monte_carlo(
     laws : sequence of str
     samples, seed : int
     sink : callable
-        Called with (law, number of the first sample, evaluation) for each block, by the process that evaluated it.
+        Called with (law, number of the first sample, evaluation) for each block, in any process of the engine. If the
+        engine has several, it and its result must be picklable.
     done : callable, optional
         Called with (law, number of the first sample, number of samples): whether to skip the block. Only the first
         rank calls it, before any block is evaluated, so that all ranks agree.
     advance : callable, optional
-        Progress: called with (law, number of samples) for each finished block, under MPI on each rank for the blocks
-        of all. Slow samples are reported while their block is evaluated.
+        Progress: called with (law, number of samples) for finished samples, under MPI on the first rank.
     expect : callable, optional
         Called once, on the first rank, with the estimated duration of the whole evaluation in seconds.
     take : callable, optional
-        Called with (law, number of the first sample, number of samples, result of `sink`) for each block of this
-        process and of its worker process. A worker is used only if `take` is given; it calls `sink` itself, whose
-        result must then be picklable.
+        Called with (law, number of the first sample, number of samples, result of `sink`) for each block, under MPI
+        on the first rank.
+    engine : Engine, optional
+        Default: this process.
 
     Returns
     -------
     dict of str to int
         Number of skipped samples per law.
     """
-    world, pairs, cores = communicator(), len(model.contacts), available_cores()
-    every = blocks(laws, samples, pairs)
+    world, engine = communicator(), engine or Local(1)
+    every = blocks(laws, samples, len(model.contacts))
     missing = on_first(world, lambda: [block for block in every if done is None or not done(*block)])
     advance, reused, skipped = advance or _ignore, dict.fromkeys(laws, 0), set(every).difference(missing)
     for law, _, count in (block for block in every if block in skipped):
         reused[law] += count
         advance(law, count)
-    worker = take is not None and world is None and len(missing) >= MIN_BLOCKS and pairs <= MANY_PAIRS
-    worker = worker and has_spare_core()
-    share = 2 if worker else world.size if world else 1  # processes that share samples and cores
-    threads = max(1, cores // share)
-    processes = {law: model.process(law, backend=model.scene.monte_carlo.backend, threads=threads) for law in laws}
-    remaining = sum(count for _, _, count in missing)
+    evaluate = _Evaluate(model, seed, sink)
+    for law in laws:
+        model.process(law, backend=model.scene.monte_carlo.backend)  # raises, before any worker starts
+    if not missing:
+        return reused
+    begun, seconds = evaluate.first_samples(missing[0])
+    seconds = on_first(world, lambda: seconds)  # all ranks must divide the blocks alike
+    planned = _without(pieces(missing, engine.workers, seconds), missing[0], len(begun.deviations))
+    joining: dict[Block, dict[int, Evaluation]] = {}
 
-    def evaluate(timed: _TimedEvaluation, law: str, first: int, count: int) -> tuple[T, int]:
-        evaluation, reported = timed.evaluate(law, processes[law].attempt, draw(model.scene, seed, first, count))
-        return sink(law, first, evaluation), reported
+    def join(block: Block, first: int, evaluation: Evaluation) -> None:
+        """Add a piece to its block, which is finished with its last piece."""
+        parts = joining.setdefault(block, {})
+        parts[first] = evaluation
+        if sum(len(part.deviations) for part in parts.values()) == block[2]:
+            whole = Evaluation.join([part for _, part in sorted(joining.pop(block).items())])
+            (take or _ignore)(*block, sink(*block[:2], whole))
 
-    timed = _TimedEvaluation(advance, remaining / share, None if world and world.rank else expect)
-    (_with_worker if worker else _over_ranks)(world, missing, evaluate, timed, advance, take or _ignore)
+    expected = seconds * sum(piece.count for piece in planned)
+    if world is None or world.rank == 0:
+        (expect or _ignore)(expected / engine.workers)
+        join(missing[0], missing[0][1], begun)
+        advance(missing[0][0], len(begun.deviations))
+    with closing(engine.completed(evaluate, planned, expected)) as completed:
+        for number, result in completed:
+            piece = planned[number]
+            if piece.whole:
+                (take or _ignore)(*piece.block, cast(T, result))
+            else:
+                join(piece.block, piece.first, cast(Evaluation, result))
+            advance(piece.law, piece.count)
     return reused
 
 
@@ -120,68 +191,47 @@ def _ignore(*_: Any) -> None:
     """Do nothing, in place of a callback that the caller did not give."""
 
 
-def _with_worker(_world, missing: list[Block], evaluate, timed: _TimedEvaluation, advance, take) -> None:
-    """Evaluate blocks in this process and a forked worker, whose progress is not reported within a block."""
-    in_worker = [partial(evaluate, _TimedEvaluation(_ignore), *block) for block in missing]
-    with WorkerProcess(in_worker) as worker:
-        for number, (result, reported) in worker.completed([partial(evaluate, timed, *block) for block in missing]):
-            law, first, count = missing[number]
-            take(law, first, count, result)
-            advance(law, count - reported)
+def _without(planned: Sequence[Piece], block: Block, count: int) -> list[Piece]:
+    """The pieces without the first samples of a block."""
+    start = block[1] + count
+    cut = [
+        replace(piece, first=max(piece.first, start), count=piece.first + piece.count - max(piece.first, start))
+        if piece.block == block
+        else piece
+        for piece in planned
+    ]
+    return [piece for piece in cut if piece.count > 0]
 
 
-def _over_ranks(world, missing: list[Block], evaluate, timed: _TimedEvaluation, advance, take) -> None:
-    """Evaluate blocks on all MPI ranks, one block per rank at a time."""
-    rank, size = (world.rank, world.size) if world else (0, 1)
-    for i in range(0, len(missing), size):
-        concurrent = missing[i : i + size]
-        reported = 0
-        if rank < len(concurrent):
-            result, reported = evaluate(timed, *concurrent[rank])
-            take(*concurrent[rank], result)
-        for number, (law, _, count) in enumerate(concurrent):
-            advance(law, count - reported if number == rank else count)
-    wait(world)
-
-
-class _TimedEvaluation:
-    """Evaluates the samples of a block together, or slow ones in pieces, with a progress report after each piece.
+class _Evaluate(Generic[T]):
+    """Evaluates pieces in any process: returns what `sink` makes of a whole block, else the evaluation.
 
     Parameters
     ----------
-    advance : callable
-        As :func:`monte_carlo` takes it.
-    samples : float
-        Number of samples of this process.
-    expect : callable, optional
-        Called once with the duration of all `samples`, estimated after the first one, which loads and compiles code.
+    model, seed, sink
+        As :func:`monte_carlo` takes them.
     """
 
-    def __init__(
-        self, advance: Callable[[str, int], Any], samples: float = 0.0, expect: Callable[[float], None] | None = None
-    ) -> None:
-        self._advance, self._samples, self._expect = advance, samples, expect
-        self._seconds: dict[str, float] = {}  # per sample, by law
+    def __init__(self, model: ReducedModel, seed: int, sink: Callable[[str, int, Evaluation], T]) -> None:
+        self._model, self._seed, self._sink = model, seed, sink
 
-    def evaluate(
-        self, law: str, attempt: Callable[[np.ndarray], Evaluation], deviations: np.ndarray
-    ) -> tuple[Evaluation, int]:
-        """The evaluation of a block, and the number of its samples that were reported already."""
-        pieces: list[Evaluation] = []
-        finished = reported = 0
-        last_report = time.perf_counter()
-        while finished < len(deviations):
-            seconds = self._seconds.get(law)
-            count = 1 if seconds is None else max(1, int(min(len(deviations), REPORT_INTERVAL / max(seconds, 1e-9))))
+    def __call__(self, piece: Piece) -> T | Evaluation:
+        evaluation = self._evaluation(piece.law, piece.first, piece.count)
+        return self._sink(piece.law, piece.first, evaluation) if piece.whole else evaluation
+
+    def first_samples(self, block: Block) -> tuple[Evaluation, float]:
+        """Up to two samples of a block, and the duration of the last one, s.
+
+        The first one loads and compiles code, which forked workers then inherit.
+        """
+        law, first, count = block
+        found, seconds = [], 0.0
+        for number in range(first, first + min(count, 2)):
             start = time.perf_counter()
-            pieces.append(attempt(deviations[finished : finished + count]))
-            now, size = time.perf_counter(), len(pieces[-1].deviations)
-            self._seconds[law] = (now - start) / size
-            finished += size
-            if self._expect is not None and finished > 1:
-                self._expect(self._seconds[law] * self._samples)
-                self._expect = None
-            if now - last_report > REPORT_INTERVAL and finished < len(deviations):
-                self._advance(law, finished - reported)
-                reported, last_report = finished, now
-        return (pieces[0] if len(pieces) == 1 else Evaluation.join(pieces)), reported
+            found.append(self._evaluation(law, number, 1))
+            seconds = time.perf_counter() - start
+        return Evaluation.join(found), seconds
+
+    def _evaluation(self, law: str, first: int, count: int) -> Evaluation:
+        process = self._model.process(law, backend=self._model.scene.monte_carlo.backend)
+        return process.attempt(draw(self._model.scene, self._seed, first, count))

@@ -1,24 +1,26 @@
-"""Pictures that a worker process draws while a run still writes its tables and fields.
+"""Pictures that worker processes draw while a run still writes its tables and fields.
 
-This module imports no drawing library; the worker process does.
+This module imports no drawing library; the worker processes do.
 """
 
 from __future__ import annotations
 
-from functools import cached_property, partial
+from functools import cached_property
 from typing import TYPE_CHECKING
 
-from mic.execution.worker_process import WorkerProcess
+from mic.execution.engine import forked_workers
+from mic.execution.local import Local, WorkerPool
 from mic.results.outcome import Outcome
 
 if TYPE_CHECKING:
     from mic.report.context import Context
     from mic.report.picture import Picture
 
-__all__ = ["NAMES", "BackgroundPictures"]
+__all__ = ["NAMES", "WORKERS", "BackgroundPictures"]
 
-#: Pictures that need only samples and path study. The worker process starts with the first; the run draws the last ones
-#: if it finishes earlier.
+WORKERS = 4  # at most, since each of them imports the drawing library, which takes as long as three pictures
+
+#: Pictures that need only samples and path study.
 NAMES = (
     "measurements",
     "states",
@@ -36,7 +38,9 @@ NAMES = (
 
 
 class BackgroundPictures:
-    """Draws the pictures :data:`NAMES` of an outcome in a worker process, which starts at once.
+    """Draws the pictures :data:`NAMES` of an outcome in worker processes, which start at once, on all cores but one.
+
+    With one core, or where workers cannot be forked, this process draws them when they are requested.
 
     Parameters
     ----------
@@ -48,7 +52,8 @@ class BackgroundPictures:
 
     def __init__(self, outcome: Outcome) -> None:
         self._outcome = outcome
-        self._worker = WorkerProcess([partial(self._draw, name) for name in NAMES])
+        workers = min(WORKERS, forked_workers() - 1)
+        self._pool = WorkerPool(self._draw, NAMES, workers) if workers > 0 else None
 
     @cached_property
     def _context(self) -> Context:
@@ -63,8 +68,10 @@ class BackgroundPictures:
 
     def pictures(self) -> dict[str, Picture | None]:
         """Wait for the pictures; by name, None if the outcome lacks the data for one."""
-        return dict(zip(NAMES, self._worker.results()))
+        completed = self._pool.completed() if self._pool else Local(1).completed(self._draw, NAMES)
+        return {NAMES[number]: picture for number, picture in completed}
 
     def end(self) -> None:
-        """Stop the worker process."""
-        self._worker.stop()
+        """End the worker processes."""
+        if self._pool:
+            self._pool.stop()

@@ -13,7 +13,8 @@ from typing import TYPE_CHECKING
 
 import matplotlib.style
 
-from mic.execution.worker_process import run_on_two_cores
+from mic.execution.engine import forked_workers
+from mic.execution.local import Local
 from mic.report.change_pictures import change_picture, order_picture, remedy_picture
 from mic.report.contact_pictures import sample_picture, slip_force_picture, state_picture, tangential_density_picture
 from mic.report.context import Context, study_tables
@@ -131,9 +132,8 @@ def draw_all(outcome: Outcome, context: Context, background: BackgroundPictures 
     """
     ready = () if background is None else background.names
     names = [entry.name for entry in PICTURES if entry.name not in ready]
-    tasks = [partial(draw, name, outcome, context) for name in names]
-    if background is None:
-        drawn = dict(zip(names, run_on_two_cores(tasks)))
-    else:
-        drawn = {name: task() for name, task in zip(names, tasks)} | background.pictures()
+    engine = Local(forked_workers() if background is None else 1)
+    drawn = {names[i]: picture for i, picture in engine.completed(lambda name: draw(name, outcome, context), names)}
+    if background is not None:
+        drawn |= background.pictures()
     return {entry.name: picture for entry in PICTURES if (picture := drawn[entry.name]) is not None}

@@ -1,0 +1,196 @@
+"""Tasks distributed by any engine: the same results, whatever becomes of a worker."""
+
+import os
+import pickle
+import signal
+import subprocess
+import sys
+import threading
+import time
+from contextlib import closing
+from multiprocessing import active_children
+from pathlib import Path
+
+import pytest
+
+from mic.errors import MissingLibrary, RunError
+from mic.execution import local
+from mic.execution.engine import choose
+from mic.execution.local import Local, WorkerPool
+
+
+def number_and_process(task):
+    """The task's number, and the process that did it."""
+    time.sleep(0.002)
+    return task, os.getpid()
+
+
+def finished(engine, work, tasks):
+    """Results by number; none comes twice."""
+    with closing(engine.completed(work, tasks)) as completed:
+        found = list(completed)
+    assert len(dict(found)) == len(found)
+    return dict(found)
+
+
+def test_workers_do_every_task_once_and_end():
+    found = finished(Local(2), number_and_process, range(100, 200))
+    assert {n: task for n, (task, _) in found.items()} == dict(enumerate(range(100, 200)))
+    assert len({process for _, process in found.values()} - {os.getpid()}) == 2
+    assert not active_children()
+
+
+@pytest.mark.parametrize("workers, tasks, seconds", [(1, 4, 9.0), (2, 1, 9.0), (2, 4, 0.15)])
+def test_one_worker_one_task_or_little_work_starts_no_process(workers, tasks, seconds):
+    found = list(Local(workers).completed(number_and_process, range(tasks), seconds))
+    assert [result for _, result in found] == [(task, os.getpid()) for task in range(tasks)]
+
+
+@pytest.mark.parametrize("sign", [signal.SIGKILL, signal.SIGTERM])
+def test_tasks_of_a_killed_worker_are_done_by_others(sign, tmp_path):
+    """The worker with task 3 is killed once: the remaining tasks are done by one worker less."""
+    once = tmp_path / "once"
+
+    def killed(task):
+        if task == 3 and not once.exists():
+            once.touch()
+            os.kill(os.getpid(), sign)
+        return number_and_process(task)
+
+    found = finished(Local(3), killed, range(30))
+    assert {n: task for n, (task, _) in found.items()} == dict(enumerate(range(30))) and once.exists()
+
+
+def test_a_task_that_kills_every_worker_is_done_by_this_process():
+    own = os.getpid()
+
+    def fatal(task):
+        if task == 3 and os.getpid() != own:
+            os.kill(os.getpid(), signal.SIGKILL)
+        return number_and_process(task)
+
+    found = finished(Local(2), fatal, range(8))
+    assert sorted(found) == list(range(8)) and found[3] == (3, own)
+
+
+def test_a_worker_killed_by_another_process_costs_no_result():
+    """While it sends a large result."""
+    pool = WorkerPool(lambda task: bytes(10**7), range(40), 2)
+    threading.Timer(0.1, lambda: active_children()[0].kill()).start()
+    with pool:
+        assert sorted(number for number, _ in pool.completed()) == list(range(40))
+
+
+def test_what_fails_in_a_worker_is_done_here_and_errors_are_raised(capfd):
+    own = os.getpid()
+
+    def there(task):
+        if os.getpid() != own:
+            raise RuntimeError("in a worker")
+        return task
+
+    def unpicklable(task):
+        return (lambda: task) if os.getpid() != own else task
+
+    def anywhere(task):
+        raise RuntimeError(f"in {task}")
+
+    for work in (there, unpicklable):
+        assert finished(Local(2), work, range(6)) == {task: task for task in range(6)}
+    with pytest.raises(RuntimeError, match=r"in \d"):
+        finished(Local(2), anywhere, range(6))
+    assert capfd.readouterr().err == "" and not active_children()
+
+
+def test_workers_of_systems_without_fork_receive_the_work_pickled(monkeypatch):
+    monkeypatch.setattr(local, "START_METHOD", "spawn")
+    found = finished(Local(2), pickle.dumps, ["a", "b", "c"])
+    assert found == {0: pickle.dumps("a"), 1: pickle.dumps("b"), 2: pickle.dumps("c")}
+
+
+@pytest.fixture
+def interruptible():
+    """SIGINT raises, whatever the tests have made of it before."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
+@pytest.mark.usefixtures("interruptible")
+def test_an_interrupt_ends_all_workers_at_once(capfd):
+    begin, own = time.monotonic(), os.getpid()
+
+    def long(task):
+        if task == 1:
+            time.sleep(0.2)
+            os.kill(own, signal.SIGINT)
+        os.kill(os.getpid(), signal.SIGINT)  # as all receive it from a terminal
+        time.sleep(60 * task)
+        return task
+
+    taken = []
+    with pytest.raises(KeyboardInterrupt), closing(Local(2).completed(long, range(9))) as completed:
+        taken += completed
+    assert taken in ([], [(0, 0)]) and time.monotonic() - begin < 20
+    assert capfd.readouterr().err == "" and not active_children()
+
+
+def test_a_pool_works_in_the_background_and_stops_when_told():
+    with WorkerPool(number_and_process, range(6), 1) as pool:
+        time.sleep(0.2)
+        assert sorted(task for _, (task, _) in pool.completed()) == list(range(6))
+    pool = WorkerPool(time.sleep, [60.0] * 4, 2)
+    pool.stop()
+    assert not active_children()
+
+
+KILLED = """
+import os, time
+from mic.execution.local import Local
+def work(task):
+    os.write(1, b"%d\\n" % os.getpid())
+    time.sleep(60)
+list(Local(2).completed(work, range(2)))
+"""
+
+
+def test_workers_end_with_a_process_that_is_killed(tmp_path):
+    environment = os.environ | {"TMPDIR": str(tmp_path)}
+    command = [sys.executable, "-c", KILLED]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=environment) as process:
+        workers = {int(process.stdout.readline()) for _ in range(2)}
+        process.kill()
+    assert len(workers - {process.pid}) == 2
+    until = time.monotonic() + 20
+    while (any(map(_runs, workers)) or list(tmp_path.iterdir())) and time.monotonic() < until:
+        time.sleep(0.02)
+    assert not any(map(_runs, workers)) and not list(tmp_path.iterdir())
+
+
+def _runs(pid):
+    """Whether a process runs: one that nobody has waited for does not."""
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    except FileNotFoundError:
+        return False
+
+
+def test_an_engine_is_chosen_by_name_and_a_wrong_one_is_refused(monkeypatch):
+    monkeypatch.setattr(local, "available_cores", lambda: 7)
+    assert choose().workers == choose("local").workers == 7 and choose("local:3").workers == 3
+    for name in ("cloud", "local:0", "local:many", "mpi:4"):
+        with pytest.raises(RunError, match=f"engine {name}: give local, local:WORKERS, mpi, dask or dask:ADDRESS"):
+            choose(name)
+    with pytest.raises(RunError, match="engine mpi: one process was started; start several with mpirun"):
+        choose("mpi")
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    with pytest.raises(MissingLibrary, match="pip install distributed"):
+        choose("dask")
+
+
+def test_a_dask_cluster_does_every_task_and_raises_errors():
+    pytest.importorskip("distributed", reason="Dask is not installed")
+    engine = choose("dask")
+    assert finished(engine, pickle.dumps, ["a", "b", "c"]) == {i: pickle.dumps(x) for i, x in enumerate("abc")}
+    with pytest.raises(AttributeError):
+        finished(engine, pickle.dumps, ["a", lambda: None])
