@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,6 +17,7 @@ import numpy as np
 import pandas as pd
 
 from mic.compliance.coefficients import InfluenceCoefficients, solver_versions
+from mic.contact.laws import LAWS
 from mic.errors import SceneError
 from mic.execution.engine import Engine, choose
 from mic.execution.monte_carlo import blocks, monte_carlo
@@ -31,12 +32,15 @@ from mic.process.model import ReducedModel
 from mic.process.plan import plan_assembly
 from mic.process.stiffness import coefficients
 from mic.results.block_samples import BlockSamples
+from mic.results.block_statistics import Accumulator
 from mic.results.contact_sums import ContactSums
 from mic.results.cost_estimate import duration, forecast
 from mic.results.fields import write_fields
 from mic.results.low_rank_forces import CompressedForces
 from mic.results.mesh_error import accuracy_table
-from mic.results.outcome import Outcome, TableCache, read_outcome
+from mic.results.outcome import CACHE_SIZE, BlockCache, Outcome, memory, read_outcome
+from mic.results.output_samples import OutputSamples
+from mic.results.required_accuracy import Uncertainty
 from mic.results.run_folder import Block, RunFolder, stores_pairs, versions
 from mic.results.run_identity import identity, inputs
 from mic.results.sample_tables import tables
@@ -51,6 +55,7 @@ from mic.system.progress_bar import ProgressBar
 
 __all__ = ["Progress", "conclude", "finished", "hold", "read_run", "run", "sample_into", "write_evaluation"]
 
+IN_ONE_STEP = 8  # further samples in one step for each followed one, which cost a twentieth to a hundredth each
 GROWTH = 1.3  # factor on the samples between two checks of the accuracy
 LONG = 3600.0  # s; a longer run reports its expected time before it starts
 
@@ -172,15 +177,15 @@ def run(
             influence.clear()  # the model holds it
             _report_notes(progress, model.process().redundant + frozen_gaps(model))
         with clock("Monte Carlo"):
-            tables_in_memory = TableCache()
-            reused_samples = _sample_to_accuracy(folder, model, laws, samples, seed, progress, tables_in_memory, chosen)
+            cached_blocks = BlockCache()
+            reused_samples = _sample_to_accuracy(folder, model, laws, samples, seed, progress, cached_blocks, chosen)
             samples = on_first(world, lambda: RunFolder(folder).record()["samples"])
         if world is not None and world.rank > 0:
             return None
         for law, count in reused_samples.items():
             if count:
                 progress.report(f"{law}: {count} of {samples} samples were already finished in {folder}")
-        return conclude(folder, clock.seconds, progress, cache, model, tables_in_memory)
+        return conclude(folder, clock.seconds, progress, cache, model, cached_blocks)
 
 
 def sample_into(
@@ -222,7 +227,7 @@ def sample_into(
     folder, progress = Path(folder), progress or Progress()
     with hold(folder, progress):
         on_first(communicator(), lambda: _prepare(folder, model, laws, samples, seed, progress, replace))
-        return _sample_to_accuracy(folder, model, laws, samples, seed, progress, TableCache(), choose(engine))
+        return _sample_to_accuracy(folder, model, laws, samples, seed, progress, BlockCache(), choose(engine))
 
 
 def _assemble(scene: Scene, cache: Path, report_line, progress: Progress, strict: bool) -> tuple[Assembly, list[str]]:
@@ -269,7 +274,7 @@ def _prepare(
 
 
 def _sample_to_accuracy(
-    folder, model: ReducedModel, laws, samples, seed, progress: Progress, cached: TableCache, engine: Engine
+    folder, model: ReducedModel, laws, samples, seed, progress: Progress, cached: BlockCache, engine: Engine
 ) -> dict[str, int]:
     """Sample until the required accuracy or number of samples is reached; returns the reused samples by law.
 
@@ -283,10 +288,10 @@ def _sample_to_accuracy(
     store, checked = RunFolder(folder), 0
     reused: dict[str, int] = {}
 
-    def check() -> float:
-        """Relative uncertainty of 6σ with these samples, which become the number of requested samples."""
+    def check() -> Uncertainty:
+        """The largest uncertainty with these samples, which become the number of requested samples."""
         store.write_record(store.record() | {"samples": checked})
-        return read_outcome(folder, model, cached).uncertainty
+        return read_outcome(folder, model, cached).uncertainty(accuracy.required)
 
     for end in ends:
         if end < GROWTH * checked and end < samples:
@@ -294,13 +299,10 @@ def _sample_to_accuracy(
         checked = end
         already_finished = _sample(folder, model, laws, end, seed, progress, cached, engine)
         reused = reused or already_finished
+        _sample_one_step(folder, model, laws, (1 + IN_ONE_STEP) * end, seed, engine)
         uncertainty = on_first(world, check)
-        if uncertainty <= accuracy or end == samples:
-            remedy = "" if uncertainty <= accuracy else "; increase --samples"
-            progress.report(
-                f"{end} samples: half-width of the 95 % interval of every 6σ at most {uncertainty:.2%} "
-                f"(requested: {accuracy:.2%}){remedy}"
-            )
+        if uncertainty.reached or end == samples:
+            progress.report(uncertainty.sentence(end))
             break
     return reused
 
@@ -312,7 +314,7 @@ def _sample(
     samples,
     seed,
     progress: Progress,
-    cached: TableCache,
+    cached: BlockCache,
     engine: Engine,
 ) -> dict[str, int]:
     """Compute and write the missing samples of a prepared folder; returns the reused samples by law."""
@@ -328,8 +330,8 @@ def _sample(
         start, stop = np.searchsorted(finished[law], (first, first + count))
         return bool(stop - start == count)
 
-    def take(law: str, first: int, count: int, written: dict[str, pd.DataFrame]) -> None:
-        cached.store(Block(law, first, count), written)
+    def take(law: str, first: int, count: int, written: tuple[Accumulator, Mapping[str, pd.DataFrame] | None]) -> None:
+        cached.store(Block(law, first, count), *written)
 
     def expect(seconds: float) -> None:
         if seconds > LONG:
@@ -338,47 +340,86 @@ def _sample(
                 'stay stored if the run is stopped; path = "one-step" in the stages takes a fraction.'
             )
 
-    sink = _BlockWriter(store, model, identity(model, seed))
+    sink = _BlockWriter(store, model, identity(model, seed), len(laws))
     with progress.sampling(laws, samples) as advance:
         return monte_carlo(model, laws, samples, seed, sink, done, advance, expect, take, engine)
 
 
+def _sample_one_step(folder, model: ReducedModel, laws, samples, seed, engine: Engine) -> None:
+    """Compute and write the missing samples in one step, under the laws whose path is followed."""
+    laws, one_step = [law for law in laws if LAWS[law].followed], model.one_step
+    if one_step is None or not laws or model.contacts.dimension < 3:
+        return
+    store, run_identity = RunFolder(Path(folder).resolve()), identity(model, seed)
+    finished = on_first(communicator(), lambda: {block for law in laws for block in store.one_step_blocks(law)})
+    monte_carlo(
+        one_step,
+        laws,
+        samples,
+        seed,
+        _OneStepWriter(store, one_step, run_identity),
+        lambda law, first, count: Block(law, first, count) in finished,
+        engine=engine,
+    )
+
+
 @dataclass(frozen=True)
-class _BlockWriter:
-    """Writes the blocks of a run, in any process, and returns their tables."""
+class _OneStepWriter:
+    """Writes the blocks of samples in one step, in any process."""
 
     store: RunFolder
     model: ReducedModel
     identity: str
 
-    def __call__(self, law: str, first: int, evaluation: Evaluation) -> dict[str, pd.DataFrame]:
+    def __call__(self, law: str, first: int, evaluation: Evaluation) -> None:
         block = Block(law, first, len(evaluation.deviations))
-        return write_evaluation(self.store, block, self.identity, self.model, evaluation)
+        samples = BlockSamples(tables(self.model, evaluation, first), len(self.model.contacts), block.end)
+        self.store.write_one_step(block, self.identity, OutputSamples.of(samples, self.model))
+
+
+@dataclass(frozen=True)
+class _BlockWriter:
+    """Writes the blocks of a run, in any process; returns their statistics, and the tables of the first ones."""
+
+    store: RunFolder
+    model: ReducedModel
+    identity: str
+    laws: int
+
+    def __call__(
+        self, law: str, first: int, evaluation: Evaluation
+    ) -> tuple[Accumulator, Mapping[str, pd.DataFrame] | None]:
+        block = Block(law, first, len(evaluation.deviations))
+        tables, statistics = write_evaluation(self.store, block, self.identity, self.model, evaluation)
+        cacheable = memory(tables) / block.count * block.end * self.laws <= CACHE_SIZE
+        return statistics, tables if cacheable else None
 
 
 def write_evaluation(
     store: RunFolder, block: Block, identity: str, model: ReducedModel, evaluation: Evaluation
-) -> dict[str, pd.DataFrame]:
-    """Write the tables of a block of samples, and its forces if fields are requested; returns the tables.
+) -> tuple[dict[str, pd.DataFrame], Accumulator]:
+    """Write the tables of a block of samples, and its forces if fields are requested; returns tables and statistics.
 
     Contact pairs and forces are stored for as many samples as the scene's report states; sums for the others.
     """
     frames, report = tables(model, evaluation, block.first), model.scene.report
     force, motion = evaluation.functional_force, evaluation.motion
+    samples = BlockSamples(frames, len(model.contacts), block.end)
+    sums = ContactSums.of(samples, model)
+    statistics = Accumulator.of(samples, model, sums)
     arrays: dict[Table, Any] = {}
     if stores_pairs(report, block):
         if report.fields:
             arrays[FORCES] = {"force": force, "motion": motion}
     else:
-        samples = BlockSamples(frames, len(model.contacts), block.end)
-        arrays[SUMS], valid = ContactSums.of(samples, model), samples.valid
+        arrays[SUMS], valid = sums, samples.valid
         del frames[CONTACTS.name]
         if report.fields:
             parts = zip(model.compliance.functionals, model.compliance.motions)
             compressed = (CompressedForces.of(force[valid, rows], motion[valid, columns]) for rows, columns in parts)
             arrays[CONDENSED] = tuple(compressed)
     store.write_block(block, identity, frames, arrays)
-    return frames
+    return frames, statistics
 
 
 @contextmanager
@@ -412,7 +453,7 @@ def conclude(
     progress: Progress | None = None,
     cache: Path | None = None,
     model: ReducedModel | None = None,
-    cached: TableCache | None = None,
+    cached: BlockCache | None = None,
 ) -> Outcome:
     """Compute and write statistics and fields of a results folder, finished or interrupted, from its samples.
 
@@ -426,8 +467,8 @@ def conclude(
         Cache folder, for fields of unit forces; default: no cache.
     model : ReducedModel, optional
         Model of the run, if already loaded.
-    cached : mic.results.outcome.TableCache, optional
-        Tables in memory.
+    cached : mic.results.outcome.BlockCache, optional
+        Blocks in memory.
 
     Raises
     ------

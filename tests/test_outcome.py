@@ -2,7 +2,7 @@
 
 import json
 import shutil
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import numpy as np
 import pandas as pd
@@ -13,7 +13,9 @@ from mic.errors import FormatError, RunError
 from mic.execution.monte_carlo import BLOCK
 from mic.model.assembly import assemble
 from mic.process.evaluation import Evaluation
-from mic.results.outcome import TableCache, read_outcome
+from mic.results.block_samples import BlockSamples
+from mic.results.block_statistics import Accumulator
+from mic.results.outcome import BlockCache, memory, read_outcome
 from mic.results.run_folder import Block, RunFolder
 from mic.results.table_writer import write_summary, write_tables
 from mic.runs import sample_into, write_evaluation
@@ -166,31 +168,48 @@ def test_tables_that_were_just_written_are_those_that_would_be_read(lap_model, e
     broken = found.measurements.copy()
     broken[3] = np.nan
     found = replace(found, measurements=broken, failed=np.arange(SAMPLES) == 3)
-    written = write_evaluation(store, block, "this run", lap_model, found)
+    written, statistics = write_evaluation(store, block, "this run", lap_model, found)
     read = store.read_block(block, "this run")
     assert set(written) == set(read)
     for name, frame in read.items():
         pd.testing.assert_frame_equal(written[name], frame, check_exact=True)
+    samples = BlockSamples(read, len(lap_model.contacts), SAMPLES)
+    expected = Accumulator.of(samples, lap_model)
+    assert statistics.moments.keys() == expected.moments.keys() and statistics.count == SAMPLES
+    for key, moments in statistics.moments.items():
+        for field in fields(moments):
+            np.testing.assert_array_equal(getattr(moments, field.name), getattr(expected.moments[key], field.name))
+    assert statistics.failed == expected.failed == [3] and statistics.numbers.tolist() == expected.numbers.tolist()
 
 
 @pytest.mark.slow
-def test_blocks_just_written_are_cached_up_to_a_limit(folder, lap_model):
+def test_blocks_just_written_are_not_read_again_and_tables_are_cached_up_to_a_limit(folder, lap_model):
+    """Whatever the order in which they come; without one, all after it wait for it."""
     store = RunFolder(folder)
     identity, expected = store.record()["identity"], read_outcome(folder)
     every = [block for law in LAWS for block in store.blocks(law)]
     tables = {block: store.read_block(block, identity) for block in every}
-    size = sum(frame.memory_usage(index=False).sum() for frame in tables[every[0]].values())
-    written, full = TableCache(), TableCache(size)
-    for block in every:
-        written.store(block, tables[block])
-        full.store(block, tables[block])
-    assert list(written) == every and list(full) == every[:1]
-    for path in (folder / "contacts").rglob("*.parquet"):
+    whole, full, later = BlockCache(), BlockCache(memory(tables[every[0]])), BlockCache()
+    for block in every[::-1]:
+        samples = BlockSamples(tables[block], len(lap_model.contacts), SAMPLES)
+        for cache in (whole, full) if block.first == 0 else (whole, full, later):
+            cache.store(block, Accumulator.of(samples, lap_model), tables[block])
+    assert list(whole.tables) == every[::-1] and every[-1] in full.tables and len(full.tables) < len(every)
+    for path in (folder / "samples").rglob("*.parquet"):
+        cut = path.read_bytes()
         path.write_bytes(b"cut")
-    outcome = read_outcome(folder, lap_model, written)
-    assert not outcome.damaged
-    pd.testing.assert_frame_equal(outcome.zone_statistics, expected.zone_statistics, check_exact=True)
-    assert len(read_outcome(folder, lap_model, full).damaged) == len(every) - 1
+        outcome = read_outcome(folder, lap_model, whole)
+        assert not outcome.damaged
+        pd.testing.assert_frame_equal(outcome.zone_statistics, expected.zone_statistics, check_exact=True)
+        assert outcome.summary()["laws"] == expected.summary()["laws"]
+        assert len(read_outcome(folder, lap_model, later).damaged) == (path.stem.startswith("000000"))
+        assert len(read_outcome(folder, lap_model).damaged) == 1
+        path.write_bytes(cut)
+    few = store.record() | {"samples": BLOCK + 5}  # of the last block, only a part is requested
+    store.write_record(few)
+    found, read = read_outcome(folder, lap_model, whole), read_outcome(folder, lap_model)
+    pd.testing.assert_frame_equal(found.zone_statistics, read.zone_statistics, check_exact=True)
+    assert len(found.sample_numbers("coulomb")) == BLOCK + 5
 
 
 def test_an_interrupted_or_damaged_run_is_read_with_its_missing_samples(folder, evaluation):

@@ -1,4 +1,4 @@
-"""Statistics of the samples of one law, accumulated block by block, so that no block stays in memory."""
+"""Statistics of the samples of one law, merged from those of its blocks, so that no block stays in memory."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ import pandas as pd
 
 from mic.results.block_samples import BlockSamples
 from mic.results.contact_sums import ContactSums
+from mic.results.output_samples import MOST, OutputSamples
 from mic.results.schema import SLIPS
 from mic.statistics.capability import outside
 from mic.statistics.estimates import Moments
-from mic.statistics.regression import Regression
 
 __all__ = ["Accumulator"]
 
@@ -34,8 +34,8 @@ class Accumulator:
     unseen : tuple of (float, str, int, int)
         Deepest penetration between the contact pairs: depth, mm, stage, sample, and index of the model's check point,
         −1 if there is no penetration. The first one of equal depth.
-    regression : Regression or None
-        Of the key characteristics on the deviations; None if the moments of the deviations are not known.
+    outputs : OutputSamples or None
+        Deviations and outputs of the first valid samples; None before the first block.
     moments : dict of tuple to Moments
         Over the valid samples: ``("measurements",)``, (k,) in the order of the scene; ``("profiles", name)``, by point;
         ``("slips", stage, column)``, by zone, columns of :data:`mic.results.schema.SLIPS`; ``("contacts", stage,
@@ -53,7 +53,7 @@ class Accumulator:
     rescued: list[int] = field(default_factory=list)
     unbuilt: list[int] = field(default_factory=list)
     unseen: tuple[float, str, int, int] = (0.0, "", -1, -1)
-    regression: Regression | None = None
+    outputs: OutputSamples | None = None
     moments: dict[tuple[str, ...], Moments] = field(default_factory=dict)
     counts: dict[tuple[str, ...], np.ndarray] = field(default_factory=dict)
     _numbers: list[np.ndarray] = field(default_factory=list)
@@ -76,8 +76,9 @@ class Accumulator:
         table = pd.concat(self._failures, ignore_index=True)
         return table.sort_values("sample", kind="stable", ignore_index=True)
 
-    def add(self, block: BlockSamples, model, sums: ContactSums | None = None) -> None:
-        """Add a block; the blocks of a law are added in ascending order.
+    @classmethod
+    def of(cls, block: BlockSamples, model, sums: ContactSums | None = None) -> Accumulator:
+        """The statistics of one block.
 
         Parameters
         ----------
@@ -86,43 +87,61 @@ class Accumulator:
         sums : ContactSums, optional
             For a block without its contact pairs.
         """
-        if self.count == 0:
-            self.regression = Regression.of(model.scene)
-        self.count += block.count
-        self.stages |= set(block.stages)
-        self._numbers.append(block.numbers)
-        self._failed.append(block.failed)
-        if len(block.failed) or not self._failures:
-            self._failures.append(block.failures())
-        self._add_measurements(block, model)
+        found = cls(
+            count=block.count,
+            stages=set(block.stages),
+            unbuilt=[int(number) for number in block.unbuilt],
+            outputs=OutputSamples.of(block, model),
+            _numbers=[block.numbers],
+            _failed=[block.failed],
+            _failures=[block.failures()],
+        )
+        found._add_measurements(block, model)
         sums = sums or ContactSums.of(block, model)
-        for key, moments in sums.moments:
-            self._merge(key, moments)
-        for key, count in sums.counts:
-            self._count(key, count)
-        self._add_stages(block, model)
-        self.unbuilt += [int(number) for number in block.unbuilt]
+        found.moments |= dict(sums.moments)
+        found.counts |= dict(sums.counts)
+        found._add_stages(block, model)
         for stage, name in block.tables["limits"][["stage", "name"]].drop_duplicates().itertuples(index=False):
             for column in ("pushed", "left", "needed"):
-                self._join(("limits", stage, name, column), block.column("limits", column, stage=stage, name=name))
+                values = block.column("limits", column, stage=stage, name=name)
+                found.moments["limits", stage, name, column] = Moments.of(values)
             reached = block.column("limits", "reached", stage=stage, name=name)
-            self._count(("short", stage, name), np.array((~reached).sum()))
+            found.counts["short", stage, name] = np.array((~reached).sum())
+        return found
+
+    def merge(self, other: Accumulator) -> None:
+        """Add the statistics of a block; the blocks of a law are added in ascending order, on which the bits depend."""
+        self.count += other.count
+        self.stages |= other.stages
+        self.rescued += other.rescued
+        self.unbuilt += other.unbuilt
+        if other.unseen[0] > self.unseen[0]:
+            self.unseen = other.unseen
+        if self.outputs is None:
+            self.outputs = other.outputs
+        elif other.outputs is not None and len(self.outputs.y) < MOST:
+            self.outputs = self.outputs.joined(other.outputs)
+        for key, moments in other.moments.items():
+            self.moments[key] = self.moments[key].merged(moments) if key in self.moments else moments
+        for key, count in other.counts.items():
+            self.counts[key] = self.counts[key] + count if key in self.counts else count
+        self._numbers += other._numbers
+        self._failed += other._failed
+        if len(other.failed) or not self._failures:
+            self._failures += other._failures
 
     def _add_measurements(self, block: BlockSamples, model) -> None:
         items = model.scene.measurements
         if not items:
             return
         y = np.column_stack([block.column("measurements", "value", measurement=item.name) for item in items])
-        self._join(("measurements",), y)
-        if self.regression is not None:
-            x = [block.column("deviations", "value", deviation=name) for name in model.parameters]
-            self.regression.add(block.numbers, np.column_stack(x), y)
+        self.moments["measurements",] = Moments.of(y)
         lower, upper = np.array([(item.lower, item.upper) for item in items]).T
-        self._count(("outside",), outside(y, lower, upper))
-        self._count(("any outside",), np.array(((y < lower) | (y > upper)).any(axis=1).sum()))
+        self.counts["outside",] = outside(y, lower, upper)
+        self.counts["any outside",] = np.array(((y < lower) | (y > upper)).any(axis=1).sum())
         for item in items:
             if item.points is not None:
-                self._join(("profiles", item.name), block.profile(item.name))
+                self.moments["profiles", item.name] = Moments.of(block.profile(item.name))
 
     def _add_stages(self, block: BlockSamples, model) -> None:
         tangential = len(model.contacts) > 0 and model.contacts.dimension == 3
@@ -135,17 +154,9 @@ class Accumulator:
                 point = int(block.column("resolutions", "unseen_at", stage=stage)[i])
                 self.unseen = float(depth[i]), stage, int(block.numbers[i]), point
             for column in ("residual", "path_error", "steps", "factorisations"):
-                self._join(("resolutions", stage, column), block.column("resolutions", column, stage=stage))
+                values = block.column("resolutions", column, stage=stage)
+                self.moments["resolutions", stage, column] = Moments.of(values)
             for column in SLIPS.names[3:] if tangential else ():
                 zones = [block.column("slips", column, stage=stage, zone=zone.name) for zone in model.scene.zones]
-                self._join(("slips", stage, column), np.column_stack(zones))
+                self.moments["slips", stage, column] = Moments.of(np.column_stack(zones))
         self.rescued += [int(number) for number in block.numbers[rescued]]
-
-    def _join(self, key: tuple[str, ...], x: np.ndarray) -> None:
-        self._merge(key, Moments.of(x))
-
-    def _merge(self, key: tuple[str, ...], moments: Moments) -> None:
-        self.moments[key] = self.moments[key].merged(moments) if key in self.moments else moments
-
-    def _count(self, key: tuple[str, ...], count: np.ndarray) -> None:
-        self.counts[key] = self.counts[key] + count if key in self.counts else count

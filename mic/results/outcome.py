@@ -6,8 +6,9 @@ number. Accessors of single samples read their blocks again.
 
 from __future__ import annotations
 
+import copy
 import warnings
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -19,6 +20,8 @@ from mic.process.model import ReducedModel
 from mic.results import statistic_tables
 from mic.results.block_samples import BlockSamples
 from mic.results.block_statistics import Accumulator
+from mic.results.headline import headline
+from mic.results.required_accuracy import Uncertainty, largest_uncertainty
 from mic.results.run_folder import Block, RunFolder
 from mic.results.run_identity import differences, inputs
 from mic.results.run_samples import RunSamples
@@ -26,9 +29,10 @@ from mic.results.schema import CONTACTS, SAMPLES, SUMS
 from mic.results.summary import summary
 from mic.system.files import Format, reading
 
-__all__ = ["Outcome", "TableCache", "read_outcome"]
+__all__ = ["CACHE_SIZE", "BlockCache", "Outcome", "memory", "read_outcome"]
 
 CACHE_SIZE = 48_000_000  # bytes of tables in memory
+_AGAIN = "run the scene again into this folder"
 
 
 class Outcome(RunSamples):
@@ -39,6 +43,20 @@ class Outcome(RunSamples):
     measurement_statistics = cached_property(statistic_tables.measurement_statistics)
     profile_statistics = cached_property(statistic_tables.profile_statistics)
     limit_statistics = cached_property(statistic_tables.limit_statistics)
+
+    @cached_property
+    def measurement_headlines(self) -> pd.DataFrame:
+        """`measurement_statistics` with the best estimates (:func:`mic.results.headline.headline`)."""
+        return headline(self.measurement_statistics)
+
+    @cached_property
+    def zone_headlines(self) -> pd.DataFrame:
+        """`zone_statistics` with the best estimates."""
+        return headline(self.zone_statistics)
+
+    def uncertainty(self, required: Mapping[str, float]) -> Uncertainty:
+        """The quantity that is farthest from its required accuracy (:class:`mic.scene.schema.Accuracy`)."""
+        return largest_uncertainty(self.measurement_headlines, self.zone_headlines, required)
 
     def summary(self) -> dict:
         """The outcome in one JSON-ready dict (``summary.json``), see :func:`mic.results.summary.summary`."""
@@ -63,26 +81,59 @@ class Outcome(RunSamples):
         return pd.concat(frames, ignore_index=True) if frames else SAMPLES.empty()
 
 
-class TableCache(dict[Block, Mapping[str, pd.DataFrame]]):
-    """Tables of blocks in memory, up to a total size."""
+class BlockCache:
+    """Statistics and tables of the blocks that a run has just written, which need not be read.
+
+    Statistics are merged as soon as those of all blocks before are, so that few wait; tables are cached up to a total
+    size.
+
+    Parameters
+    ----------
+    size : int
+        Bytes of tables.
+
+    Attributes
+    ----------
+    tables : dict of Block to dict of str to DataFrame
+    """
 
     def __init__(self, size: int = CACHE_SIZE) -> None:
-        super().__init__()
+        self.tables: dict[Block, Mapping[str, pd.DataFrame]] = {}
         self._free = size  # bytes
+        self._waiting: dict[tuple[str, int], tuple[Block, Accumulator]] = {}  # by law and first sample
+        self._merged: dict[str, tuple[list[Block], Accumulator]] = {}
 
-    def store(self, block: Block, tables: Mapping[str, pd.DataFrame]) -> bool:
-        """Store all tables of a block if they fit; returns whether they are stored."""
-        if block not in self:
-            size = sum(int(frame.memory_usage(index=False).sum()) for frame in tables.values())
-            if size <= self._free:
-                self[block] = tables
-                self._free -= size
-        return block in self
+    def store(self, block: Block, statistics: Accumulator, tables: Mapping[str, pd.DataFrame] | None = None) -> None:
+        """Store a block, with its tables if they fit."""
+        blocks, merged = self._merged.setdefault(block.law, ([], Accumulator()))
+        self._waiting[block.law, block.first] = block, statistics
+        while found := self._waiting.pop((block.law, blocks[-1].end if blocks else 0), None):
+            blocks.append(found[0])
+            merged.merge(found[1])
+        size = memory(tables) if tables is not None else 0
+        if tables is not None and size <= self._free:
+            self.tables[block] = tables
+            self._free -= size
+
+    def statistics(self, law: str, blocks: Sequence[Block], samples: int) -> tuple[Accumulator, int]:
+        """Statistics of the first of these blocks, and the number of blocks they are of."""
+        merged, found = self._merged.get(law, ([], Accumulator()))
+        if merged and list(blocks[: len(merged)]) == merged and merged[-1].end <= samples:
+            return copy.deepcopy(found), len(merged)
+        return Accumulator(), 0
+
+    def waiting(self, block: Block, samples: int) -> Accumulator | None:
+        """Statistics of a block that are not merged, since a block before was not written by this run."""
+        found = self._waiting.get((block.law, block.first))
+        return found[1] if found and found[0] == block and block.end <= samples else None
 
 
-def read_outcome(
-    folder, model: ReducedModel | None = None, cached: Mapping[Block, Mapping[str, pd.DataFrame]] | None = None
-) -> Outcome:
+def memory(tables: Mapping[str, pd.DataFrame]) -> int:
+    """Bytes of tables."""
+    return sum(int(frame.memory_usage(index=False).sum()) for frame in tables.values())
+
+
+def read_outcome(folder, model: ReducedModel | None = None, cached: BlockCache | None = None) -> Outcome:
     """Read a run folder, finished or interrupted.
 
     Parameters
@@ -90,8 +141,8 @@ def read_outcome(
     folder : path-like
     model : ReducedModel, optional
         Model of the run, if already loaded.
-    cached : TableCache, optional
-        Tables in memory.
+    cached : BlockCache, optional
+        Blocks in memory.
 
     Raises
     ------
@@ -103,30 +154,34 @@ def read_outcome(
     store = RunFolder(Path(folder))
     record = store.record()
     model = model or _model(store, record)
+    cached = cached or BlockCache()
     blocks: dict[str, list[Block]] = {law: [] for law in record["laws"]}
-    accumulators = {law: Accumulator() for law in record["laws"]}
-    damaged, free = [], CACHE_SIZE
+    accumulators, damaged, free = {}, [], CACHE_SIZE
     cached_tables: dict[Block, dict[str, pd.DataFrame]] = {}
     for law in record["laws"]:
-        for block in store.blocks(law, record["samples"]):
-            try:
-                tables = (cached or {}).get(block) or store.read_block(block, record["identity"])
-                sums = None if CONTACTS.name in tables else store.read_arrays(SUMS, block, record["identity"])
-            except FormatError as problem:
-                damaged.append(f"{problem}.")
-                continue
-            with reading(
-                store.path, Format(f"block {block.law} {block.name}", 1, "run the scene again into this folder")
-            ):
-                samples = BlockSamples(tables, len(model.contacts), record["samples"])
-                accumulators[law].add(samples, model, sums)
+        every = store.blocks(law, record["samples"])
+        accumulators[law], known = cached.statistics(law, every, record["samples"])
+        for i, block in enumerate(every):
+            tables, statistics = cached.tables.get(block), cached.waiting(block, record["samples"])
+            if i >= known and statistics is None:
+                try:
+                    tables = tables or store.read_block(block, record["identity"])
+                    sums = None if CONTACTS.name in tables else store.read_arrays(SUMS, block, record["identity"])
+                except FormatError as problem:
+                    damaged.append(f"{problem}.")
+                    continue
+                with reading(store.path, Format(f"block {block.law} {block.name}", 1, _AGAIN)):
+                    samples = BlockSamples(tables, len(model.contacts), record["samples"])
+                    statistics = Accumulator.of(samples, model, sums)
+            if i >= known and statistics is not None:
+                accumulators[law].merge(statistics)
             blocks[law].append(block)
             cached_tables[block] = {}
-            for name, frame in tables.items():  # contact tables get half of the cache; the others are small
+            for name, frame in (tables or {}).items():  # contact tables get half of the cache; the others are small
                 size = int(frame.memory_usage(index=False).sum())
                 if size <= (free - CACHE_SIZE // 2 if name == "contacts" else free):
                     cached_tables[block][name], free = frame, free - size
-            del tables, frame  # frees memory before the next block
+            del tables, statistics  # frees memory before the next block
     return Outcome(store.path, record, model, blocks, accumulators, tuple(damaged), cached_tables)
 
 
