@@ -111,18 +111,21 @@ def _parameter(parameter: Parameter, help: str, **settings: Any) -> Any:
 def run(
     scene: Path,
     samples: int | None = None,
+    accuracy: float | None = None,
     seed: int | None = None,
     law: list[Law] | None = None,
     backend: Backend | None = None,
     out: Path | None = None,
     replace: bool = False,
     strict: bool = False,
+    no_report: bool = False,
+    engine: str | None = None,
 ):
     """Run the Monte Carlo of a scene and write tables, fields and a report.
 
     Influence coefficients are computed once and cached; later runs of the same scene reuse them. Finished samples are
-    saved: run the command again to complete an interrupted run, or with more samples to extend it. Under
-    `mpirun -n N`, N processes share the samples.
+    saved: run the command again to complete an interrupted run, or with more samples to extend it. All cores share the
+    samples; under `mpirun -n N`, N processes do.
     """
 
 

@@ -17,6 +17,7 @@ from mic.results.outcome import read_outcome
 from mic.results.run_folder import RunFolder
 from mic.results.run_identity import identity
 from mic.runs import conclude, read_run, run, sample_into
+from mic.scene.schema import Accuracy
 
 LAWS = ["coulomb", "frictionless"]
 
@@ -207,7 +208,7 @@ FRICTIONLESS = ["frictionless"]
 
 def asking(model, accuracy):
     """The model whose scene requests an accuracy."""
-    return replace(model, scene=changed(model.scene, monte_carlo={"accuracy": accuracy}))
+    return replace(model, scene=changed(model.scene, monte_carlo={"accuracy": Accuracy(six_sigma=accuracy)}))
 
 
 def drawn(folder):
@@ -219,9 +220,9 @@ def test_samples_are_drawn_until_the_accuracy_is_reached_and_no_longer(lap_model
     sample_into(tmp_path, asking(lap_model, 0.004), FRICTIONLESS, 500, 4, heard)
     count = RunFolder(tmp_path).record()["samples"]
     found = read_outcome(tmp_path)
-    assert found.uncertainty <= 0.004 and drawn(tmp_path) == list(range(count)) and 50 <= count < 500
-    reached = f"every 6σ at most {found.uncertainty:.2%} (requested: 0.40%)"
-    assert f"{count} samples: half-width of the 95 % interval of {reached}" in heard.sentences
+    uncertainty = found.uncertainty({"six_sigma": 0.004})
+    assert uncertainty.reached and drawn(tmp_path) == list(range(count)) and 50 <= count < 500
+    assert uncertainty.sentence(count) in heard.sentences
     assert found.missing == {"frictionless": 0}
 
 

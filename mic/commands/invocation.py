@@ -8,7 +8,7 @@ from functools import wraps
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 from mic.commands.output import CommandConsole
-from mic.errors import RunError
+from mic.errors import RunError, SceneError
 from mic.execution.ranks import communicator
 from mic.model.assembly import assemble
 from mic.process.model import ReducedModel
@@ -19,6 +19,8 @@ from mic.results.run_identity import identity
 from mic.runs import Progress as RunProgress
 from mic.runs import hold
 from mic.scene import load_scene
+from mic.scene.checks import find_errors
+from mic.scene.schema import Accuracy
 from mic.studies.samples import first_frictional
 from mic.system.disk_cache import cache_folder
 
@@ -46,16 +48,27 @@ def first_rank_only(command):
     return run
 
 
-def with_options(scene, laws, samples=None, seed=None, backend=None):
-    """The scene with laws and Monte Carlo settings replaced by those of the command line; None changes nothing."""
+def with_options(scene, laws, samples=None, accuracy=None, seed=None, backend=None):
+    """The scene with laws and Monte Carlo settings replaced by those of the command line; None changes nothing.
+
+    Raises
+    ------
+    SceneError
+        If the scene excludes an accuracy.
+    """
     changes = {}
     if laws:
         changes["report"] = scene.report.model_copy(update={"laws": list(dict.fromkeys(law.value for law in laws))})
     given = {"samples": samples, "seed": seed, "backend": backend}
     settings = {key: value for key, value in given.items() if value is not None}
+    if accuracy is not None:
+        settings["accuracy"] = Accuracy(six_sigma=accuracy)
     if settings:
         changes["monte_carlo"] = scene.monte_carlo.model_copy(update=settings)
-    return scene.model_copy(update=changes)
+    changed = scene.model_copy(update=changes)
+    if accuracy is not None and (found := find_errors(changed)):
+        raise SceneError("\n".join(f"--accuracy: {line}" for line in found))
+    return changed
 
 
 class ConsoleProgress(RunProgress):

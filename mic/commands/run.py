@@ -16,7 +16,7 @@ from mic.execution.ranks import communicator, on_first
 from mic.report.background_pictures import BackgroundPictures
 from mic.report.style import change, number
 from mic.results.excel import write_excel
-from mic.results.run_folder import EXCEL
+from mic.results.run_folder import EXCEL, RunFolder
 from mic.results.schema import CONTRIBUTORS, LINEARITY
 from mic.runs import conclude, finished, hold
 from mic.runs import run as run_scene
@@ -37,14 +37,19 @@ class ReportProgress(ConsoleProgress):
 
     Attributes
     ----------
+    draws : bool
+        Whether there will be a report.
     pictures : BackgroundPictures or None
+        None also without contact: there are so few pictures that a worker would only import the drawing library twice.
     """
 
+    draws = True
     pictures: BackgroundPictures | None = None
 
     def statistics_ready(self, outcome):
         self.stop()
-        self.pictures = BackgroundPictures(outcome)
+        if self.draws and outcome.stages:
+            self.pictures = BackgroundPictures(outcome)
 
     def stop(self):
         """Stop drawing."""
@@ -52,20 +57,24 @@ class ReportProgress(ConsoleProgress):
             self.pictures.end()
 
 
-def run(scene, samples, seed, law, backend, out, replace, strict):
+def run(scene, law, backend, out, replace, strict, no_report, engine, **sampling):
     """``mic run``, with the values of its options (:mod:`mic.options`)."""
     world = communicator()
+    engine = engine or ("mpi" if world else "local")
     console = CommandConsole(quiet=world is not None and world.rank > 0)
-    scene = on_first(world, lambda: with_options(load_scene(scene), law, samples, seed, backend and backend.value))
+    scene = on_first(world, lambda: with_options(load_scene(scene), law, backend=backend and backend.value, **sampling))
     if out is None and scene.name.strip(".") == "":
         raise RunError(f"scene name {scene.name!r}: not usable as the name of a results folder; give one with --out")
     folder, progress, start = out or Path("results") / scene.name, ReportProgress(console), time.perf_counter()
+    progress.draws = not no_report
     try:
         with hold(folder, progress):
-            outcome = run_scene(scene, folder, cache_folder(), progress, replace, strict)
+            outcome = run_scene(
+                scene, folder, cache_folder(), progress, replace, strict, engine or ("mpi" if world else "local")
+            )
             if outcome is not None:
                 _add_contributors(console, outcome, time.perf_counter() - start)
-                _report(console, outcome, progress.pictures)
+                _report(console, outcome, progress)
     except (KeyboardInterrupt, Stopped) as interrupt:
         laws, count = scene.report.laws, scene.monte_carlo.samples
         console.say(
@@ -106,7 +115,7 @@ def report(folder, excel):
     progress = ReportProgress(console)
     try:
         outcome = conclude(folder, progress=progress)
-        _report(console, outcome, progress.pictures)
+        _report(console, outcome, progress)
         if excel:
             with hold(folder, ConsoleProgress(console)):
                 console.say_files(Excel=write_excel(folder, folder / EXCEL))
@@ -117,12 +126,17 @@ def report(folder, excel):
         progress.stop()
 
 
-def _report(console, outcome, pictures):
-    """Write the report; print the zones, the validity of the samples and the main results."""
-    from mic.report.page import write_report  # drawing libraries are slow to import
+def _report(console, outcome, progress):
+    """Write the report if requested; print the zones, the validity of the samples and the main results."""
     from mic.report.verdict import verdict
 
-    page = write_report(outcome.folder, outcome, pictures)
+    written = {"tables": outcome.folder / "summary.json"}
+    if progress.draws:
+        from mic.report.page import write_report  # drawing libraries are slow to import
+
+        written = {"report": write_report(outcome.folder, outcome, progress.pictures)} | written
+    else:
+        RunFolder(outcome.folder).remove_report()  # of fewer samples
     laws = outcome.summary()["laws"]
     _print_zones(console, laws, "rms_tangential", "RMS tangential displacement, mm")
     _print_zones(console, laws, "rms_slip", "RMS slip under load, mm")
@@ -130,7 +144,7 @@ def _report(console, outcome, pictures):
         _print_validity(console, name, law)
     found = verdict(outcome)
     console.say_each(found.sentences if found else ())
-    console.say_files(report=page, tables=outcome.folder / "summary.json")
+    console.say_files(**written)
 
 
 def _print_zones(console, laws, motion, title):

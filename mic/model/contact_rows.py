@@ -6,7 +6,6 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from mic.contact.laws import LAWS
 from mic.contact.laws.pressure_dependent import rescaled
 from mic.errors import Problems
 from mic.geometry.pairing import ContactPair, PressedPoint, find_between
@@ -33,8 +32,7 @@ def contact_rows(
         Collects errors.
     """
     scene = rows.scene
-    friction = any(LAWS[law].frictional for law in scene.report.laws) and any(zone.frictional for zone in scene.zones)
-    dimension = 3 if friction or scene.report.slip else 1
+    dimension = 3 if scene.reads_slip else 1
     pairs = [pair for zone_pairs in pairs_of_zones for pair in zone_pairs]
     zone_of = np.array([i for i, zone_pairs in enumerate(pairs_of_zones) for _ in zone_pairs], dtype=np.int64)
     zones = [scene.zones[i] for i in zone_of]

@@ -10,6 +10,8 @@ import pandas as pd
 
 from mic.contact.states import STATES
 from mic.results.capability_verdict import capability_verdict
+from mic.results.headline import headline
+from mic.results.output_samples import MOTIONS
 from mic.results.run_samples import RunSamples
 from mic.results.statistic_tables import whole_yield
 from mic.statistics import estimates
@@ -17,6 +19,8 @@ from mic.statistics import estimates
 __all__ = ["summary"]
 
 _ZONE_KEYS = ("law", "stage", "zone", "contacts", "friction", "samples")
+_BEST = ("mean", "sigma", "six_sigma", "cp", "cpk", "share_outside")
+_BEST_OF_ZONE = tuple(f"{name}_{motion}" for motion in MOTIONS for name in ("mean", "six_sigma"))
 
 
 def summary(
@@ -25,20 +29,23 @@ def summary(
     """The outcome in one JSON-ready dict (``summary.json``).
 
     The zone values of each law are those of the first stage that resolves contact, clamping in the default process;
-    ``"stages"`` holds every stage. Intervals ``…_ci`` are at 95 %; the effect of a tighter load path is ``…_path`` in
-    mm and ``…_path_share`` (:data:`mic.results.schema.PATH`). With a design that makes samples in groups, only key
-    characteristics have intervals (:func:`mic.statistics.estimates.grouped_jackknife`). Undefined values, such as slip
-    under load without friction, are None.
+    ``"stages"`` holds every stage. ``"headline"`` holds the best estimates, with surrogates or of the samples alone.
+    Intervals ``…_ci`` are at 95 %; the effect of a tighter load path is ``…_path`` in mm and ``…_path_share``
+    (:data:`mic.results.schema.PATH`). With a design that makes samples in groups, only key characteristics have
+    intervals (:func:`mic.statistics.estimates.grouped_jackknife`). Undefined values, such as slip under load without
+    friction, are None.
     """
     study = outcome.path_study
+    best_measurements, best_zones = headline(measurement_table), headline(zone_table)
     laws = {}
     for law in outcome.laws:
         zones: dict[str, Any] = {}
-        for row in _rows(zone_table, law):
+        for row, best in zip(_rows(zone_table, law), _rows(best_zones, law)):
             entry = _entry(row, *_ZONE_KEYS, *STATES) | {"path": {state: row[state] for state in STATES}}
+            entry["headline"] = _entry(best, *(best.keys() - set(_BEST_OF_ZONE)))
             zone = {"contacts": row["contacts"], "friction": row["friction"], **entry, "stages": {}}
             zones.setdefault(row["zone"], zone)["stages"][row["stage"]] = entry
-        judged = capability_verdict(outcome, law, measurement_table)
+        judged = capability_verdict(outcome, law, best_measurements)
         verdicts = judged.decision.each if judged and judged.target_cpk is not None else ()
         each = dict(zip((item.name for item in outcome.model.scene.measurements), verdicts))
         laws[law] = {
@@ -54,8 +61,9 @@ def summary(
             "all_within": _all_within(outcome, law),
             "measurements": {
                 row["measurement"]: _entry(row, "law", "measurement", "samples")
+                | {"headline": _entry(best, *(best.keys() - set(_BEST)))}
                 | ({"verdict": each[row["measurement"]]} if each else {})
-                for row in _rows(measurement_table, law)
+                for row, best in zip(_rows(measurement_table, law), _rows(best_measurements, law))
             },
             "limits": [{name: row[name] for name in row if name != "law"} for row in _rows(limit_table, law)],
         }

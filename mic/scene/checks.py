@@ -123,9 +123,9 @@ def check_parts(scene) -> Iterator[str]:
 
 
 def check_characteristics(scene) -> Iterator[str]:
-    """Measurements of a best fit and frames exist; an accuracy of 6σ has something to vary and to measure."""
-    if scene.monte_carlo.accuracy is not None and not (scene.measurements and scene.deviations):
-        yield "monte_carlo.accuracy: it needs measurements and deviations; add them, or remove it"
+    """Measurements of a best fit and frames exist; a required accuracy has something to vary and to measure."""
+    if scene.monte_carlo.accuracy is not None:
+        yield from _accuracy_errors(scene, set(scene.monte_carlo.accuracy.required))
     measured = {item.name for item in scene.measurements}
     for key, i, item in _items(scene, "measurements"):
         for name in getattr(item, "best_fit", None) or ():
@@ -134,6 +134,22 @@ def check_characteristics(scene) -> Iterator[str]:
             frames = {AS_IT_STANDS, *(frame.name for frame in scene.frames)}
             yield from unknown(entry(key, i, item, "frame"), item.frame, frames, "frame")
     yield from _frame_errors(scene, measured)
+
+
+def _accuracy_errors(scene, required: set[str]) -> Iterator[str]:
+    """Samples can be added until a required accuracy is reached, and there is something to vary and to measure."""
+    settings = scene.monte_carlo
+    for given in ("table", "values"):
+        if getattr(settings, given) is not None:
+            yield f"monte_carlo: accuracy and {given} exclude each other; remove one of them"
+    if settings.design != "independent":
+        yield 'monte_carlo: accuracy adds samples one by one and needs design = "independent"; remove one of them'
+    if not scene.deviations or (required - {"slip"} and not scene.measurements):
+        yield "monte_carlo.accuracy: it needs measurements and deviations; add them, or remove it"
+    if "slip" in required and not scene.zones:
+        yield "monte_carlo.accuracy.slip: the scene has no contact zone; add one, or remove slip"
+    elif "slip" in required and not scene.reads_slip:
+        yield "monte_carlo.accuracy.slip: nothing slips without friction; set slip = true under [report], or remove it"
 
 
 def _frame_errors(scene, measured: set[str]) -> Iterator[str]:

@@ -24,6 +24,7 @@ from mic.scene.weld import Weld
 from mic.scene.zone import Zone
 
 __all__ = [
+    "Accuracy",
     "DESIGNS",
     "MonteCarlo",
     "Report",
@@ -33,6 +34,8 @@ __all__ = [
 
 #: Samples per independent group of each sampling design.
 DESIGNS = {"independent": 1, "antithetic": 2, "latin-hypercube": 50, "sobol": 64}
+
+Fraction = Annotated[FiniteFloat, Field(gt=0, lt=1)]
 
 if TYPE_CHECKING:
     DesignName = str
@@ -84,15 +87,51 @@ class Report(Table):
         return laws
 
 
+class Accuracy(Table):
+    """Required half-widths of the 95 % intervals of a run."""
+
+    six_sigma: Fraction | None = None
+    """of the 6σ of each key characteristic, relative to it"""
+
+    mean: Fraction | None = None
+    """of each mean, relative to the 6σ"""
+
+    share_outside: Fraction | None = None
+    """of each share outside the limits"""
+
+    cpk: Positive | None = None
+    """of each Cpk"""
+
+    slip: Fraction | None = None
+    """of the mean and 6σ of each zone's slip, relative to them; of its tangential displacement without friction"""
+
+    @model_validator(mode="before")
+    @classmethod
+    def _of_six_sigma(cls, given: Any):
+        return given if isinstance(given, (dict, cls)) else {"six_sigma": given}
+
+    @model_validator(mode="after")
+    def _some(self):
+        if not self.required:
+            raise ValueError(f"it is empty; give at least one of {', '.join(type(self).model_fields)}")
+        return self
+
+    @property
+    def required(self) -> dict[str, float]:
+        """The given half-widths by key."""
+        return self.model_dump(exclude_none=True)
+
+
 class MonteCarlo(Table):
     """Size and seed of the Monte Carlo, and the contact solver."""
 
     samples: Annotated[Count, Field(ge=1)] = 500
     """number of assemblies"""
 
-    accuracy: Annotated[float, Field(gt=0, lt=1)] | None = None
-    """required relative accuracy of each 6σ: half of its 95 % interval. Samples are added until it is reached,
-    `samples` at most"""
+    accuracy: Accuracy | None = None
+    """required half-widths of 95 % intervals: `six_sigma` of each key characteristic, relative to it; `mean`, relative
+    to 6σ; `share_outside`; `cpk`; `slip`, of the mean and 6σ of each zone's slip, relative to them. A number is that of
+    `six_sigma`. Samples are added until all are reached, `samples` at most"""
 
     seed: Annotated[Count, Field(ge=0, lt=2**63)] = 1
     """of the random numbers"""
@@ -116,10 +155,6 @@ class MonteCarlo(Table):
         given = "table" if self.table is not None else "values"
         if (self.table is not None or self.values is not None) and self.design != "independent":
             raise ValueError(f"design and {given} exclude each other: remove one of them")
-        if self.accuracy is not None and (self.table is not None or self.values is not None):
-            raise ValueError(f"accuracy and {given} exclude each other: remove one of them")
-        if self.accuracy is not None and self.design != "independent":
-            raise ValueError('accuracy adds samples one by one and needs design = "independent": remove one of them')
         return self
 
 
@@ -189,6 +224,12 @@ class Scene(Table):
         if found:
             raise ValueError("\n".join(found))
         return self
+
+    @property
+    def reads_slip(self) -> bool:
+        """Whether tangential motion of the contacts is modelled."""
+        friction = any(LAWS[law].frictional for law in self.report.laws) and any(zone.frictional for zone in self.zones)
+        return self.report.slip or friction
 
     def frame_of(self, item: Measurement) -> Frame | None:
         """The frame in which a measurement is read; None for the assembly as it stands, or a best fit of its own."""
