@@ -18,6 +18,7 @@ from scipy.sparse import csr_matrix
 __all__ = ["Blocks"]
 
 BATCH = 64  # rows whose diagonal is gathered at once
+SMALL = 300  # functionals up to which nothing is compiled: loading Numba takes 0.3 s
 
 
 @dataclass(frozen=True)
@@ -70,7 +71,11 @@ class Blocks:
     def gather(self, left: csr_matrix, right: csr_matrix) -> np.ndarray:
         """(l, r) ``left H rightᵀ`` for two sets of rows over the stacked functionals."""
         out = np.zeros((left.shape[0], right.shape[0]))
-        if out.size:
+        if out.size and self.size <= SMALL:
+            left, right = left.sorted_indices(), right.sorted_indices()
+            for own, H in zip(self.functionals, self.H):
+                out += left[:, own] @ (right[:, own] @ H).T
+        elif out.size:
             for first, H in zip(self.offsets, self.H):
                 _compiled()(H, first, *_entries(left), *_entries(right), out)
         return out

@@ -21,6 +21,7 @@ A row with its own compliance c reads ``v - c λ`` instead of v. For rows R that
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -84,6 +85,7 @@ def eliminate(
     output: csr_matrix,
     yielding: np.ndarray | None = None,
     series: np.ndarray | None = None,
+    multiply: Callable[[np.ndarray, np.ndarray], np.ndarray] = product,
 ) -> Response:
     """Eliminate bilateral rows.
 
@@ -97,13 +99,15 @@ def eliminate(
         Compliance of each bilateral row itself, mm/N; default: rigid.
     series : (c,) array, optional
         Compliance in series with each contact row, mm/N, added to the diagonal of S; default: none.
+    multiply : callable
+        The matrix product, see :func:`mic.system.matrix_product.product_of`.
 
     Raises
     ------
     FreeMotion
         If the bilateral rows leave a rigid motion free.
     """
-    held = _BilateralRows(compliance, bilateral, yielding)
+    held = _BilateralRows(compliance, bilateral, yielding, multiply)
     contacts, loads, outputs = held.supported(contact), held.supported(load), held.supported(output)
     c, o = contact.shape[0], output.shape[0]
     series = np.zeros(c) if series is None else series
@@ -134,6 +138,8 @@ class _SupportedRows:
     JQ, Y : (j, 6P) array
     Z : (j, r) array
         Factor of the correction by the rows R, ``H_JR H_RR⁻¹ H_RJ = Z Zᵀ``.
+    multiply : callable
+        The matrix product.
     """
 
     compliance: Blocks
@@ -141,24 +147,26 @@ class _SupportedRows:
     JQ: np.ndarray
     Y: np.ndarray
     Z: np.ndarray
+    multiply: Callable[[np.ndarray, np.ndarray], np.ndarray]
 
     def select(self, index: np.ndarray) -> _SupportedRows:
         """Some of the rows."""
-        return _SupportedRows(self.compliance, self.rows[index], self.JQ[index], self.Y[index], self.Z[index])
+        some = {name: getattr(self, name)[index] for name in ("rows", "JQ", "Y", "Z")}
+        return replace(self, **some)
 
     def gather(self, other: _SupportedRows) -> np.ndarray:
         """(j, k) ``J H_s Kᵀ``; the bits of each column do not depend on the other columns."""
         gathered = self.compliance.gather(self.rows, other.rows)
-        gathered -= product(other.Y, self.JQ.T).T
-        gathered -= product(other.JQ, self.Y.T).T
+        gathered -= self.multiply(other.Y, self.JQ.T).T
+        gathered -= self.multiply(other.JQ, self.Y.T).T
         return gathered
 
 
 class _BilateralRows:
     """Bilateral rows, split into the support A and the independent rows R among the rest, with H_RR factorised."""
 
-    def __init__(self, compliance: Blocks, rows: csr_matrix, yielding: np.ndarray | None):
-        self._compliance, self._count = compliance, rows.shape[0]
+    def __init__(self, compliance: Blocks, rows: csr_matrix, yielding: np.ndarray | None, multiply):
+        self._compliance, self._count, self._multiply = compliance, rows.shape[0], multiply
         rigid = compliance.rigid(rows)
         self._support = support = statically_determinate(rigid, motion_size(compliance.G))
         rest = np.setdiff1d(np.arange(self._count), support)
@@ -190,7 +198,7 @@ class _BilateralRows:
         """Rows on the support A alone, from their readings of rigid motions (j, 6P)."""
         JQ = np.linalg.solve(self._AG.T, rigid.T).T
         Y = self._compliance.gather(rows, self._A) - 0.5 * JQ @ self._AHA
-        return _SupportedRows(self._compliance, rows, JQ, Y, np.zeros((len(JQ), 0)))
+        return _SupportedRows(self._compliance, rows, JQ, Y, np.zeros((len(JQ), 0)), self._multiply)
 
     def supported(self, rows: csr_matrix) -> _SupportedRows:
         """Rows of the held parts, with their correction by the rows R."""

@@ -108,9 +108,12 @@ class Columns:
 
     def under(self, force: np.ndarray) -> np.ndarray:
         """(n, r) products with forces (n, c), one sample per row; the cost depends on the non-zero forces only."""
+        loaded = np.flatnonzero(force.any(axis=0))
+        if not len(loaded):  # nothing touches: no kernel is needed
+            return np.zeros((len(force), self.shape[0]))
         from mic.contact.native.kernels import responses  # compiles, or reads the cache, when it is imported
 
-        self._provide(np.flatnonzero(force.any(axis=0)))
+        self._provide(loaded)
         readings = np.empty((len(force), self.shape[0]))
         responses(self._given, self._own, self._at, np.ascontiguousarray(force), readings)
         return readings

@@ -44,6 +44,7 @@ from mic.errors import FreeMotion, SceneError
 from mic.geometry.pairing.standing_edges import STEEP
 from mic.model.sources import KnownShape, sources
 from mic.scene.stages import placing_stages
+from mic.system.matrix_product import product_of
 
 __all__ = ["controlling_forces", "datum_rows", "known_shapes", "shape_readings"]
 
@@ -158,7 +159,8 @@ def shape_readings(assembly, compliance: Blocks) -> tuple[np.ndarray, np.ndarray
         functionals, part = compliance.functionals[p], compliance.part(p)
         datum = datum_rows(assembly, p, compliance.G[p])
         none = csr_matrix((0, part.size))
-        held = eliminate(part, datum, none, load[:, functionals], identity(part.size, format="csr"))
+        every = identity(part.size, format="csr")
+        held = eliminate(part, datum, none, load[:, functionals], every, multiply=product_of(len(assembly.contacts)))
         return held.L_out, load[:, functionals].T.toarray() + datum.T @ held.reaction_L
 
     for j, source in enumerate(of_scene):

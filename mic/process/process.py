@@ -23,7 +23,7 @@ from mic.process.linear_maps import Linear
 from mic.process.plan import StagePlan, Step, plan_stages, row_compliance
 from mic.process.stage import OUTPUTS, EliminatedStep, PreparedStage, eliminate_steps, path_of, stops_of
 from mic.process.state import ProcessState
-from mic.system.matrix_product import one_thread, product
+from mic.system.matrix_product import one_thread, product_of
 
 __all__ = ["TOLERANCE", "Process", "contact_solver"]
 
@@ -300,7 +300,7 @@ class Process:
     def drive(self, deviations: np.ndarray) -> Drive:
         """The drive for deviations (n, p), affine in them."""
         readings, slices = self._unit_shapes
-        shapes = product(deviations, readings)
+        shapes = product_of(len(self.model.contacts))(deviations, readings)
         return drive(
             self.model, deviations, {kind: shapes[:, rows] for kind, rows in slices.items()}, self._drive_terms
         )
@@ -485,8 +485,9 @@ class Process:
         if soft is not None:
             value -= soft * reaction  # what the rows read
         value = np.column_stack([value, state.reading["rest"][:, last.steps[-1].rest.row]])
-        motion = product(value[:, own] - product(force, AH.T), inverse.T)
+        multiply = product_of(len(model.contacts))
+        motion = multiply(value[:, own] - multiply(force, AH.T), inverse.T)
         return (
-            force + product(deviations, model.shape_forces.T),
-            motion + product(deviations, self._unit_motions),
+            force + multiply(deviations, model.shape_forces.T),
+            motion + multiply(deviations, self._unit_motions),
         )

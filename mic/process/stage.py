@@ -45,7 +45,7 @@ from mic.process.plan import Limit, StagePlan, Step, row_compliance
 from mic.process.ramp import Ramp, RampColumns, row_names
 from mic.process.resting_parts import Rest, Segment
 from mic.process.state import ProcessState, Values, columns
-from mic.system.matrix_product import product
+from mic.system.matrix_product import product, product_of
 
 __all__ = ["LEAST_MOTION", "OUTPUTS", "EliminatedStep", "PreparedStage", "eliminate_steps", "path_of", "stops_of"]
 
@@ -160,6 +160,7 @@ def eliminate_steps(model, plans: Sequence[StagePlan]) -> dict[str, list[Elimina
     for _, step in steps:
         loads.setdefault((step.bilateral, step.stops), {}).update(dict.fromkeys((*positions, *step.load_rows)))
     shared: dict[tuple, tuple[csr_matrix, Response, np.ndarray]] = {}
+    multiply = product_of(len(model.contacts))
     eliminated: dict[str, list[EliminatedStep]] = {plan.name: [] for plan in plans}
     for plan, step in steps:
         held = step.bilateral, step.stops
@@ -174,7 +175,8 @@ def eliminate_steps(model, plans: Sequence[StagePlan]) -> dict[str, list[Elimina
                     chosen = model.rest.completing_rows(bilateral, model.compliance)
                     bilateral = vstack([bilateral, model.rest.rows[chosen]], format="csr")
                     soft = None if soft is None else np.pad(soft, (0, len(chosen)))
-                response = eliminate(model.compliance, bilateral, contact, rows_of(loads[held]), output, soft, series)
+                pushed = rows_of(loads[held])
+                response = eliminate(model.compliance, bilateral, contact, pushed, output, soft, series, multiply)
             except FreeMotion as error:
                 share = [np.linalg.norm(error.motions[own]) for own in model.compliance.motions]
                 raise free_motion_error(model.scene, plan, step, error, int(np.argmax(share))) from error
@@ -543,9 +545,10 @@ class PreparedStage:
 
         `force` (n, d m + s) are those of contacts and stops.
         """
-        reading = product(v, response.T_out.T) + product(p, response.L_out.T) + response.S_out.under(force)
-        reaction = product(v, response.reaction_T.T) + product(p, response.reaction_L.T)
-        reaction += product(force, response.reaction_S.T)
+        multiply = product_of(len(self._contacts))
+        reading = multiply(v, response.T_out.T) + multiply(p, response.L_out.T) + response.S_out.under(force)
+        reaction = multiply(v, response.reaction_T.T) + multiply(p, response.reaction_L.T)
+        reaction += multiply(force, response.reaction_S.T)
         return {kind: reading[:, own] for kind, own in self.output.items()}, reaction
 
 

@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from plotly.offline import get_plotlyjs
 
 from mic.errors import Problems
 from mic.geometry.load import load_fixture
@@ -23,7 +22,7 @@ from mic.report.source_pictures import draw_shapes
 from mic.report.space_pictures import draw_assembly
 from mic.report.style import MARK_COLOURS, number
 from mic.report.template import render
-from mic.report.viewer_data import arrow_group, packed, point_group, view
+from mic.report.viewer_data import arrow_group, packed, plotly_script, point_group, view
 from mic.scene import Scene
 from mic.scene.deviation import ClampDeviation, LocatorDeviation, targets
 from mic.system.files import write_text
@@ -87,7 +86,7 @@ def write_check(
         largest={shape.name: f"{number(shape.largest[2])} mm" for shape in shapes},
         still=draw_assembly(bodies, scene, contacts if touching else None) if bodies else None,
         viewer=packed(json.dumps(_view(bodies, scene, warnings, contacts if touching else None))) if bodies else None,
-        plotly=packed(get_plotlyjs()) if bodies else None,
+        plotly=plotly_script() if bodies else None,
     )
     path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)

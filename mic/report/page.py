@@ -6,8 +6,6 @@ from os import PathLike
 from pathlib import Path
 from typing import Any
 
-from plotly.offline import get_plotlyjs
-
 from mic.contact.solution import Status
 from mic.process.description import alignments
 from mic.report import driver_sentences
@@ -17,7 +15,7 @@ from mic.report.picture_registry import PICTURES, draw_all
 from mic.report.style import LAWS, zone_colour
 from mic.report.template import render
 from mic.report.verdict import verdict
-from mic.report.viewer_data import packed, viewer_data
+from mic.report.viewer_data import plotly_script, viewer_data
 from mic.results import schema
 from mic.results.mesh_error import read_accuracy
 from mic.results.outcome import Outcome, read_outcome
@@ -46,7 +44,7 @@ def write_report(
     outcome : Outcome, optional
         The outcome of that folder, if it has been read already.
     background : BackgroundPictures, optional
-        Pictures of that outcome that a worker process draws.
+        Pictures of that outcome that worker processes draw.
 
     Returns
     -------
@@ -85,7 +83,7 @@ def write_report(
         covered=covered_share(outcome.record["samples"]),
         accuracy=read_accuracy(outcome.folder),
         viewer=viewer,
-        plotly=packed(get_plotlyjs()) if viewer else None,
+        plotly=plotly_script() if viewer else None,
     )
     path = outcome.folder / "report.html"
     write_text(path, page)

@@ -20,7 +20,7 @@ from mic.report.style import MARK_COLOURS, part_colour, zone_colour
 from mic.results.outcome import Outcome
 from mic.scene import Scene
 
-__all__ = ["arrow_group", "packed", "point_group", "view", "viewer_data"]
+__all__ = ["arrow_group", "packed", "plotly_script", "point_group", "view", "viewer_data"]
 
 NOT_A_NUMBER = 2**16 - 1
 PLACES = NOT_A_NUMBER - 1  # steps of a coordinate
@@ -28,14 +28,16 @@ SHADES = 2**10  # steps of a field: four for each colour
 
 
 def viewer_data(outcome: Outcome, context: Context) -> str | None:
-    """Parts with their fields, arrows and marked points, as :func:`packed` JSON; None without parts.
+    """Parts with their fields, arrows and marked points, as :func:`packed` JSON; None without fields.
+
+    ``check.html`` has a view without fields.
 
     Meshes are decimated (:mod:`mic.report.mesh_decimation`). Arrays are base64 of little-endian bytes: ``triangles``
     (t, 3) 2-byte integers; ``points`` (v, 3) and fields (v,) as ``data``, 2-byte integers i for ``low + i step`` mm,
     65535 for NaN.
     """
     surfaces, scene = context.surfaces, outcome.model.scene
-    if not surfaces:
+    if not context.fields:
         return None
     data = view(surfaces, scene)
     for part in data["parts"]:
@@ -100,6 +102,13 @@ def point_group(
     """A group of marked points; no group if there are none."""
     group = {"name": name, "colour": colour, "size": size, "points": points, "labels": labels}
     return [group | more] if points else []
+
+
+def plotly_script() -> str:
+    """The library of the views, as :func:`packed`."""
+    from plotly.offline import get_plotlyjs  # 5 MB, for pages with a view only
+
+    return packed(get_plotlyjs())
 
 
 def packed(text: str) -> str:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import hashlib
 import io
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -21,17 +21,24 @@ from mic.results.schema import DATASETS, Table
 from mic.system.files import Format, Group, reading, replacing
 from mic.system.regular_files import read_regular
 
-__all__ = ["read_identity", "read_table", "with_digest", "write_table"]
+__all__ = ["read_identity", "read_names", "read_table", "with_digest", "write_table"]
 
 MAGIC, LENGTH, DIGEST = b"PAR1", 4, 32  # end of a Parquet file; bytes of the length before it, and of a SHA-256
 _AGAIN = "run the scene again into this folder"
 _FORMATS = {table.name: Format(f"block of {table.name}", table.version, _AGAIN) for table in DATASETS}
 
 
-def write_table(path: Path, table: Table, frame: pd.DataFrame, identity: str, group: Group | None = None) -> None:
+def write_table(
+    path: Path,
+    table: Table,
+    frame: pd.DataFrame,
+    identity: str,
+    names: Sequence[str] = (),
+    group: Group | None = None,
+) -> None:
     """Write a table as Parquet, with units, format and the identity of its run in the metadata.
 
-    `group` as for :func:`mic.system.files.replacing`.
+    `names` are those of all tables that are written with it; `group` as for :func:`mic.system.files.replacing`.
 
     Raises
     ------
@@ -47,11 +54,12 @@ def write_table(path: Path, table: Table, frame: pd.DataFrame, identity: str, gr
         for column, array in zip(columns, arrays)
     ]
     kind = _FORMATS[table.name]
-    header = {"kind": kind.kind, "format": str(kind.version), "identity": identity}
+    header = {"kind": kind.kind, "format": str(kind.version), "identity": identity, "tables": " ".join(names)}
     content = pa.Table.from_arrays(arrays, schema=pa.schema(fields, header))
-    repeating = [column.name for column in table.columns if column.dtype != "float64"]  # floats rarely repeat
+    floats = [column.name for column in columns if column.dtype.startswith("float")]  # these rarely repeat
+    others = [column.name for column in columns if column.name not in floats]
     buffer = io.BytesIO()
-    pq.write_table(content, buffer, use_dictionary=repeating)
+    pq.write_table(content, buffer, use_dictionary=others, use_byte_stream_split=floats, compression="zstd")
     with replacing(path, group=group) as temporary:
         temporary.write_bytes(with_digest(buffer.getvalue()))
 
@@ -117,6 +125,11 @@ def read_identity(path: Path, table: Table) -> str:
         If the file is of another kind, truncated or altered.
     """
     return _read(path, table, lambda file: None)[0]
+
+
+def read_names(path: Path, table: Table) -> list[str]:
+    """Names of the tables that were written with a table; errors as :func:`read_identity`."""
+    return _read(path, table, lambda file: file.schema_arrow.metadata[b"tables"].decode().split())[1]
 
 
 def _read(path: Path, table: Table, read: Callable[[pq.ParquetFile], Any]) -> tuple[str, Any]:

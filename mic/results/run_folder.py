@@ -33,7 +33,7 @@ import platform
 import re
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from importlib.metadata import requires
 from pathlib import Path
 from typing import Any
@@ -47,7 +47,7 @@ from mic.errors import FormatError, RunError
 from mic.geometry.surface import Patch, Surface
 from mic.results.contact_sums import ContactSums
 from mic.results.low_rank_forces import CompressedForces
-from mic.results.parquet import read_identity, read_table, write_table
+from mic.results.parquet import read_identity, read_names, read_table, write_table
 from mic.results.run_identity import NOT_INSTALLED, differences, installed_version, program_version
 from mic.results.schema import (
     CONDENSED,
@@ -60,6 +60,7 @@ from mic.results.schema import (
     SUMS,
     Table,
 )
+from mic.results.stored_parts import pack_parts, unpack_parts
 from mic.scene.schema import Report
 from mic.statistics.estimates import Moments
 from mic.system import foreign_files
@@ -91,7 +92,7 @@ _AGAIN = "run the scene again into this folder"
 _REPLACE = "name another folder with --out, or remove the old results with --replace"
 _OTHER_BLOCK = f"this block belongs to another run, or holds other samples; {_AGAIN}"
 _RUN = Format("record of a run", 5, _AGAIN)
-_PARTS = Format("set of parts", 4, _AGAIN)
+_PARTS = Format("set of parts", 5, _AGAIN)
 _FORMATS = {
     SUMS: Format("sums of a block", 2, _AGAIN),
     FORCES: Format("block of forces", 1, _AGAIN),
@@ -99,7 +100,8 @@ _FORMATS = {
 }
 #: Types of the entries of the record.
 _RECORD = {"scene": str, "samples": int, "laws": list, "versions": dict, "inputs": dict, "wall_time": dict, "seed": int}
-_SINGLE = ("model.npz", "parts.npz", "summary.json", "report.html", "assembly.png", EXCEL, PUBLISHED)
+_REPORT = ("report.html", "assembly.png")
+_SINGLE = ("model.npz", "parts.npz", "summary.json", *_REPORT, EXCEL, PUBLISHED)
 _TABLES = tuple(table.place for table in (*STATISTICS, *STUDIES))
 _FIELDS = "fields/fields.npz"
 _BLOCK_TABLES = (SAMPLES, *(table for table in DATASETS if table is not SAMPLES), *_FORMATS)  # in order of removal
@@ -188,6 +190,11 @@ class RunFolder:
         record[key] = record.get(key, {}) | values
         self.write_record(record)
         return record
+
+    def remove_report(self) -> None:
+        """Remove the page and its picture."""
+        for name in _REPORT:
+            (self.path / name).unlink(missing_ok=True)
 
     # ---------------------------------------------------------------------------------------------- preparation
 
@@ -364,9 +371,10 @@ class RunFolder:
                 packed, stored = ({}, content) if table == FORCES else pack(content, {})
                 header = {"identity": block.stamp(identity), "content": packed}
                 save_arrays(self._path(table, block), _FORMATS[table], header, stored, group=group)
-            for table in DATASETS:  # samples last: they mark the block as finished
-                if table.name in tables:
-                    write_table(self._path(table, block), table, tables[table.name], block.stamp(identity), group=group)
+            written = [table for table in DATASETS if table is SAMPLES or len(tables.get(table.name, ()))]
+            names = [table.name for table in written] + [CONTACTS.name] * (SUMS in (arrays or {}))
+            for table in written:  # samples last: they mark the block as finished, and list the tables with rows
+                write_table(self._path(table, block), table, tables[table.name], block.stamp(identity), names, group)
         for other in self._blocks_with(SAMPLES, block.law):  # the last block of a shorter run is part of this one
             contained = block.first <= other.first and other.end <= block.end
             if other != block and contained and self._stamp(other) == other.stamp(identity):
@@ -398,8 +406,8 @@ class RunFolder:
         return sorted(chosen)
 
     def has_pairs(self, block: Block) -> bool:
-        """Whether a block has its contact pairs."""
-        return self._path(CONTACTS, block).is_file()
+        """Whether a block has its contact pairs, if there are any, and not their sums."""
+        return self._path(CONTACTS, block).is_file() or not self._path(SUMS, block).is_file()
 
     def finished(self, law: str, samples: int) -> np.ndarray:
         """Numbers of the finished samples of a law, ascending, for a number of requested samples."""
@@ -414,17 +422,19 @@ class RunFolder:
         FormatError
             If a file is missing, cannot be read, or belongs to another run.
         """
-        pairs = self.has_pairs(block) or not self._path(SUMS, block).is_file()
-        names = [table.name for table in DATASETS if table is not CONTACTS or pairs]
+        names = [table.name for table in DATASETS if table is not CONTACTS or self.has_pairs(block)]
         return {name: self.read_dataset(block, name, identity) for name in names}
 
     def read_dataset(self, block: Block, name: str, identity: str) -> pd.DataFrame:
-        """One dataset of a finished block; errors as :meth:`read_block`."""
+        """One dataset of a finished block, empty if the block had no rows of it; errors as :meth:`read_block`."""
         table = next(table for table in DATASETS if table.name == name)
         path = self._path(table, block)
         try:
             frame, stored = read_table(path, table)
         except FileNotFoundError:
+            samples = self._path(SAMPLES, block)
+            if table is not SAMPLES and samples.is_file() and table.name not in read_names(samples, SAMPLES):
+                return table.empty()
             raise FormatError(f"{self._missing(table, block)}; {_AGAIN}") from None
         if stored != block.stamp(identity):
             raise FormatError(f"{path}: {_OTHER_BLOCK}")
@@ -455,14 +465,7 @@ class RunFolder:
         ----------
         assembly : mic.model.assembly.Assembly
         """
-        parts, ends = [], []
-        for part in assembly.parts:
-            patches = part.functionals.patches
-            joined = Patch(*(np.concatenate([getattr(patch, name) for patch in patches]) for name in _PATCH))
-            functionals = replace(part.functionals, patches=(joined,))  # few large arrays
-            parts.append(replace(part, functionals=functionals, superelement=None, thickness_range=None))
-            ends.append(np.cumsum([len(patch.weight) for patch in patches]))
-        content, arrays = pack([parts, ends], {})
+        content, arrays = pack_parts(assembly.parts)
         save_arrays(
             self.path / "parts.npz", _PARTS, {"identity": self.record()["identity"], "content": content}, arrays
         )
@@ -480,7 +483,7 @@ class RunFolder:
         FormatError
             If the file cannot be read, or belongs to another run.
         """
-        path, parts = self.path / "parts.npz", []
+        path = self.path / "parts.npz"
         try:
             header, arrays = load_arrays(path, _PARTS)
         except FileNotFoundError:
@@ -488,12 +491,7 @@ class RunFolder:
         with reading(path, _PARTS):
             if header["identity"] != self.record()["identity"]:
                 raise FormatError(f"{path}: belongs to another run; {_AGAIN}")
-            for part, ends in zip(*unpack(header["content"], arrays, (Part, Surface, Functionals, Patch), {})):
-                (joined,) = part.functionals.patches
-                pieces = (np.split(getattr(joined, name), ends[:-1]) for name in _PATCH)
-                patches = tuple(Patch(*arrays) for arrays in zip(*pieces))
-                parts.append(replace(part, functionals=replace(part.functionals, patches=patches)))
-        return tuple(parts)
+            return unpack_parts(header["content"], arrays)
 
     # ---------------------------------------------------------------------------------------------- files of a block
 

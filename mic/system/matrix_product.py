@@ -2,7 +2,8 @@
 
 BLAS sums a row of ``X A`` in an order that depends on the number of rows of X and of threads, and a difference in the
 last bit can change the state of a contact. The compiled product here takes one sample at a time. It skips zero entries
-of X, since most contacts carry no force.
+of X, since most contacts carry no force. Models without contact use NumPy instead, because loading Numba takes longer
+than all their products.
 """
 
 from __future__ import annotations
@@ -15,10 +16,12 @@ from typing import ParamSpec, TypeVar
 import numpy as np
 from threadpoolctl import ThreadpoolController
 
-__all__ = ["one_thread", "product"]
+__all__ = ["one_thread", "product", "product_of"]
 
 P = ParamSpec("P")
 T = TypeVar("T")
+
+SMALL = 10_000  # entries of a matrix up to which a model without contact does without compiled code
 
 
 def one_thread(function: Callable[P, T]) -> Callable[P, T]:
@@ -68,6 +71,21 @@ def product(samples: np.ndarray, matrix: np.ndarray, found: np.ndarray | None = 
         samples = samples if samples.flags.c_contiguous else np.ascontiguousarray(samples)
         matrix = matrix if matrix.flags.c_contiguous else np.ascontiguousarray(matrix)
         _compiled()(samples, matrix, found)
+    return found
+
+
+def product_of(contacts: int) -> Callable[[np.ndarray, np.ndarray], np.ndarray]:
+    """The product for a model with this number of contact pairs; without any, it needs no compiled code."""
+    return product if contacts else _interpreted
+
+
+def _interpreted(samples: np.ndarray, matrix: np.ndarray) -> np.ndarray:
+    """As :func:`product`, except for the rounding of the last digit."""
+    if matrix.size > SMALL:
+        return product(samples, matrix)
+    found = np.zeros((len(samples), matrix.shape[1]))
+    for column, row in zip(samples.T, matrix):
+        found += column[:, None] * row
     return found
 
 
