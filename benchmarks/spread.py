@@ -1,12 +1,12 @@
-"""Errors of 6σ at equal cost: plain sampling, regression, and regression on values and exact derivatives.
+"""Errors of 6σ at equal cost: plain sampling, surrogates, and regression on values and exact derivatives.
 
     python benchmarks/spread.py                       # the lap joint, its three deviations and all its locators
     python benchmarks/spread.py --repetitions 100
 
 Inputs are the deviations of the scene, and then also every locator with a deviation of 0.05 mm. The error is the root
-mean square over repetitions with other samples, the largest over the key characteristics; the reference is a regression
-on the samples of all repetitions and twenty times as many further ones as one repetition has. Costs are processor time
-in units of an evaluation.
+mean square over repetitions with other samples, the largest over the key characteristics; the reference takes
+surrogates of the samples of all repetitions and of twenty times as many as one repetition has. Costs are processor
+time in units of an evaluation.
 """
 
 from __future__ import annotations
@@ -18,9 +18,9 @@ from pathlib import Path
 import numpy as np
 
 import mic
+from mic.statistics.control_variate import FOLDS, surrogate_estimates
 from mic.statistics.derivative_regression import estimates_with_derivatives
-from mic.statistics.draw import draw
-from mic.statistics.regression import Regression
+from mic.statistics.draw import draw, population
 from mic.studies.adjustment import adjustments, with_adjustments
 
 HERE = Path(__file__).resolve().parents[1]
@@ -66,7 +66,7 @@ def _compare(model, asked) -> None:
         plain = np.array([y[own].std(axis=0, ddof=1) for own in parts])
         regressed = np.array([_improved(model, x[own], y[own]) for own in parts])
         print(f"  {count:4d} samples, plain:         {_error(plain, truth)}")
-        print(f"  {count:4d} samples, by regression: {_error(regressed, truth)}")
+        print(f"  {count:4d} samples, by surrogates: {_error(regressed, truth)}")
     parts = [slice(i, i + n) for i in range(0, whole, n)]
     told = [estimates_with_derivatives(model.scene, x[own], y[own], slopes[own]) for own in parts]
     both = np.array(
@@ -81,10 +81,10 @@ def _error(found: np.ndarray, truth: np.ndarray) -> str:
 
 
 def _improved(model, x, y) -> np.ndarray:
-    sums = Regression.of(model.scene)
-    sums.add(np.arange(len(x)), x, y)
-    best = sums.estimates()
-    return np.where(best.kind == "plain", y.std(axis=0, ddof=1), best.sigma[0])
+    points = population(model.scene, 1, FOLDS, 8192)
+    found = surrogate_estimates(x, y, points)
+    plain = y.std(axis=0, ddof=1)
+    return plain if found is None else np.where(np.array(found.kind) == "plain", plain, found.sigma().value)
 
 
 if __name__ == "__main__":

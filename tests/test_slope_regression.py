@@ -104,3 +104,18 @@ def test_it_is_not_offered_where_it_cannot_be_known():
     assert estimates_with_derivatives(scene(3), x, y, slopes).kind.tolist() == ["plain"]
     noise = np.random.default_rng(1).standard_normal((30, 1, 3))
     assert estimates_with_derivatives(scene(3), x, y, 5 * noise).kind.tolist() == ["plain"]
+
+
+@pytest.mark.parametrize(
+    "unknown",
+    [{"distribution": "lognorm"}, {"truncated": (-1, 1)}, {"scores": [1.0, -1.0]}, {"design": "sobol"}],
+)
+def test_inputs_whose_moments_are_not_known_are_refused(unknown):
+    known = scene(3)
+    given = samples(lambda t: t[:, 0], lambda t: np.eye(3)[np.zeros(len(t), int)], 20, 3, 1)
+    assert estimates_with_derivatives(known, *given) is not None
+    item = SimpleNamespace(**(vars(known.deviations[0]) | unknown))
+    asked = SimpleNamespace(design=unknown.get("design", "independent"), values=None)
+    changed = {"deviations": [item] * 3, "monte_carlo": asked}
+    for change in (changed, {"correlations": [1]}):
+        assert estimates_with_derivatives(SimpleNamespace(**vars(known) | change), *given) is None

@@ -19,12 +19,13 @@ from mic.model.reduction import Reduction
 from mic.model.rest_rows import RestRows
 from mic.process.actions import Joints
 from mic.process.evaluation import Evaluation, PathSteps, Sensitivities
-from mic.process.plan import StagePlan, Step, plan_stages
+from mic.process.plan import StagePlan, Step, plan_assembly, plan_stages
 from mic.process.process import TOLERANCE, Process
 from mic.process.stage import EliminatedStep, eliminate_steps
 from mic.process.stiffness import with_derivatives, with_shape
 from mic.scene import Scene, notebook
 from mic.scene.deviation import deviation_unit
+from mic.scene.process import Stage
 from mic.scene.stages import unknown
 from mic.scene.zone import MOST
 from mic.statistics.draw import draw
@@ -135,6 +136,25 @@ class ReducedModel(Reduction):
         found = replace(self, scene=scene, shape=shape, shape_forces=forces)
         vars(found).update({name: getattr(self, name) for name in ("eliminations", "forecast", "rest")})
         return found
+
+    @cached_property
+    def one_step(self) -> ReducedModel | None:
+        """This model with all items of each stage closing or opening at once: a cheap approximation of friction.
+
+        None if it is this model, if guns press before welds are made, or if it would leave a part free to move.
+        """
+        at_once = {"path": "one-step", "increments": None, "order": None, "sequence": False}
+        kinds = Stage.applies["path"]
+        stages = [stage.model_copy(update=at_once) if stage.kind in kinds else stage for stage in self.scene.stages]
+        followed = any(stage.path != "one-step" for stage in self.scene.stages if stage.kind in kinds)
+        if not followed or any(weld.gun is not None for weld in self.scene.welds):
+            return None
+        model = replace(self, scene=self.scene.model_copy(update={"stages": stages}))
+        try:
+            plan_assembly(model)
+        except SceneError:
+            return None
+        return model
 
     def __repr__(self) -> str:
         return "\n".join(self._lines)

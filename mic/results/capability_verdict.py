@@ -13,13 +13,15 @@ from mic.results.run_samples import RunSamples
 from mic.results.schema import RARE
 from mic.results.statistic_tables import GROUPS, whole_yield
 from mic.statistics.capability import cautious_capability, looks_normal, normal_share_outside
+from mic.statistics.control_variate import FOLDS
 from mic.statistics.decision import Decision, decide, decide_share
 from mic.statistics.estimates import LEVEL, Estimate
 
-__all__ = ["COUNTED", "NORMAL", "SUBSET", "CapabilityVerdict", "capability_verdict"]
+__all__ = ["COUNTED", "NORMAL", "SUBSET", "SURROGATES", "CapabilityVerdict", "capability_verdict"]
 
-SUBSET, COUNTED, NORMAL = (
+SUBSET, SURROGATES, COUNTED, NORMAL = (
     "by subset simulation",
+    "by surrogates of the key characteristics",
     "counted among the samples",
     "extrapolated by normal distributions of the samples",
 )
@@ -84,7 +86,7 @@ def capability_verdict(outcome: RunSamples, law: str, table: pd.DataFrame) -> Ca
     outcome : RunSamples
     law : str
     table : DataFrame
-        :data:`mic.results.schema.MEASUREMENT_STATISTICS` of the run.
+        The best estimates of the run (:func:`mic.results.headline.headline`).
     """
     report, samples = outcome.model.scene.report, len(outcome.sample_numbers(law))
     if not outcome.model.scene.measurements or not samples:
@@ -101,15 +103,17 @@ def capability_verdict(outcome: RunSamples, law: str, table: pd.DataFrame) -> Ca
     return CapabilityVerdict(cpk, decision, target_cpk, report.target_outside, samples, needed, outside, estimator)
 
 
-def _cpk(outcome: RunSamples, law: str, table: pd.DataFrame) -> tuple[Estimate, float]:
-    """Cpk of each key characteristic, and the degrees of freedom of the interval."""
-    if outcome.together == 1:
-        moments, (lower, upper) = outcome.accumulators[law].moments["measurements",], _bounds(outcome)
-        return cautious_capability(moments, lower, upper), math.inf
+def _cpk(outcome: RunSamples, law: str, table: pd.DataFrame) -> tuple[Estimate, Any]:
+    """Cpk of each key characteristic, and the degrees of freedom of the intervals."""
     rows = table[table["law"] == law]
     value, low, high = (rows[name].to_numpy(dtype=float) for name in ("cpk", "cpk_low", "cpk_high"))
-    groups = min(math.ceil(len(outcome.sample_numbers(law)) / outcome.together), GROUPS)
-    return Estimate(value, low, high, rows["samples"].to_numpy(), np.zeros(len(rows), dtype=int)), groups - 1
+    freedom: Any = min(math.ceil(len(outcome.sample_numbers(law)) / outcome.together), GROUPS) - 1
+    if outcome.together == 1:
+        moments, (lower, upper) = outcome.accumulators[law].moments["measurements",], _bounds(outcome)
+        alone, improved = cautious_capability(moments, lower, upper), rows["alone_cpk"].notna().to_numpy()
+        value, low, high = np.where(improved, (value, low, high), (alone.value, alone.low, alone.high))
+        freedom = np.where(improved, FOLDS - 1.0, math.inf)
+    return Estimate(value, low, high, rows["samples"].to_numpy(), np.zeros(len(rows), dtype=int)), freedom
 
 
 def _bounds(outcome: RunSamples) -> np.ndarray:
@@ -120,10 +124,11 @@ def _bounds(outcome: RunSamples) -> np.ndarray:
 def _outside(outcome: RunSamples, law: str, extrapolated: bool) -> tuple[Estimate, str]:
     """Share of the assemblies outside any limit, and its estimator, the first that is supported.
 
-    Subset simulation, if it was computed; the count, if at least :data:`COUNTABLE` samples are outside; normal
-    distributions, if no key characteristic contradicts them: the sum over the characteristics, whose interval reaches
-    from the largest lower end to the sum of the upper ends at level ``1 - α/k``; else the count. A decision on the
-    share itself uses no extrapolation: skewness that does not show in the samples multiplies so small a share.
+    Subset simulation, if it was computed; surrogates, if there is one of each key characteristic; the count, if at
+    least :data:`COUNTABLE` samples are outside; normal distributions, if no key characteristic contradicts them: the
+    sum over the characteristics, whose interval reaches from the largest lower end to the sum of the upper ends at
+    level ``1 - α/k``; else the count. A decision on the share itself uses no extrapolation by normal distributions:
+    skewness that does not show in the samples multiplies so small a share.
     """
     accumulator, samples = outcome.accumulators[law], len(outcome.sample_numbers(law))
     rare = outcome.study(RARE)
@@ -131,6 +136,11 @@ def _outside(outcome: RunSamples, law: str, extrapolated: bool) -> tuple[Estimat
     if own:
         value, low, high = (float(own[-1][f"outside{end}"]) for end in ("", "_low", "_high"))
         return Estimate(value, low, high, samples, 0), SUBSET  # type: ignore[arg-type]
+    improved = outcome.improved(law)
+    keys = [("measurement", item.name) for item in outcome.model.scene.measurements]
+    outputs = [k for key in keys if improved and (k := improved.index(key)) is not None]
+    if improved and len(outputs) == len(keys):
+        return improved.estimates.at(outputs).share_outside_any(*_bounds(outcome)), SURROGATES
     good, moments = whole_yield(outcome, law), accumulator.moments["measurements",]
     counted = Estimate(1 - good.value, 1 - good.high, 1 - good.low, good.used, good.excluded)
     few = int(accumulator.counts["any outside",]) < COUNTABLE

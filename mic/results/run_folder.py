@@ -14,6 +14,7 @@ files that the program wrote.
 ``sums/law=LAW/FIRST-LAST.npz``           moments of a block without stored contact pairs
 ``forces/law=LAW/FIRST-LAST.npz``         forces and motions in the last stage, if fields are requested
 ``condensed/law=LAW/FIRST-LAST.npz``      low-rank factor of the forces of such a block
+``one_step/law=LAW/FIRST-LAST.npz``       deviations and outputs of samples in one step
 ``tables/*.csv``, ``summary.json``        statistics; ``tables/.NAME.csv.sha256``: their checksums
 ``fields/``                               displacement fields
 ========================================= ==============================================================================
@@ -34,6 +35,7 @@ import re
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import partial, reduce
 from importlib.metadata import requires
 from pathlib import Path
 from typing import Any
@@ -41,12 +43,11 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from mic.compliance.functional import Functionals
 from mic.compliance.part import Part
 from mic.errors import FormatError, RunError
-from mic.geometry.surface import Patch, Surface
 from mic.results.contact_sums import ContactSums
 from mic.results.low_rank_forces import CompressedForces
+from mic.results.output_samples import OutputSamples
 from mic.results.parquet import read_identity, read_names, read_table, write_table
 from mic.results.run_identity import NOT_INSTALLED, differences, installed_version, program_version
 from mic.results.schema import (
@@ -54,6 +55,7 @@ from mic.results.schema import (
     CONTACTS,
     DATASETS,
     FORCES,
+    ONE_STEP,
     SAMPLES,
     STATISTICS,
     STUDIES,
@@ -97,6 +99,7 @@ _FORMATS = {
     SUMS: Format("sums of a block", 2, _AGAIN),
     FORCES: Format("block of forces", 1, _AGAIN),
     CONDENSED: Format("block of condensed forces", 2, _AGAIN),
+    ONE_STEP: Format("block of samples in one step", 1, _AGAIN),
 }
 #: Types of the entries of the record.
 _RECORD = {"scene": str, "samples": int, "laws": list, "versions": dict, "inputs": dict, "wall_time": dict, "seed": int}
@@ -104,7 +107,8 @@ _REPORT = ("report.html", "assembly.png")
 _SINGLE = ("model.npz", "parts.npz", "summary.json", *_REPORT, EXCEL, PUBLISHED)
 _TABLES = tuple(table.place for table in (*STATISTICS, *STUDIES))
 _FIELDS = "fields/fields.npz"
-_BLOCK_TABLES = (SAMPLES, *(table for table in DATASETS if table is not SAMPLES), *_FORMATS)  # in order of removal
+_ARRAYS = (SUMS, FORCES, CONDENSED)
+_BLOCK_TABLES = (SAMPLES, *(table for table in DATASETS if table is not SAMPLES), *_ARRAYS)  # in order of removal
 _BLOCK_NAME = re.compile(r"(\d{6,})-(\d{6,})")
 
 
@@ -317,14 +321,15 @@ class RunFolder:
 
     def _refuse_links(self) -> None:
         """Refuse symbolic links: they could lead out of the folder."""
-        names = ("run.json", *_SINGLE, *(table.name for table in _BLOCK_TABLES))
+        names = ("run.json", *_SINGLE, *(table.name for table in (*_BLOCK_TABLES, ONE_STEP)))
         for place in (*(self.path / name for name in names), *self._folders()[1:]):
             if place.is_symlink():
                 raise RunError(f"{place}: is a link, and a run writes to its own folder only; remove the link")
 
     def _folders(self) -> list[Path]:
         """Folders that hold files of a run."""
-        partitions = [path for table in _BLOCK_TABLES for path in (self.path / table.name).glob("law=*")]
+        tables = (*_BLOCK_TABLES, ONE_STEP)
+        partitions = [path for table in tables for path in (self.path / table.name).glob("law=*")]
         return [self.path, self.path / "tables", self.path / "fields", *partitions]
 
     def _clear(self) -> list[str]:
@@ -334,11 +339,14 @@ class RunFolder:
                 (self.path / "fields" / name).unlink(missing_ok=True)
         for block in self._all_blocks():
             self._remove(block)
+        for block in self._blocks_with(ONE_STEP):
+            self._path(ONE_STEP, block).unlink()
         for table in (*STATISTICS, *STUDIES):
             table.remove(self.path)
         for name in (*_SINGLE, _FIELDS, "run.json"):
             (self.path / name).unlink(missing_ok=True)
-        for folder in sorted({*self._folders(), *(self.path / table.name for table in _BLOCK_TABLES)}, reverse=True):
+        tables = {self.path / table.name for table in (*_BLOCK_TABLES, ONE_STEP)}
+        for folder in sorted({*self._folders(), *tables}, reverse=True):
             if folder != self.path:
                 with suppress(OSError):  # it holds other files
                     folder.rmdir()
@@ -450,8 +458,28 @@ class RunFolder:
         with reading(path, _FORMATS[table]):
             if header["identity"] != block.stamp(identity):
                 raise FormatError(f"{path}: {_OTHER_BLOCK}")
-            types = (ContactSums, Moments, CompressedForces)
+            types = (ContactSums, Moments, CompressedForces, OutputSamples)
             return arrays if table == FORCES else unpack(header["content"], arrays, types, {})
+
+    def write_one_step(self, block: Block, identity: str, samples: OutputSamples) -> None:
+        """Write a block of samples in one step."""
+        packed, arrays = pack(samples, {})
+        header = {"identity": block.stamp(identity), "content": packed}
+        save_arrays(self._path(ONE_STEP, block), _FORMATS[ONE_STEP], header, arrays)
+
+    def one_step_blocks(self, law: str) -> list[Block]:
+        """The blocks of samples in one step of a law, in ascending order."""
+        return sorted(self._blocks_with(ONE_STEP, law))
+
+    def read_one_step(self, law: str, identity: str) -> OutputSamples | None:
+        """All samples in one step of a law; None if there are none. Blocks that cannot be read are left out."""
+        blocks, end = [], 0
+        for block in self.one_step_blocks(law):
+            if block.first >= end:  # else part of the block before, of a shorter run
+                with suppress(FormatError):
+                    blocks.append(self.read_arrays(ONE_STEP, block, identity))
+                    end = block.end
+        return reduce(partial(OutputSamples.joined, most=None), blocks) if blocks else None
 
     # ---------------------------------------------------------------------------------------------- stored inputs
 
@@ -526,9 +554,6 @@ class RunFolder:
     def _set_block_aside(self, block: Block, mark: str = DAMAGED) -> None:
         for table in _BLOCK_TABLES:
             set_aside(self._path(table, block), mark, prefix="_")
-
-
-_PATCH = ("triangle", "barycentric", "weight")
 
 
 def stores_pairs(report: Report, block: Block) -> bool:

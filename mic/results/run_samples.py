@@ -22,11 +22,11 @@ from mic.errors import FormatError, RunError, StorageError
 from mic.process.model import ReducedModel
 from mic.results.block_samples import BlockSamples
 from mic.results.block_statistics import Accumulator
+from mic.results.improved import Improved, improve
 from mic.results.path_effect import PathStudy
 from mic.results.run_folder import Block, RunFolder
 from mic.results.schema import FRICTION, PATH, PATH_ERRORS, Table
 from mic.scene.samples import DESIGNS
-from mic.statistics import estimates
 from mic.system.files import set_aside
 
 __all__ = ["RunSamples"]
@@ -106,25 +106,18 @@ class RunSamples:
         """Number of requested samples that are not finished, by law; zero for a finished run."""
         return {law: self.record["samples"] - accumulator.count for law, accumulator in self.accumulators.items()}
 
-    @property
-    def uncertainty(self) -> float:
-        """Largest relative half-width of the 95 % intervals of 6σ, over laws and key characteristics.
+    def improved(self, law: str) -> Improved | None:
+        """Estimates of a law with surrogates, cached; None without (:func:`mic.results.improved.improve`)."""
+        if law not in self._improved:
+            outputs, number = self.accumulators[law].outputs, len(self.sample_numbers(law))
+            one_step = None if outputs is None else RunFolder(self.folder).read_one_step(law, self.record["identity"])
+            found = None if outputs is None else improve(self.model.scene, outputs, number, one_step)
+            self._improved[law] = found
+        return self._improved[law]
 
-        By regression if that is narrower; infinite if an interval is not known.
-        """
-        worst = 0.0
-        for law in self.laws:
-            accumulator = self.accumulators[law]
-            plain = estimates.six_sigma(accumulator.moments["measurements",])
-            value, low, high = (np.atleast_1d(part) for part in (plain.value, plain.low, plain.high))
-            better = accumulator.regression.estimates() if accumulator.regression else None
-            if better is not None:
-                regressed = better.kind != "plain"
-                value, low, high = (np.where(regressed, 6 * s, x) for s, x in zip(better.sigma, (value, low, high)))
-            with np.errstate(invalid="ignore", divide="ignore"):
-                share = np.where(value > 0, 0.5 * (high - low) / value, 0.0)
-            worst = max(worst, float(np.where(np.isnan(value) | np.isnan(share), np.inf, share).max(initial=0.0)))
-        return worst if self.laws else float("inf")
+    @cached_property
+    def _improved(self) -> dict[str, Improved | None]:
+        return {}
 
     @property
     def together(self) -> int:

@@ -275,11 +275,13 @@ def reference() -> str:
     from jinja2 import Template  # not needed to read tables
 
     datasets = _of_kind("dataset")
-    sums, forces, condensed, fields = (_TABLES[key] for key in ("SUMS", "FORCES", "CONDENSED", "FIELDS"))
+    names = ("SUMS", "FORCES", "CONDENSED", "ONE_STEP", "FIELDS")
+    sums, forces, condensed, one_step, fields = (_TABLES[key] for key in names)
     sections = {"Datasets": datasets, "Statistics": STATISTICS, "Studies": STUDIES, "Fields": (forces, fields)}
     text = Path(__file__).with_name("reference.jinja").read_text(encoding="utf-8")
     template = Template(text, keep_trailing_newline=True)
-    return template.render(files=(*datasets, sums, forces, condensed, fields, *STATISTICS, *STUDIES), sections=sections)
+    files = (*datasets, sums, forces, condensed, one_step, fields, *STATISTICS, *STUDIES)
+    return template.render(files=files, sections=sections)
 
 
 if __name__ == "__main__":

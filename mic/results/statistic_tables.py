@@ -11,6 +11,8 @@ import pandas as pd
 
 from mic.contact.laws import LAWS
 from mic.contact.states import STATES
+from mic.results.improved import Improved
+from mic.results.output_samples import MOTIONS
 from mic.results.path_effect import UNKNOWN
 from mic.results.run_samples import RunSamples
 from mic.results.schema import (
@@ -24,7 +26,6 @@ from mic.results.schema import (
 )
 from mic.statistics import capability, estimates
 from mic.statistics.estimates import Estimate, Moments
-from mic.statistics.regression import RegressionEstimates
 
 __all__ = [
     "contact_statistics",
@@ -37,8 +38,9 @@ __all__ = [
 
 GROUPS = 100  # groups of samples for the jackknife
 MEASURED = ("mean", "sigma", "six_sigma", "min", "max", "cp", "cpk", "share_outside")
+IMPROVED = ("mean", "six_sigma", "cpk", "share_outside", "low_quantile", "high_quantile")
+QUANTILES = (0.00135, 0.99865)  # low and high: those of a normal population at 3 σ
 FIGURES = ("mean", "six_sigma")  # that path effects are given for
-MOTIONS = ("rms_tangential", "rms_slip")
 PRESSED = {"normal_force": "all", "normal_force_clear": "clear"}  # pairs whose forces are summed
 
 
@@ -59,7 +61,7 @@ def zone_statistics(outcome: RunSamples) -> pd.DataFrame:
     rows = []
     pairs = np.bincount(outcome.model.contacts.zone, minlength=len(outcome.zones))
     for law in outcome.laws:
-        samples = len(outcome.sample_numbers(law))
+        samples, improved = len(outcome.sample_numbers(law)), outcome.improved(law)
         unknown = Moments.of(np.full((samples, len(outcome.zones)), np.nan))  # no tangential motion was modelled
         for stage in outcome.stages:
             moments = {
@@ -75,10 +77,12 @@ def zone_statistics(outcome: RunSamples) -> pd.DataFrame:
                     "contacts": int(count),
                     "friction": _coefficient(zone, LAWS[law], stage),
                     "samples": samples,
+                    "one_step_samples": improved.estimates.cheap_samples if improved else 0,
                 }
                 for motion in MOTIONS:
                     row |= _mean_and_spread(f"_{motion}", of_zone[motion])
                     row |= _path_effects(f"_{motion}", outcome, law, motion, zone.name, stage)
+                    row |= _improved_zone(improved, stage, zone.name, motion)
                 for column in ("slip_length", "friction_work"):
                     row |= _interval(f"mean_{column}", estimates.mean(of_zone[column]))
                 for name, which in PRESSED.items():
@@ -122,7 +126,7 @@ def measurement_statistics(outcome: RunSamples) -> pd.DataFrame:
     rows = []
     for law in outcome.laws:
         accumulator = outcome.accumulators[law]
-        regression = accumulator.regression.estimates() if accumulator.regression else None
+        improved = _improved(outcome, law)
         for k, item in enumerate(outcome.model.scene.measurements):
             x = accumulator.moments["measurements",].at(k)
             moments: tuple[Estimate, ...] = (
@@ -146,18 +150,51 @@ def measurement_statistics(outcome: RunSamples) -> pd.DataFrame:
             }
             for name, estimate in zip(MEASURED, moments):
                 row |= _interval(name, estimate)
-            rows.append(row | _path_effects("", outcome, law, "measurement", item.name) | _improved(regression, k))
+            rows.append(row | _path_effects("", outcome, law, "measurement", item.name) | improved[k])
     return _frame(MEASUREMENT_STATISTICS, [pd.DataFrame(rows)])
 
 
-def _improved(regression: RegressionEstimates | None, k: int) -> dict[str, Any]:
-    """Regression estimates of a key characteristic; empty without a regression."""
-    if regression is None:
-        regression = RegressionEstimates.plain(np.full(k + 1, np.inf))
-    columns = {"improved": str(regression.kind[k]), "explained": float(regression.explained[k])}
-    for name, values in (("mean", regression.mean), ("six_sigma", 6 * regression.sigma)):
-        columns |= dict(zip((f"improved_{name}{end}" for end in ("", "_low", "_high")), values[:, k].tolist()))
+def _improved(outcome: RunSamples, law: str) -> list[dict[str, Any]]:
+    """Columns of the improved estimates of each key characteristic; NaN where the samples alone are better."""
+    items, improved = outcome.model.scene.measurements, outcome.improved(law)
+    columns = {
+        item.name: {"one_step_samples": 0, "improved": "plain", "explained": math.nan} | _unknown(*IMPROVED)
+        for item in items
+    }
+    known = [(item, improved.index(("measurement", item.name))) for item in items] if improved else []
+    chosen = [item for item, k in known if k is not None]
+    if improved is not None and chosen:
+        of = improved.estimates.at([k for _, k in known if k is not None])
+        lower, upper = np.array([item.bounds for item in chosen]).T
+        found = (
+            of.mean(),
+            of.six_sigma(),
+            of.centred_capability(lower, upper),
+            of.share_outside(lower, upper),
+            *(of.quantile(probability) for probability in QUANTILES),
+        )
+        for k, item in enumerate(chosen):
+            columns[item.name] |= {"improved": of.kind[k], "explained": float(of.explained[k])}
+            columns[item.name]["one_step_samples"] = of.cheap_samples
+            for name, estimate in zip(IMPROVED, found):
+                columns[item.name] |= _interval(f"improved_{name}", estimate.at(k))
+    return list(columns.values())
+
+
+def _improved_zone(improved: Improved | None, stage: str, zone: str, motion: str) -> dict[str, Any]:
+    """Columns of the improved estimates of one motion of a zone; NaN where the samples alone are better."""
+    k = improved.index(("slip", stage, zone, motion)) if improved else None
+    names = (f"mean_{motion}", f"six_sigma_{motion}")
+    if improved is None or k is None:
+        return {f"improved_{motion}": "plain"} | _unknown(*names)
+    columns: dict[str, Any] = {f"improved_{motion}": improved.estimates.kind[k]}
+    for name, estimate in zip(names, (improved.estimates.mean(), improved.estimates.six_sigma())):
+        columns |= _interval(f"improved_{name}", estimate.at(k))
     return columns
+
+
+def _unknown(*names: str) -> dict[str, float]:
+    return {f"improved_{name}{end}": math.nan for name in names for end in ("", "_low", "_high")}
 
 
 def profile_statistics(outcome: RunSamples) -> pd.DataFrame:

@@ -46,7 +46,7 @@ class Decision:
     needed: float
 
 
-def decide(value, low, high, target: float, samples: int, freedom: float = np.inf, level: float = LEVEL) -> Decision:
+def decide(value, low, high, target: float, samples: int, freedom=np.inf, level: float = LEVEL) -> Decision:
     """Decide whether all of k figures are at least `target`.
 
     Parameters
@@ -56,13 +56,13 @@ def decide(value, low, high, target: float, samples: int, freedom: float = np.in
     target : float
     samples : int
         That the estimates are from.
-    freedom : float
+    freedom : float or (k,) array
         Degrees of freedom of Student's t in the intervals; infinite: normal.
     level : float
         Of the intervals.
     """
     value, low, high = (np.atleast_1d(np.asarray(x, dtype=float)) for x in (value, low, high))
-    α, k, t = 1 - level, len(value), lambda p: float(stdtrit(min(freedom, 1e9), p))
+    α, k, t = 1 - level, len(value), lambda p: stdtrit(np.broadcast_to(np.minimum(freedom, 1e9), value.shape), p)
     one, several = t(1 - α / 2), t(1 - α / (2 * k))
     below, above = value - low, (high - value) * several / one  # half-widths of the two decisions
     capable = (value - below >= target) | (value == np.inf)

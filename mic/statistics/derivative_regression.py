@@ -1,7 +1,8 @@
 r"""Mean and 6σ from few samples with exact derivatives: regression on values and derivatives.
 
-With functions ``φ_j`` of mean 0 and orthonormal as in :mod:`mic.statistics.regression`, each sample with its p
-derivatives gives 1 + p equations for the coefficients b, so there may be more inputs than samples. For any b
+With functions ``φ_j`` of independent inputs that have mean 0 and are orthonormal (the inputs in standard deviations;
+for second order also ``(t_i² - 1)/\sqrt{κ_i - 1}`` and ``t_i t_j``), each sample with its p derivatives gives 1 + p
+equations for the coefficients b, so there may be more inputs than samples. For any b
 
 .. math::
 
@@ -19,18 +20,58 @@ References
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from scipy.special import stdtrit
 
-from mic.statistics import estimates, regression
+from mic.statistics import estimates
 from mic.statistics.estimates import LEVEL, jackknife_error
-from mic.statistics.regression import Regression, RegressionEstimates, orthonormal_functions
 
-__all__ = ["estimates_with_derivatives"]
+__all__ = ["RegressionEstimates", "estimates_with_derivatives"]
 
 GROUPS = 20  # groups of the jackknife
 FOLDS = 5
 LEAST = 20  # samples; fewer give no reliable jackknife interval
+EQUATIONS_PER_COEFFICIENT, FURTHER_EQUATIONS = 3, 10  # that a regression needs
+QUADRATIC = 20  # inputs of a quadratic regression, at most: 230 functions
+KURTOSIS = {"normal": 3.0, "uniform": 1.8}  # of the distributions whose moments are known
+
+
+@dataclass(frozen=True)
+class RegressionEstimates:
+    """Estimates of k outputs.
+
+    Attributes
+    ----------
+    kind : (k,) object array of {"plain", "linear", "quadratic"}
+        Estimator; for ``"plain"``, where no regression is narrower, the other arrays hold NaN.
+    explained : (k,) array
+        Share of the variance that the regression explains, R² corrected for its degrees of freedom.
+    mean, sigma : (3, k) array
+        Estimate, and lower and upper end of its interval.
+    width : (k,) array
+        Widths of the intervals of σ, in any measure.
+    """
+
+    kind: np.ndarray
+    explained: np.ndarray
+    mean: np.ndarray
+    sigma: np.ndarray
+    width: np.ndarray
+
+    @classmethod
+    def plain(cls, width: np.ndarray) -> RegressionEstimates:
+        """The estimates without regression, for k outputs whose intervals of σ have these widths."""
+        k = len(width)
+        mean, sigma = np.full((2, 3, k), np.nan)
+        return cls(np.full(k, "plain", dtype=object), np.full(k, np.nan), mean, sigma, width.copy())
+
+    def offer(self, kind: str, width: np.ndarray, mean: np.ndarray, sigma: np.ndarray, explained: np.ndarray) -> None:
+        """Use other estimates for the outputs whose interval of σ they make narrower."""
+        chosen = width < self.width
+        self.kind[chosen], self.explained[chosen], self.width[chosen] = kind, explained[chosen], width[chosen]
+        self.mean[:, chosen], self.sigma[:, chosen] = mean[:, chosen], sigma[:, chosen]
 
 
 def estimates_with_derivatives(
@@ -49,34 +90,56 @@ def estimates_with_derivatives(
     Returns
     -------
     RegressionEstimates or None
-        None if the deviations' moments are not known (:meth:`mic.statistics.regression.Regression.of`).
+        None if the deviations' moments are not known: these need independent samples of uncorrelated normal and uniform
+        deviations.
     """
-    moments = Regression.of(scene)
-    if moments is None:
+    kurtosis = _kurtosis(scene)
+    if kurtosis is None:
         return None
-    varying = moments.varying
+    mean_of, sigma_of = np.array([[item.mean, item.sigma] for item in scene.deviations]).T
+    varying = sigma_of > 0
     known = np.isfinite(y).all(axis=1) & np.isfinite(slopes[:, :, varying]).all(axis=(1, 2))
     x, y, slopes = x[known], y[known], slopes[known]
     n, p = len(y), int(varying.sum())
     if n < LEAST or not p:
         return RegressionEstimates.plain(np.full(y.shape[1], np.inf))
-    t = (x[:, varying] - moments.mean[varying]) / moments.sigma[varying]
-    scaled = np.moveaxis(slopes[:, :, varying] * moments.sigma[varying], 1, 2)  # (n, p, k)
+    t = (x[:, varying] - mean_of[varying]) / sigma_of[varying]
+    scaled = np.moveaxis(slopes[:, :, varying] * sigma_of[varying], 1, 2)  # (n, p, k)
     plain = estimates.sigma(y, level)
     with np.errstate(divide="ignore", invalid="ignore"):
         width = np.asarray(np.log(plain.high) - np.log(plain.low))
     best = RegressionEstimates.plain(np.where(np.isfinite(width), width, np.inf))
-    for kind in regression.KINDS if p <= regression.QUADRATIC else regression.KINDS[:1]:
-        values = orthonormal_functions(t, moments.kurtosis[varying], kind == "quadratic")
-        needed = regression.SAMPLES_PER_COEFFICIENT * values.shape[1] + regression.FURTHER_SAMPLES
+    for kind in ("linear", "quadratic") if p <= QUADRATIC else ("linear",):
+        values = _orthonormal_functions(t, kurtosis[varying], kind == "quadratic")
+        needed = EQUATIONS_PER_COEFFICIENT * values.shape[1] + FURTHER_EQUATIONS
         if n * (1 + p) < needed:
             continue
-        gradients = _gradients(t, moments.kurtosis[varying], kind == "quadratic")
+        gradients = _gradients(t, kurtosis[varying], kind == "quadratic")
         mean, sigma, explained = _intervals(values, gradients, y, scaled, level)
         with np.errstate(divide="ignore", invalid="ignore"):
             width = np.log(sigma[2]) - np.log(sigma[1])
         best.offer(kind, width, mean, sigma, explained)
     return best
+
+
+def _kurtosis(scene) -> np.ndarray | None:
+    """(p,) κ of the deviations; None if their moments are not known."""
+    independent = scene.monte_carlo.design == "independent" and scene.monte_carlo.values is None
+    found = [
+        KURTOSIS.get(item.distribution) if item.truncated is None and getattr(item, "scores", None) is None else None
+        for item in scene.deviations
+    ]
+    if not found or None in found or scene.correlations or not independent:
+        return None
+    return np.array(found, dtype=float)
+
+
+def _orthonormal_functions(t: np.ndarray, kurtosis: np.ndarray, quadratic: bool) -> np.ndarray:
+    """(n, q) functions φ of the inputs t (n, p) in standard deviations."""
+    if not quadratic:
+        return t
+    i, j = np.triu_indices(t.shape[1], 1)
+    return np.column_stack([t, (t**2 - 1) / np.sqrt(kurtosis - 1), t[:, i] * t[:, j]])
 
 
 def _gradients(t: np.ndarray, kurtosis: np.ndarray, quadratic: bool) -> np.ndarray:

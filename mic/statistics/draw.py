@@ -13,11 +13,12 @@ from scipy.special import ndtr, ndtri
 from mic.scene.distribution import quantile
 from mic.scene.samples import DESIGNS
 
-__all__ = ["at_probabilities", "draw", "from_random_numbers", "number_count", "number_keys"]
+__all__ = ["at_probabilities", "draw", "from_random_numbers", "number_count", "number_keys", "population"]
 
 EDGE = 1e-16  # distance of probabilities from 0 and 1
 BITS = 30  # of a coordinate of a Sobol sequence
 GROUPS = 1  # counter word that separates streams of groups from those of samples
+POPULATION = 2  # and of the population
 
 
 def draw(scene, seed: int, first: int, count: int) -> np.ndarray:
@@ -52,6 +53,24 @@ def draw(scene, seed: int, first: int, count: int) -> np.ndarray:
         normal[i], uniform[i] = stream.standard_normal(p), stream.uniform(-np.sqrt(3), np.sqrt(3), p)
         piece[i] = [stream.integers(length) for length in lengths]
     return from_random_numbers(scene, normal, uniform, piece)
+
+
+def population(scene, seed: int, sets: int, points: int) -> np.ndarray:
+    """(sets, points, p) deviations: independent scrambled Sobol sequences, for averages of functions that cost little.
+
+    Parameters
+    ----------
+    scene : mic.scene.Scene
+    seed : int
+    sets, points : int
+        Number of sequences, and their length, a power of 2.
+    """
+    values = np.empty((sets, points, len(scene.deviations)))
+    for i in range(sets):
+        key, counter = np.array([seed, i], dtype=np.uint64), [0, 0, 0, POPULATION]
+        stream = np.random.Generator(np.random.Philox(key=key, counter=counter))
+        values[i] = at_probabilities(scene, _sobol(stream, number_count(scene), points))
+    return values
 
 
 def number_keys(scene) -> list[tuple[str, str]]:
@@ -149,9 +168,11 @@ def _sobol(stream: np.random.Generator, d: int, size: int) -> np.ndarray:
     lower = np.tril(stream.integers(2, size=(d, BITS, BITS), dtype=np.uint32), -1)
     place = np.arange(BITS)[::-1]
     points = (2**BITS * qmc.Sobol(d, scramble=False).random(size)).astype(np.int64)
-    bits = points[..., None] >> place & 1  # the most significant bit first
-    scrambled = np.einsum("dij,ndj->ndi", lower + np.eye(BITS, dtype=np.uint32), bits) & 1
-    return (scrambled @ 2**place ^ shift) / 2**BITS
+    scrambled = np.empty((size, d), dtype=np.int64)
+    for i in range(d):
+        bits = points[:, i, None] >> place & 1  # the most significant bit first
+        scrambled[:, i] = (bits @ (lower[i] + np.eye(BITS, dtype=np.uint32)).T & 1) @ 2**place
+    return (scrambled ^ shift) / 2**BITS
 
 
 def _correlate(scene, normal: np.ndarray) -> set[int]:

@@ -1,0 +1,87 @@
+"""Statistics of a run with surrogates and, where the path is followed, with samples in one step.
+
+See :mod:`mic.statistics.control_variate`. An output for which no surrogate is better than the mean keeps the estimates
+of the samples alone, and so does one that so many samples know better.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from mic.results.output_samples import Key, OutputSamples
+from mic.statistics import draw, estimates
+from mic.statistics.control_variate import FOLDS, LEAST, SurrogateEstimates, surrogate_estimates
+from mic.statistics.estimates import Estimate, Moments
+
+__all__ = ["Improved", "improve"]
+
+POINTS = 8192  # of the population of each fold
+
+
+@dataclass(frozen=True)
+class Improved:
+    """Estimates of the outputs that are better than those of the samples alone.
+
+    Attributes
+    ----------
+    keys : tuple of tuple
+        As :attr:`mic.results.output_samples.OutputSamples.keys`.
+    estimates : SurrogateEstimates
+        Of all outputs.
+    better : (k,) bool array
+        Whether they are better than those of the samples alone.
+    """
+
+    keys: tuple[Key, ...]
+    estimates: SurrogateEstimates
+    better: np.ndarray
+
+    def index(self, key: Key) -> int | None:
+        """Number of an output; None if the samples alone are better."""
+        k = self.keys.index(key) if key in self.keys else None
+        return k if k is not None and self.better[k] else None
+
+
+def improve(scene, samples: OutputSamples, total: int, one_step: OutputSamples | None = None) -> Improved | None:
+    """Estimates from the samples of a law; None for few samples, or if the scene gives or groups them.
+
+    Parameters
+    ----------
+    scene : mic.scene.Scene
+    samples : OutputSamples
+        The first samples.
+    total : int
+        Number of all valid samples.
+    one_step : OutputSamples, optional
+        Of the same law in one step, in ascending order: these and further ones.
+    """
+    drawn = scene.monte_carlo.values is None and scene.monte_carlo.design == "independent"
+    if not drawn or not scene.deviations or len(samples.y) < LEAST or not samples.keys:
+        return None
+    cheap = None
+    if one_step is not None:
+        keys = tuple(key for key in samples.keys if key in one_step.keys)
+        samples, one_step = samples.of_keys(keys), one_step.of_keys(keys)
+        place = np.searchsorted(one_step.numbers, samples.numbers)
+        known = np.isin(samples.numbers, one_step.numbers)
+        o = np.where(known[:, None], one_step.y[np.minimum(place, len(one_step.y) - 1)], np.nan)
+        further = ~np.isin(one_step.numbers, samples.numbers)
+        cheap = np.concatenate([samples.x, one_step.x[further]]), np.concatenate([o, one_step.y[further]])
+    points = draw.population(scene, scene.monte_carlo.seed, FOLDS, POINTS)
+    found = surrogate_estimates(samples.x, samples.y, points, cheap)
+    if found is None:
+        return None
+    better = np.array([kind != "plain" for kind in found.kind])
+    if total > len(samples.y):
+        shrink = np.sqrt(len(samples.y) / total)
+        better &= _width(found.sigma()) < shrink * _width(estimates.sigma(Moments.of(samples.y)))
+    return Improved(samples.keys, found, better)
+
+
+def _width(estimate: Estimate) -> np.ndarray:
+    """(k,) relative widths of intervals; infinite if undefined."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        width = np.log(np.atleast_1d(estimate.high)) - np.log(np.atleast_1d(estimate.low))
+    return np.where(np.isfinite(width), width, np.inf)
