@@ -351,7 +351,7 @@ def _sample_one_step(folder, model: ReducedModel, laws, samples, seed, engine: E
     if one_step is None or not laws or model.contacts.dimension < 3:
         return
     store, run_identity = RunFolder(Path(folder).resolve()), identity(model, seed)
-    finished = on_first(communicator(), lambda: {block for law in laws for block in store.one_step_blocks(law)})
+    finished = on_first(communicator(), lambda: {block for law in laws for block in store.one_step(law, run_identity)})
     monte_carlo(
         one_step,
         laws,

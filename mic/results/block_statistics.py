@@ -120,7 +120,8 @@ class Accumulator:
         if self.outputs is None:
             self.outputs = other.outputs
         elif other.outputs is not None and len(self.outputs.y) < MOST:
-            self.outputs = self.outputs.joined(other.outputs)
+            both = OutputSamples.union([self.outputs, other.outputs])
+            self.outputs = both and both.first(MOST)
         for key, moments in other.moments.items():
             self.moments[key] = self.moments[key].merged(moments) if key in self.moments else moments
         for key, count in other.counts.items():

@@ -55,7 +55,7 @@ def error_budget(outcome: Outcome, law: str) -> list[Source]:
     outcome : Outcome
     law : str
     """
-    table = outcome.measurement_statistics
+    table = outcome.measurement_headlines
     rows = table[table["law"] == law].set_index("measurement")
     sources = _sources(outcome, law, rows) if len(rows) else ()
     return sorted(sources, key=lambda source: -np.nan_to_num(max(source.mean, source.six_sigma), nan=-1.0))
@@ -65,7 +65,8 @@ def _sources(outcome: Outcome, law: str, rows: pd.DataFrame) -> Iterator[Source]
     """The sources of error of a law, from its rows of the measurement statistics."""
     half = lambda name: (rows[f"{name}_high"] - rows[f"{name}_low"]) / 2
     count = int(rows["samples"].iloc[0])
-    yield _source("samples", half("mean"), half("six_sigma"), f"half the 95 % interval of {count} samples")
+    helped = " with surrogates" if rows["alone_six_sigma"].notna().any() else ""
+    yield _source("samples", half("mean"), half("six_sigma"), f"half the 95 % interval of {count} samples{helped}")
     if LAWS[law].frictional and outcome.stages:
         how = "change of the first samples on a tighter load path"
         if rows["mean_path"].notna().any():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -64,10 +65,18 @@ class OutputSamples:
         """These outputs only."""
         return replace(self, keys=keys, y=self.y[:, [self.keys.index(key) for key in keys]])
 
-    def joined(self, other: OutputSamples, most: int | None = MOST) -> OutputSamples:
-        """These samples and then others, the first `most` of them, with the outputs that both have."""
-        keys = tuple(key for key in self.keys if key in other.keys)
-        mine, its = self.of_keys(keys), other.of_keys(keys)
-        pairs = ((mine.numbers, its.numbers), (mine.x, its.x), (mine.y, its.y))
-        numbers, x, y = (np.concatenate(pair)[:most] for pair in pairs)
-        return OutputSamples(keys, numbers, x, y)
+    @classmethod
+    def union(cls, parts: Iterable[OutputSamples]) -> OutputSamples | None:
+        """All samples of several sets in ascending order, with the outputs that all have; None without sets."""
+        parts = list(parts)
+        if not parts:
+            return None
+        keys = tuple(key for key in parts[0].keys if all(key in part.keys for part in parts))
+        parts = [part.of_keys(keys) for part in parts]
+        numbers, first = np.unique(np.concatenate([part.numbers for part in parts]), return_index=True)
+        x, y = (np.concatenate([getattr(part, name) for part in parts])[first] for name in ("x", "y"))
+        return cls(keys, numbers, x, y)
+
+    def first(self, count: int) -> OutputSamples:
+        """The first samples."""
+        return replace(self, numbers=self.numbers[:count], x=self.x[:count], y=self.y[:count])

@@ -35,7 +35,6 @@ import re
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-from functools import partial, reduce
 from importlib.metadata import requires
 from pathlib import Path
 from typing import Any
@@ -467,19 +466,13 @@ class RunFolder:
         header = {"identity": block.stamp(identity), "content": packed}
         save_arrays(self._path(ONE_STEP, block), _FORMATS[ONE_STEP], header, arrays)
 
-    def one_step_blocks(self, law: str) -> list[Block]:
-        """The blocks of samples in one step of a law, in ascending order."""
-        return sorted(self._blocks_with(ONE_STEP, law))
-
-    def read_one_step(self, law: str, identity: str) -> OutputSamples | None:
-        """All samples in one step of a law; None if there are none. Blocks that cannot be read are left out."""
-        blocks, end = [], 0
-        for block in self.one_step_blocks(law):
-            if block.first >= end:  # else part of the block before, of a shorter run
-                with suppress(FormatError):
-                    blocks.append(self.read_arrays(ONE_STEP, block, identity))
-                    end = block.end
-        return reduce(partial(OutputSamples.joined, most=None), blocks) if blocks else None
+    def one_step(self, law: str, identity: str) -> dict[Block, OutputSamples]:
+        """The samples in one step of a law by block, in ascending order; blocks that cannot be read are left out."""
+        blocks: dict[Block, OutputSamples] = {}
+        for block in sorted(self._blocks_with(ONE_STEP, law)):
+            with suppress(FormatError):
+                blocks[block] = self.read_arrays(ONE_STEP, block, identity)
+        return blocks
 
     # ---------------------------------------------------------------------------------------------- stored inputs
 

@@ -23,6 +23,7 @@ from mic.process.model import ReducedModel
 from mic.results.block_samples import BlockSamples
 from mic.results.block_statistics import Accumulator
 from mic.results.improved import Improved, improve
+from mic.results.output_samples import OutputSamples
 from mic.results.path_effect import PathStudy
 from mic.results.run_folder import Block, RunFolder
 from mic.results.schema import FRICTION, PATH, PATH_ERRORS, Table
@@ -110,9 +111,8 @@ class RunSamples:
         """Estimates of a law with surrogates, cached; None without (:func:`mic.results.improved.improve`)."""
         if law not in self._improved:
             outputs, number = self.accumulators[law].outputs, len(self.sample_numbers(law))
-            one_step = None if outputs is None else RunFolder(self.folder).read_one_step(law, self.record["identity"])
-            found = None if outputs is None else improve(self.model.scene, outputs, number, one_step)
-            self._improved[law] = found
+            one_step = OutputSamples.union(RunFolder(self.folder).one_step(law, self.record["identity"]).values())
+            self._improved[law] = None if outputs is None else improve(self.model.scene, outputs, number, one_step)
         return self._improved[law]
 
     @cached_property
