@@ -44,6 +44,11 @@ class Improved:
         return k if k is not None and self.better[k] else None
 
 
+def population(scene) -> np.ndarray:
+    """(F, N, p) points of the distribution of the scene's deviations."""
+    return draw.population(scene, scene.monte_carlo.seed, FOLDS, POINTS)
+
+
 def improve(scene, samples: OutputSamples, total: int, one_step: OutputSamples | None = None) -> Improved | None:
     """Estimates from the samples of a law; None for few samples, or if the scene gives or groups them.
 
@@ -69,8 +74,7 @@ def improve(scene, samples: OutputSamples, total: int, one_step: OutputSamples |
         o = np.where(known[:, None], one_step.y[np.minimum(place, len(one_step.y) - 1)], np.nan)
         further = ~np.isin(one_step.numbers, samples.numbers)
         cheap = np.concatenate([samples.x, one_step.x[further]]), np.concatenate([o, one_step.y[further]])
-    points = draw.population(scene, scene.monte_carlo.seed, FOLDS, POINTS)
-    found = surrogate_estimates(samples.x, samples.y, points, cheap)
+    found = surrogate_estimates(samples.x, samples.y, population(scene), cheap)
     if found is None:
         return None
     better = np.array([kind != "plain" for kind in found.kind])

@@ -33,6 +33,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -114,7 +115,7 @@ class SurrogateEstimates:
     cheap_samples: int
     _mean: _Sum
     _variance: _Sum
-    _population: np.ndarray  # (F, N, k), sorted along the second axis
+    _sorted: np.ndarray  # (k, F, N), sorted along the last axis
     _points: np.ndarray  # (F, N, k), the same in the order of the points, single precision
     _errors: np.ndarray  # (n, k), held out
     _farthest: np.ndarray  # (k,), largest error or that of a jump that no sample shows
@@ -129,7 +130,7 @@ class SurrogateEstimates:
             explained=self.explained[outputs],
             _mean=mean,
             _variance=variance,
-            _population=self._population[..., outputs],
+            _sorted=self._sorted[outputs],
             _points=self._points[..., outputs],
             _errors=self._errors[:, outputs],
             _farthest=self._farthest[outputs],
@@ -200,11 +201,16 @@ class SurrogateEstimates:
 
     def _limits(self, limit: np.ndarray) -> np.ndarray:
         """(n, k) limits of the surrogates' values at the errors of the samples."""
-        centre = self._population.mean(axis=(0, 1)) + self._errors.mean(axis=0)
-        spread = np.sqrt(self._population.var(axis=(0, 1)) + self._errors.var(axis=0))
+        centre, spread = self._predicted
         with np.errstate(divide="ignore", invalid="ignore"):
             scaled = np.where(self._sigma > 0, (limit - self._mean.value) * spread / self._sigma, limit - centre)
         return centre + scaled - self._errors
+
+    @cached_property
+    def _predicted(self) -> tuple[np.ndarray, np.ndarray]:
+        """Mean and standard deviation (k,) of the surrogates' values and errors."""
+        centre = self._sorted.mean(axis=(1, 2)) + self._errors.mean(axis=0)
+        return centre, np.sqrt(self._sorted.var(axis=(1, 2)) + self._errors.var(axis=0))
 
     def quantile(self, probability: float, level: float = LEVEL) -> Estimate:
         """Quantile of the predicted distribution."""
@@ -225,7 +231,7 @@ class SurrogateEstimates:
 
     def _share_error(self, share: np.ndarray, level: float) -> np.ndarray:
         """Sampling error of a share of the population, at most: that of random points."""
-        points = self._population.shape[0] * self._population.shape[1]
+        points = self._sorted.shape[1] * self._sorted.shape[2]
         return ndtri(0.5 + level / 2) * np.sqrt(np.clip(share, 0.0, 1.0) * (1 - np.clip(share, 0.0, 1.0)) / points)
 
     @property
@@ -244,19 +250,11 @@ class SurrogateEstimates:
 
     def _distribution(self, limit) -> np.ndarray:
         """(k,) share of the predicted distribution below limits (k,)."""
-        shares = np.empty(len(self.kind))
-        points = self._population.shape[1]
-        for k, value in enumerate(np.broadcast_to(limit, shares.shape)):
-            if not np.isfinite(value) or not self._sigma[k] > 0:
-                shares[k] = float(self._mean.value[k] < value)
-                continue
-            predicted, error = self._population[:, :, k], self._errors[:, k]
-            centre = predicted.mean() + error.mean()
-            spread = np.sqrt(predicted.var() + error.var())
-            place = centre + (value - self._mean.value[k]) * spread / self._sigma[k] - error
-            below = [np.searchsorted(predicted[f], place[self._fold == f]).sum() for f in range(len(predicted))]
-            shares[k] = sum(below) / (points * len(error))
-        return shares
+        limits = self._limits(np.asarray(limit, dtype=float))
+        below = np.zeros(len(self.kind))
+        for k, folds in enumerate(self._sorted):
+            below[k] = sum(np.searchsorted(folds[f], limits[self._fold == f, k]).sum() for f in range(len(folds)))
+        return below / (self._sorted.shape[2] * len(limits))
 
     def _shift(self, limit, level: float) -> np.ndarray:
         """(k,) uncertainty of the prediction at limits (k,)."""
@@ -342,9 +340,9 @@ class _Folds:
         farthest = np.maximum(
             np.abs(errors).max(axis=0), UNSEEN * self._largest(self.p - self.h, self.further_p - self.further_h)
         )
-        population, points = np.sort(self.population, axis=1), self.population.astype(np.float32)
+        ordered, points = np.sort(np.moveaxis(self.population, 2, 0), axis=2), self.population.astype(np.float32)
         return SurrogateEstimates(
-            kind, explained, len(self.y), self.cheap, mean, variance, population, points, errors, farthest, self.fold
+            kind, explained, len(self.y), self.cheap, mean, variance, ordered, points, errors, farthest, self.fold
         )  # fmt: skip
 
     def _mean_of(self, function: Callable[[np.ndarray], np.ndarray]) -> _Sum:

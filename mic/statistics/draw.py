@@ -170,8 +170,9 @@ def _sobol(stream: np.random.Generator, d: int, size: int) -> np.ndarray:
     points = (2**BITS * qmc.Sobol(d, scramble=False).random(size)).astype(np.int64)
     scrambled = np.empty((size, d), dtype=np.int64)
     for i in range(d):
-        bits = points[:, i, None] >> place & 1  # the most significant bit first
-        scrambled[:, i] = (bits @ (lower[i] + np.eye(BITS, dtype=np.uint32)).T & 1) @ 2**place
+        bits = (points[:, i, None] >> place & 1).astype(float)  # the most significant bit first
+        sums = bits @ (lower[i] + np.eye(BITS)).T  # small integers: exact
+        scrambled[:, i] = (sums % 2 @ 2.0**place).astype(np.int64)
     return (scrambled ^ shift) / 2**BITS
 
 
