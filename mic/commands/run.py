@@ -148,7 +148,7 @@ def _report(console, outcome, progress):
 
 
 def _print_zones(console, laws, motion, title):
-    """Mean and 6σ of a motion in each zone under each law (Table 1 of the paper), with the error of the load path."""
+    """Best mean and 6σ of a motion in each zone under each law (Table 1 of the paper), and their errors."""
     shown = {
         name: law["zones"]
         for name, law in laws.items()
@@ -160,7 +160,9 @@ def _print_zones(console, laws, motion, title):
         cells = [zone]
         for zones in shown.values():
             own = zones[zone]
-            cell = " / ".join(number(own[figure], 4) for figure in figures)
+            cell = " / ".join(number(own["headline"][figure], 4) for figure in figures)
+            if any(own["headline"][figure] != own[figure] for figure in figures):
+                cell += f"\nsamples alone {' / '.join(number(own[figure], 4) for figure in figures)}"
             if own[f"{figures[0]}_path"] is not None:
                 changes = (change(own[f"{figure}_path"], own[f"{figure}_path_share"]) for figure in figures)
                 cell += f"\npath error {' / '.join(changes)}"

@@ -170,7 +170,7 @@ def _motion_sentence(outcome, context):
     frictional, frictionless = context.frictional, context.frictionless
     if frictional is None or frictionless is None:
         return ""
-    table = outcome.zone_statistics
+    table = outcome.zone_headlines
     table = table[table["stage"] == context.stage].set_index(["law", "zone"])
     parts = []
     for zone in outcome.zones:

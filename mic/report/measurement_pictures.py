@@ -16,7 +16,7 @@ __all__ = ["measurement_picture"]
 
 def measurement_picture(outcome: Outcome, context: Context) -> Picture | None:
     """Histogram of each key characteristic with its limits; the least capable ones if there are many."""
-    table = outcome.measurement_statistics
+    table = outcome.measurement_headlines
     if not len(table):
         return None
     order = list(table["measurement"].unique())
@@ -50,7 +50,7 @@ def measurement_picture(outcome: Outcome, context: Context) -> Picture | None:
         least = rows.iloc[int(rows["cpk"].argmin())]
         text += (
             f"The least capable under {law} is {least['measurement']}: Cpk {number(least['cpk'])}"
-            f"{_interval(least, 'cpk', number)}, {percent(least['share_outside'], 1)} of the samples outside"
+            f"{_interval(least, 'cpk', number)}, {percent(least['share_outside'], 1)} of the assemblies outside"
             f"{_interval(least, 'share_outside', lambda share: percent(share, 1))}."
         )
     return svg(fig, "Key characteristics against their limits", text)

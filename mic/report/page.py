@@ -11,6 +11,7 @@ from mic.process.description import alignments
 from mic.report import driver_sentences
 from mic.report.background_pictures import BackgroundPictures
 from mic.report.context import Context, read_context, study_tables
+from mic.report.estimator_sentences import estimator_sentences
 from mic.report.picture_registry import PICTURES, draw_all
 from mic.report.style import LAWS, zone_colour
 from mic.report.template import render
@@ -80,6 +81,7 @@ def write_report(
         validity=_validity(outcome),
         zones=zones,
         trend=_trend(zones, context.stage),
+        estimators=estimator_sentences(outcome),
         covered=covered_share(outcome.record["samples"]),
         accuracy=read_accuracy(outcome.folder),
         viewer=viewer,
@@ -180,7 +182,7 @@ def _paths(outcome: Outcome) -> list[dict[str, Any]]:
 
 def _zones(outcome: Outcome, context: Context) -> list[dict[str, Any]]:
     """Rows of the paper's Table 1: figures of each law by zone, and the published ones."""
-    table = outcome.zone_statistics
+    table = outcome.zone_headlines
     if context.stage is None or not len(table):
         return []
     published = context.published.get("zones", {})

@@ -9,6 +9,7 @@ import numpy as np
 
 from mic.plausibility import Results, find_warnings_of_results
 from mic.report.driver_sentences import adjusted, named
+from mic.report.estimator_sentences import sample_count
 from mic.report.style import change, number, probability
 from mic.results.capability_verdict import COUNTED, NORMAL, SUBSET, CapabilityVerdict, capability_verdict
 from mic.results.error_sources import Source, error_budget
@@ -36,8 +37,8 @@ class Verdict:
         The first is the verdict itself.
     rows : list of dict
         By key characteristic, the least capable first: the columns of
-        :data:`mic.results.schema.MEASUREMENT_STATISTICS`, with the interval of Cpk that decides; ``verdict`` (``in``,
-        ``close`` or ``out``; empty if a share outside is required) and ``drivers``.
+        :attr:`mic.results.outcome.Outcome.measurement_headlines`, with the interval of Cpk that decides; ``verdict``
+        (``in``, ``close`` or ``out``; empty if a share outside is required) and ``drivers``.
     more : int
         Number of further characteristics.
     budget : list of Source
@@ -62,7 +63,7 @@ def verdict(outcome: Outcome) -> Verdict | None:
     law = next((law for law in outcome.laws if len(outcome.sample_numbers(law))), None)
     if law is None or not outcome.model.scene.measurements:
         return None
-    table = outcome.measurement_statistics
+    table = outcome.measurement_headlines
     judged = capability_verdict(outcome, law, table)
     if judged is None:
         return None
@@ -78,16 +79,20 @@ def verdict(outcome: Outcome) -> Verdict | None:
         shares = own[own["measurement"] == row["measurement"]]
         row["drivers"] = (named(shares, "total") or "none: it hardly varies") if len(shares) else None
     budget = error_budget(outcome, law)
-    sentences = [_first(judged, rows), *_outside(judged, outcome, law, rows), *_implausible(outcome, rows)]
+    sentences = [
+        _first(judged, rows, sample_count(outcome, law)),
+        *_outside(judged, outcome, law, rows),
+        *_implausible(outcome, rows),
+    ]
     sentences += [*_further(outcome, law, rows, judged), *_trust(outcome, law, budget)]
     return Verdict(law, sentences, rows[:SHOWN], max(0, len(rows) - SHOWN), budget)
 
 
-def _first(judged: CapabilityVerdict, rows: list[dict[Any, Any]]) -> str:
+def _first(judged: CapabilityVerdict, rows: list[dict[Any, Any]], count_in_words: str) -> str:
     """Capable, not capable or not decided, with the figure that decides, its interval and the requirement."""
     count, opening = len(rows), judged.verdict.capitalize()
     if judged.verdict == NOT_DECIDED:
-        opening = f"Not decided by {judged.samples} sample{'s' * (judged.samples > 1)}"
+        opening = f"Not decided by {count_in_words}"
     if judged.target_outside is not None:
         required, stays = f"at most {probability(judged.target_outside)}", "the share stays there"
         text = f"the share outside limits is {_share(judged)}"
@@ -186,16 +191,22 @@ def _further(outcome: Outcome, law: str, rows: list[dict[Any, Any]], judged: Cap
 
 
 def _trust(outcome: Outcome, law: str, budget: list[Source]) -> list[str]:
-    """Estimated errors, and samples that do not count."""
-    known = [one for one in budget if one.measured]
-    sentences = []
+    """Estimators, estimated errors, and samples that do not count."""
+    known, sentences, improved = [one for one in budget if one.measured], [], outcome.improved(law)
+    if improved is not None:
+        better = [bool(yes) for key, yes in zip(improved.keys, improved.better) if key[0] == "measurement"]
+        sentences.append(
+            f"Estimated from {sample_count(outcome, law)}, with surrogates of {sum(better)} of {len(better)} key "
+            "characteristics."
+        )
     if known:
         each = np.array([[one.mean, one.six_sigma] for one in known])
         mean, six_sigma = (change(float(x)).lstrip("+") for x in np.sqrt(np.nansum(each**2, axis=0)))
         most = max(known, key=lambda one: np.nan_to_num(one.six_sigma))
         missing = [one.name for one in budget if not one.measured]
         unknown = f" Not estimated: {', '.join(missing)}." if missing else ""
-        sentences.append(f"Estimated error: ±{mean} on means, ±{six_sigma} on 6σ, mostly from {most.name}.{unknown}")
+        errors = f"±{mean} on means, ±{six_sigma} on 6σ".replace("±≤", "≤")
+        sentences.append(f"Estimated error: {errors}, mostly from {most.name}.{unknown}")
     groups = len(outcome.sample_numbers(law)) // outcome.together
     if outcome.together > 1 and groups < FEW:
         sentences.append(

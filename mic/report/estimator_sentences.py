@@ -1,0 +1,87 @@
+"""Sentences on how the statistics of a run were estimated, and what its samples may not show."""
+
+from __future__ import annotations
+
+from mic.report.style import percent
+from mic.results.outcome import Outcome
+
+__all__ = ["estimator_sentences", "sample_count"]
+
+FUNCTIONS = {
+    "plain": "a constant",
+    "linear": "a linear function of the deviations",
+    "quadratic": "a quadratic function of the deviations",
+    "spline": "a spline of the deviations",
+}
+UNSEEN = 3.0  # over the number of samples: what more assemblies show, 95 of 100 such sets of samples show
+
+
+def sample_count(outcome: Outcome, law: str) -> str:
+    """Number of samples in words: ``50 followed samples and 400 in one step``."""
+    improved, samples = outcome.improved(law), len(outcome.sample_numbers(law))
+    if improved is None or not improved.estimates.cheap_samples:
+        return f"{samples} sample{'s' * (samples != 1)}"
+    return f"{samples} followed samples and {improved.estimates.cheap_samples} in one step"
+
+
+def estimator_sentences(outcome: Outcome) -> list[str]:
+    """Estimators of the key characteristics and of the slips, by law; empty if all are those of the samples alone.
+
+    Laws with the same estimators share a sentence.
+    """
+    laws: dict[str, list[str]] = {}
+    for law in outcome.laws:
+        if outcome.improved(law) is not None:
+            laws.setdefault(_of_law(outcome, law), []).append(law)
+    return [f"{', '.join(named)}: {text}" for text, named in laws.items()]
+
+
+def _of_law(outcome: Outcome, law: str) -> str:
+    improved, count = outcome.improved(law), sample_count(outcome, law)
+    assert improved is not None
+    by_words: dict[str, list[str]] = {}
+    explained: dict[str, float] = {}
+    for k, (key, kind) in enumerate(zip(improved.keys, improved.estimates.kind)):
+        if key[0] == "measurement":
+            words = _words(kind, bool(improved.better[k]))
+            by_words.setdefault(words, []).append(key[1])
+            share = float(improved.estimates.explained[k])
+            explained[words] = min(explained.get(words, 1.0), share) if improved.better[k] else float("nan")
+    parts = []
+    for words, names in by_words.items():
+        who = "all key characteristics" if len(by_words) == 1 and len(names) > 1 else ", ".join(names)
+        share = explained[words]
+        least = "" if share != share else f", which explain{'s' * (len(names) == 1)} {_at_least(share)} of the variance"
+        parts.append(f"{who} {words}{least}")
+    text = f"{count}. Mean, 6σ, Cp, Cpk and share outside of {'; '.join(parts)}. " if parts else f"{count}. "
+    return text + _unseen(outcome, law)
+
+
+def _words(kind: str, better: bool) -> str:
+    """How an output is estimated, after its name."""
+    *one_step, function = kind.split(", ")
+    if not better:
+        reason = "no surrogate explains them" if function == "plain" else "which know them better"
+        return f"by the samples alone, {reason}"
+    start = "by the samples in one step, corrected by" if one_step else "by"
+    return f"{start} {FUNCTIONS[function]}"
+
+
+def _at_least(share: float) -> str:
+    digits = 2 if share > 0.99 else 0
+    return f"at least {percent(int(share * 10 ** (2 + digits)) / 10 ** (2 + digits), digits)}"
+
+
+def _unseen(outcome: Outcome, law: str) -> str:
+    """What the samples may not show."""
+    improved, samples = outcome.improved(law), len(outcome.sample_numbers(law))
+    cheap = improved.estimates.cheap_samples if improved else 0
+    rare = (
+        f"Behaviour of fewer than {percent(min(1.0, UNSEEN / samples), 1)} of the assemblies may be unseen in {samples}"
+    )
+    if not cheap:
+        return f"{rare} samples."
+    return (
+        f"{rare} followed samples; those in one step show it from {percent(UNSEEN / cheap, 1)} on, unless it comes from "
+        "the load path."
+    )
