@@ -164,7 +164,8 @@ def test_a_process_that_frees_a_part_is_refused_before_long_work(call, order, tm
     def compute(*_):
         raise AssertionError("influence coefficients were asked for")
 
-    for name in ("runs.coefficients", "commands.check.influence_coefficients", "commands.invocation.coefficients"):
+    checks = [f"{module}.influence_coefficients" for module in ("commands.check", "studies.check_results")]
+    for name in ("runs.coefficients", *checks, "commands.invocation.coefficients"):
         monkeypatch.setattr(f"mic.{name}", compute)
     error = call(order, scene, *(["--out", tmp_path / "out"] if order == "run" else [])).exception
     assert isinstance(error, mic.SceneError)

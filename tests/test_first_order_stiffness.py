@@ -183,7 +183,7 @@ def test_each_part_that_a_source_deforms_is_computed_once_and_a_check_counts_the
     assembly = assemble(read(lap("first-order")), tmp_path)
     said: list[str] = []
     monkeypatch.setattr("mic.commands.check.load_scene", lambda *_: assembly.scene)
-    monkeypatch.setattr("mic.report.check_page.write_check", lambda *_: None)
+    monkeypatch.setattr("mic.report.check_page.check_page", lambda *_: "")
 
     def told():
         output = CliRunner().invoke(app, ["check", "scene"], env={"COLUMNS": "200"}).output

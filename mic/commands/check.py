@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import shlex
-import time
 from pathlib import Path
 
 import numpy as np
@@ -20,7 +19,7 @@ from mic.geometry.mesh_summary import mesh_summary
 from mic.geometry.normals import COARSE, Rule
 from mic.model.assembly import assemble
 from mic.model.mesh_accuracy import estimate_accuracy
-from mic.model.one_sigma import displacements, one_sigma
+from mic.model.one_sigma import displacements
 from mic.model.overlap import frozen_gaps
 from mic.model.reduction import Reduction
 from mic.plausibility import (
@@ -34,7 +33,6 @@ from mic.plausibility import (
     validity,
 )
 from mic.process.description import opening, sentences
-from mic.process.model import ReducedModel
 from mic.process.plan import plan_assembly
 from mic.process.stiffness import derivative_sets, list_sources, select_shapes
 from mic.report.style import number, percent
@@ -45,21 +43,19 @@ from mic.results.schema import DENSITY
 from mic.scene import load_scene
 from mic.scene.deviation import deviation_unit
 from mic.studies import pair_convergence
+from mic.studies.check_results import MAX_PAIRS, PATIENCE, CheckResults
 from mic.studies.optimisation.description import describe as optimisation_sentences
 from mic.studies.optimisation.design import Space
 from mic.studies.optimisation.moved_items import check_places
-from mic.studies.order import doubts, few_samples
 from mic.studies.thickness import DISTANCE, interpolation_errors
 from mic.system.console import plain
 from mic.system.cores import available_cores
 from mic.system.disk_cache import cache_folder
-from mic.system.files import replacing
+from mic.system.files import replacing, write_text
 
 __all__ = ["check"]
 
 TARGET_ERROR = 0.01  # relative error of a mesh for which `mic check --accuracy` prints the required element size
-MAX_PAIRS = 1000  # contact pairs: with more, a check evaluates no samples, which would take minutes
-PATIENCE = 10.0  # s: if a few samples take longer, no further ones are solved
 MAX_SOURCES = 40  # sources that are listed
 
 
@@ -83,7 +79,8 @@ def check(scene, law, accuracy, converge, normals, overlap, strict, page):
         warnings = find_warnings_unplaced(scene, parts)
         _print_warnings(console, warnings)
         surfaces = {loaded.part.name: loaded.surface for loaded in parts}
-        _write_page(console, page, scene, surfaces, warnings, errors=str(error).splitlines())
+        errors = str(error).splitlines()
+        _write_page(console, page, scene, lambda: _page(scene, surfaces, warnings, errors=errors))
         raise
     warnings = find_warnings(scene, assembly, cache_folder())
     for warning in warnings:
@@ -98,18 +95,20 @@ def check(scene, law, accuracy, converge, normals, overlap, strict, page):
     if optimisation:
         console.print("[bold]Optimisation[/] (mic optimise)")
         console.say_each(f"• {sentence}" for sentence in optimisation)
-    model = _cached_model(assembly)
-    warnings += _few_samples(console, assembly, model, order)
-    shapes, far = _print_sources(console, assembly, model)
+    results = CheckResults(assembly, cache_folder())
+    warnings += _few_samples(console, assembly, results, order)
+    shapes, far = _print_sources(console, assembly, results)
     warnings += far
-    _print_thicknesses(console, assembly, model)
-    console.say_each(f"• {sentence}" for sentence in _cost(assembly, plans))
+    _print_thicknesses(console, assembly, results)
+    console.say_each(f"• {sentence}" for sentence in _cost(assembly, plans, results))
     if accuracy:
         _print_accuracy(console, assembly)
     if converge:
         _check_convergence(console, scene, assembly)
     surfaces = {part.name: part.surface for part in assembly.parts}
-    _write_page(console, page, assembly.scene, surfaces, warnings, assembly.contacts, plans, shapes=shapes)
+    shown = assembly.scene, surfaces, warnings, assembly.contacts, plans, (), shapes
+    inputs = [[str(warning), warning.point] for warning in warnings], [shape.name for shape in shapes]
+    _write_page(console, page, scene, lambda: results.page(inputs, lambda: _page(*shown)))
     _write_pictures(console, assembly, normals, overlap)
     if strict:
         raise_warnings(warnings)
@@ -122,13 +121,19 @@ def _print_warnings(console, warnings):
         console.warn("warning", warning)
 
 
-def _write_page(console, page, scene, surfaces, warnings, contacts=None, plans=(), errors=(), shapes=()):
-    """Write the page of the check; print a warning if that fails."""
-    from mic.report.check_page import write_check  # drawing libraries are slow to import
+def _page(*shown, **more):
+    """The text of the page, see :func:`mic.report.check_page.check_page`."""
+    from mic.report.check_page import check_page  # drawing libraries are slow to import
 
+    return check_page(*shown, **more)
+
+
+def _write_page(console, page, scene, text):
+    """Write the page of the check, whose text a function returns; print a warning if that fails."""
     page = page or Path("results") / (scene.name if scene.name.strip(".") else "scene") / "check.html"
     try:
-        write_check(page, scene, surfaces, warnings, contacts, plans, errors, shapes)
+        page.parent.mkdir(parents=True, exist_ok=True)
+        write_text(page, text())
     except (StorageError, OSError) as problem:
         console.warn("no page", f"{problem}; name another file with --page")
     else:
@@ -161,25 +166,13 @@ def _print_process(console, assembly, plans):
             console.say(f"  {number_}. {sentence}")
 
 
-def _all_cached(assembly) -> bool:
-    """Whether the nominal influence coefficients of all parts are cached."""
-    return all(is_cached(part, cache_folder()) for part in assembly.parts)
-
-
-def _cached_model(assembly):
-    """The reduced model if that takes no computation: nominal stiffness, cached coefficients, few pairs; else None."""
-    if assembly.scene.stiffness != "nominal" or len(assembly.contacts) > MAX_PAIRS or not _all_cached(assembly):
-        return None
-    return ReducedModel.build(assembly, influence_coefficients(assembly, cache_folder())[0])
-
-
-def _print_sources(console, assembly, model):
+def _print_sources(console, assembly, results):
     """Print what 1 σ of each source does to the free parts, the largest first; return the shapes and warnings."""
     items, shapes = assembly.scene.deviations, []
     if not items:
         return shapes, ()
     try:
-        shapes = one_sigma(assembly, model)
+        shapes = results.shapes()
     except MissingProvider as problem:
         console.warn("no shapes", problem)
     found = displacements(assembly, shapes)
@@ -197,7 +190,7 @@ def _print_sources(console, assembly, model):
     console.table("Sources", ("source", "kind", "unit", "mean", "σ", "largest displacement under 1 σ"), rows)
     if len(found) > MAX_SOURCES:
         console.print(f"… and {len(found) - MAX_SOURCES} more")
-    if model is None and any(one.rule in ("estimate", "stiffness") for one in found):
+    if not results.solvable and any(one.rule in ("estimate", "stiffness") for one in found):
         console.print(
             "“About”: by a rough stiffness, within a factor of 3 for forces; the displacements by that of the finite "
             "elements are available once the influence coefficients are computed (`mic run`).",
@@ -216,22 +209,22 @@ def _one_sigma(one) -> str:
     return f"{about}{one.length:.3g} mm, {one.part} at ({', '.join(f'{x:.0f}' for x in one.point)})"
 
 
-def _print_thicknesses(console, assembly, model):
+def _print_thicknesses(console, assembly, results):
     """Print the error of interpolating between thicknesses."""
     varied = [item.name for item in assembly.scene.deviations if item.kind == "thickness"]
     if not varied:
         return
-    if model is None:
+    if not results.solvable:
         console.say(
             f"Interpolation error of {', '.join(varied)}: available once the influence coefficients are computed."
         )
         return
     try:
-        results = interpolation_errors(assembly, model, cache_folder(), console.say_step)
+        found = interpolation_errors(assembly, results.model, cache_folder(), console.say_step)
     except MissingProvider as problem:
         console.warn("thickness not checked", problem)
         return
-    for result in results:
+    for result in found:
         if np.isnan(result.error).any():
             text = "the assembly of mean parts cannot be computed there"
         else:
@@ -246,36 +239,31 @@ def _print_thicknesses(console, assembly, model):
         )
 
 
-def _few_samples(console, assembly, model, order):
+def _few_samples(console, assembly, results, order):
     """Print whether friction and placing matter, if a few samples are cheap, else the command `order` that tells it;
     return warnings of their results."""
     frictional = len(assembly.contacts) and any(LAWS[law].frictional for law in assembly.scene.report.laws)
     unknown, advice = "Effect of the process order: not computed", f"Run `{plain(order)}`."
-    if model is None:
+    if not results.solvable:
         if frictional:
             console.print(f"{unknown}. {advice}", highlight=False, soft_wrap=True)
         return ()
-    start = time.perf_counter()
-    samples = few_samples(model)
-    good, values = ~samples.failed, np.reshape(samples.measurements, (len(samples.failed), -1))
-    seconds = time.perf_counter() - start
-    if not good.any():
-        console.warn("note", f"none of {len(good)} samples, solved roughly, has a solution: `mic run` may fail, too")
-        return ()
-    if frictional and seconds > PATIENCE:
-        console.print(
-            f"{unknown}, since {len(good)} samples take {seconds:.0f} s. {advice}", highlight=False, soft_wrap=True
+    samples = results.rough_samples()
+    if not samples.solved:
+        console.warn(
+            "note", f"none of {samples.count} samples, solved roughly, has a solution: `mic run` may fail, too"
         )
-    elif frictional:
-        for doubt in doubts(model, samples):
-            console.warn("note", f"{doubt}; run `{order}` for numbers")
-    forces = {
-        stage: max(float(np.abs(array[good]).max(initial=0.0)) for array in (one.force, one.reaction))
-        for stage, one in samples.resolutions.items()
-    }
+        return ()
+    if frictional and samples.seconds > PATIENCE:
+        console.print(
+            f"{unknown}, since {samples.count} samples take {samples.seconds:.0f} s. {advice}",
+            highlight=False,
+            soft_wrap=True,
+        )
+    for doubt in samples.doubts:
+        console.warn("note", f"{doubt}; run `{order}` for numbers")
     extent = {part.name: part.surface.diameter for part in assembly.parts}
-    mean, spread = values[good].mean(axis=0), 6 * values[good].std(axis=0)
-    return find_warnings_of_results(Results(assembly.scene, extent, mean, spread, forces))
+    return find_warnings_of_results(Results(assembly.scene, extent, samples.mean, samples.six_sigma, samples.forces))
 
 
 def _print_parts(console, scene, assembly):
@@ -378,7 +366,7 @@ def _print_contacts(console, assembly):
         )
 
 
-def _cost(assembly, plans) -> list[str]:
+def _cost(assembly, plans, results) -> list[str]:
     """Factorisations, size of the reduced model, contact solutions, expected time and disk space."""
     scene, contacts = assembly.scene, assembly.contacts
     sizes = [len(part.functionals) for part in assembly.parts]
@@ -390,7 +378,7 @@ def _cost(assembly, plans) -> list[str]:
         f"reduced model: {sum(sizes)} functionals, {megabytes:.0f} MB of influence coefficients",
     ]
     if scene.stiffness != "nominal":
-        lines.append(_stiffness(assembly))
+        lines.append(_stiffness(assembly, results))
     resolved = [plan for plan in plans if plan.resolves and len(contacts)]
     followed = any(LAWS[law].followed for law in laws) and any(plan.path == "followed" for plan in resolved)
     if resolved:
@@ -410,12 +398,12 @@ def _cost(assembly, plans) -> list[str]:
     return [*lines, fields if scene.report.fields else "no fields are requested: no field solves"]
 
 
-def _stiffness(assembly) -> str:
+def _stiffness(assembly, results) -> str:
     """Cost of the stiffness of deviated shapes: exact if the nominal coefficients are cached, else an upper bound."""
     if assembly.scene.stiffness == "mean":
         return "stiffness of the mean shape: a second set of influence coefficients for each part"
     text = "stiffness to first order in {}: {}; each sample needs its own model, which takes many times as long"
-    if len(assembly.contacts) <= MAX_PAIRS and _all_cached(assembly):
+    if len(assembly.contacts) <= MAX_PAIRS and results.all_cached:
         try:
             nominal = Reduction.build(assembly, influence_coefficients(assembly, cache_folder())[0])
             shapes = select_shapes(assembly, nominal)

@@ -15,7 +15,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from scipy.io import mmread
 from scipy.sparse import coo_matrix, csr_matrix
 
 from mic.compliance.output4 import matrices
@@ -99,6 +98,8 @@ def _table(path: Path) -> dict[int, tuple[float, ...]]:
 def _market(path: Path) -> csr_matrix:
     if not any(line.strip() and not line.startswith(b"%") for line in path.read_bytes().splitlines()):
         raise FormatError("it ends with its header; write it again")  # SciPy would loop forever
+    from scipy.io import mmread  # slow to import, and few scenes have matrices
+
     return csr_matrix(mmread(path))
 
 

@@ -22,7 +22,6 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import nnls
 from scipy.sparse import csr_matrix, vstack
 
 from mic.compliance.blocks import Blocks
@@ -48,6 +47,8 @@ def separating_motion(gap: np.ndarray, G: np.ndarray) -> np.ndarray:
     overlap = -gap.min()
     dual = np.vstack([G.T, -gap / overlap])
     unit = np.append(np.zeros(G.shape[1]), 1.0)
+    from scipy.optimize import nnls  # slow to import, and only resting parts need it
+
     residual = dual @ nnls(dual, unit)[0] - unit
     if -residual[-1] <= FEASIBLE:
         return np.zeros(G.shape[1])

@@ -27,7 +27,7 @@ from mic.scene import Scene
 from mic.scene.deviation import ClampDeviation, LocatorDeviation, targets
 from mic.system.files import write_text
 
-__all__ = ["write_check"]
+__all__ = ["check_page", "write_check"]
 
 RED = "#d00000"
 DRAWN = 0.01  # mm: smaller overlaps come from drawing and meshing, and are shown as touching
@@ -35,8 +35,7 @@ ALIKE = 0.01  # of the assembly: closer warnings share a ring
 LEAST = 0.05  # mm: least range of the gap map
 
 
-def write_check(
-    path: str | PathLike[str],
+def check_page(
     scene: Scene,
     surfaces: Mapping[str, Surface],
     warnings: Sequence[SceneWarning] = (),
@@ -44,13 +43,11 @@ def write_check(
     plans: Sequence[StagePlan] = (),
     errors: Sequence[str] = (),
     shapes: Sequence[SourceShape] = (),
-) -> Path:
-    """Write the page of a check; nothing is solved.
+) -> str:
+    """The page of a check, one file that needs no other; nothing is solved.
 
     Parameters
     ----------
-    path : path-like
-        The page, one file that needs no other.
     scene : Scene
     surfaces : dict of str to Surface
         Of the parts that could be had, by name.
@@ -63,18 +60,14 @@ def write_check(
     shapes : sequence of SourceShape
         What 1 σ of each source does, as far as it is known.
 
-    Returns
-    -------
-    Path
     """
     bodies = dict(surfaces)
     for fixture in scene.fixtures:
         with Problems():  # an unreadable one has been reported
             if fixture.part is None:  # placed by its part's mesh otherwise
                 bodies[fixture.name] = load_fixture(fixture, scene.folder)[0]
-    path = Path(path)
     touching = contacts is not None and len(contacts) > 0
-    page = render(
+    return render(
         "check.html",
         scene=scene,
         errors=errors,
@@ -88,9 +81,13 @@ def write_check(
         viewer=packed(json.dumps(_view(bodies, scene, warnings, contacts if touching else None))) if bodies else None,
         plotly=plotly_script() if bodies else None,
     )
+
+
+def write_check(path: str | PathLike[str], *content: Any, **more: Any) -> Path:
+    """Write the page of :func:`check_page`, with its parameters; returns the path."""
     path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
-    write_text(path, page)
+    write_text(path, check_page(*content, **more))
     return path
 
 

@@ -11,7 +11,6 @@ import pandas as pd
 from mic.report.style import number, percent, probability
 from mic.studies.contributors import INTERACTION, R_SQUARED, SIGMA, SMALLEST
 from mic.studies.friction import HOLDS
-from mic.studies.optimisation.description import OBJECTIVES
 
 __all__ = ["adjusted", "design_words", "friction_words", "linear_words", "named", "optimum_words", "remedy_words"]
 
@@ -166,6 +165,8 @@ def design_words(table: pd.DataFrame, points: pd.DataFrame) -> list[str]:
 
 def optimum_words(whole: pd.DataFrame) -> list[str]:
     """Gain of the optimum on fresh samples, which the search did not use."""
+    from mic.studies.optimisation.description import OBJECTIVES  # few runs have an optimum
+
     sentences = []
     for row in whole.to_dict("records"):
         gain, low, high = (number(row[f"gain{end}"]) for end in ("", "_low", "_high"))

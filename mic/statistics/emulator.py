@@ -24,7 +24,6 @@ from __future__ import annotations
 from functools import cached_property
 
 import numpy as np
-from scipy.interpolate import RBFInterpolator
 from scipy.spatial import KDTree
 from scipy.spatial.distance import cdist
 
@@ -61,6 +60,8 @@ class Emulator:
         nearest = KDTree(z * self.scale).query(z * self.scale, 2)[0][:, 1]
         self._points, self._values = z * self.scale, h
         self.damping = DAMPED * float(np.median(nearest)) ** 3
+        from scipy.interpolate import RBFInterpolator  # slow to import, and most commands fit no spline
+
         self._spline = RBFInterpolator(self._points, h, smoothing=self.damping, kernel="cubic", degree=1)
 
     def __call__(self, z: np.ndarray) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""Disk cache of meshes, contact pairs, influence coefficients, displacement fields, drawn shapes and emulator data.
+"""Disk cache of meshes, contact pairs, influence coefficients, fields, drawn shapes, checks and emulator data.
 
 A cached file is used only if it is complete, holds the requested content, and belongs to the user. It is ignored, with
 a warning of one line, and replaced by the next :meth:`Cache.store` if
@@ -31,7 +31,7 @@ __all__ = ["ABSENT", "Cache", "cache_folder"]
 
 ABSENT = "it counts as absent and is replaced"  #: remedy of every format in a cache
 #: The subfolders of a cache folder.
-SECTIONS = ("answers", "assemblies", "fields", "influence", "meshes", "shapes", "warnings")
+SECTIONS = ("answers", "assemblies", "checks", "fields", "influence", "meshes", "shapes", "warnings")
 
 _log = logging.getLogger(__name__)
 
