@@ -76,4 +76,4 @@ def _print_changes(console, found):
             cells += [number(1e3 * row[f"{figure}_a"]), interval(row, f"{figure}_change")]
         rows.append((*cells, number(row["cpk_a"]), number(row["cpk_b"])))
     heads = ("", "mean before, µm", "change (95 %)", "6σ before, µm", "change (95 %)", "Cpk before", "Cpk after")
-    console.table("Before and after", heads, rows)
+    console.table("Before and after, of the common samples alone", heads, rows)

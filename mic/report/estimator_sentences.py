@@ -76,12 +76,8 @@ def _unseen(outcome: Outcome, law: str) -> str:
     """What the samples may not show."""
     improved, samples = outcome.improved(law), len(outcome.sample_numbers(law))
     cheap = improved.estimates.cheap_samples if improved else 0
-    rare = (
-        f"Behaviour of fewer than {percent(min(1.0, UNSEEN / samples), 1)} of the assemblies may be unseen in {samples}"
-    )
-    if not cheap:
-        return f"{rare} samples."
-    return (
-        f"{rare} followed samples; those in one step show it from {percent(UNSEEN / cheap, 1)} on, unless it comes from "
-        "the load path."
-    )
+    share, beyond = percent(min(1.0, UNSEEN / samples), 1), ""
+    if cheap:
+        beyond = f"; those in one step show it from {percent(UNSEEN / cheap, 1)} on, unless it comes from the load path"
+    followed = " followed" * (cheap > 0)
+    return f"Behaviour of fewer than {share} of the assemblies may be unseen in {samples}{followed} samples{beyond}."
