@@ -42,11 +42,18 @@ def test_samples_in_one_step_meet_their_followed_ones(lap_scene):
     mean, sigma, scatter = found.estimates.mean(), found.estimates.sigma(), 3 * many.std() / np.sqrt(len(many))
     assert mean.low[0] - scatter < many.mean() + 5.0 < mean.high[0] + scatter
     assert sigma.low[0] - scatter < many.std() < sigma.high[0] + scatter
-    assert mean.high[0] - mean.low[0] < 0.1 * many.std()
+    assert mean.high[0] - mean.low[0] < 0.1 * many.std() and found.estimates.explained[0] == pytest.approx(1.0)
     missing = np.isin(one_step.numbers, [3, 200], invert=True)
     fewer = OutputSamples((KEY,), one_step.numbers[missing], one_step.x[missing], one_step.y[missing])
     again = improve(lap_scene, followed, 40, fewer).estimates
     assert again.samples == 39 and again.mean().value == pytest.approx(mean.value, abs=0.01 * many.std())
+
+
+def test_the_model_in_one_step_closes_everything_at_once(lap_model):
+    assert {plan.path for plan in lap_model.one_step.plans if plan.kind != "transfer"} == {"one-step"}
+    assert all(len(plan.steps) == 1 for plan in lap_model.one_step.plans)
+    assert any(len(plan.steps) > 1 for plan in lap_model.plans)
+    assert lap_model.one_step.one_step is None  # it is its own
 
 
 def test_without_known_distributions_or_few_samples_there_is_no_estimate(lap_scene):
