@@ -17,11 +17,11 @@ evaluate = Process.evaluate
 
 
 def second_block(action):
-    """Do something instead of the second block that a process evaluates."""
+    """Do something instead of the second block that a process evaluates; single samples are evaluated before."""
     calls = []
 
     def broken(self, *arguments):
-        calls.append(0)
+        calls.extend([0] * (len(arguments[0]) > 1))
         if len(calls) == 2:
             action()
         return evaluate(self, *arguments)
