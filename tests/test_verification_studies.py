@@ -296,17 +296,25 @@ def test_sampling_error_is_that_of_normal_samples():
 def versions(*lines):
     columns = ["error of 6σ", "preparation, s", "per sample, ms"]
     table = pd.DataFrame(lines, columns=columns)
-    return table.assign(knob="k", value=[str(i) for i in range(len(lines))])
+    return table.assign(**{trade.HALF: np.nan, trade.EACH: np.nan}, knob="k", value=[str(i) for i in range(len(lines))])
 
 
 def test_cheapest_version_keeps_the_target():
     lines = versions((0.2, 1, 1), (0.03, 10, 1), (0.005, 100, 1))
-    seconds, line, count = trade.cheapest(lines, 0.10)
+    seconds, line, count, _, estimator = trade.cheapest(lines, 0.10)
+    assert estimator == "samples alone"
     assert line["value"] == "1" and seconds == pytest.approx(10 + 1e-3 * count)
     assert line["error of 6σ"] + trade.sampling_error(count) <= 0.10
     assert trade.cheapest(lines, 0.02)[1]["value"] == "2" and trade.cheapest(lines, 0.004) is None
     advice = trade.advice(lines, pd.DataFrame([{"per sample, s": 50.0}]))
     assert "not reached" in trade.in_words(advice) and advice["times cheaper"].max() > 50
+    few = lines.assign(**{trade.HALF: [0.01, 0.02, 0.03], trade.EACH: 2.0})  # 500 samples alone: 6.2 %
+    seconds, line, count, sampled, estimator = trade.cheapest(few, 0.10)
+    assert (line["value"], count, estimator) == ("1", 50, "followed samples with surrogates")
+    assert seconds == pytest.approx(10.1) and sampled == 0.02 == pytest.approx(trade.with_surrogates(line)[1] - 0.03)
+    assert "50 followed samples with surrogates" in trade.in_words(
+        trade.advice(few, pd.DataFrame([{"per sample, s": 9.0}]))
+    )
 
 
 def test_pareto_front():

@@ -1,10 +1,12 @@
 """The cheapest setting within a target error of 6σ, and the advice where there is none."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pandas as pd
 import pytest
+from support.runs import changed
 from typer.testing import CliRunner
 
 import mic
@@ -12,7 +14,8 @@ from mic import examples
 from verification import budget, target
 from verification.__main__ import app
 from verification.budget import Item
-from verification.target import Tried, advice, as_set, choose, enough, leading, share_of, shares
+from verification.sampling_cost import FEW, SamplingCost, enough, leading, measure_sampling
+from verification.target import Tried, advice, as_set, choose, share_of, shares
 
 pytestmark = pytest.mark.fem
 
@@ -116,13 +119,32 @@ def test_the_cheapest_setting_within_the_target_is_chosen(monkeypatch, tmp_path)
 
 def test_advice_names_the_setting_with_its_cost_or_the_remedy():
     said = advice([tried("draft", 0.015)], 0.02)
-    assert 'setting = "draft"' in said and "4803 samples" in said and "58 CPU s" in said
+    assert 'setting = "draft"' in said and "4803 samples alone have" in said and "58 CPU s" in said
+    said = advice([replace(tried("draft", 0.015), sampling=SamplingCost(half=0.03, each=0.02))], 0.02)
+    assert "113 followed samples with surrogates have" in said and "12 CPU s" in said  # 10 s of preparation
     assert enough(0.062) == pytest.approx(500, rel=0.01)
     said = advice([tried("reference", 0.04)], 0.02)  # a third of the target for each source: 0.04 / 0.00667, root
     assert "no setting is shown to be enough" in said and "0.41 times the element size" in said
     assert "candidates" not in said
     said = advice([tried("reference", 0.0058, 0.028, 480)], 0.02)  # twice what is unsure to spare
     assert "0.006 ± 0.028" in said and "about 1920 samples would decide" in said
+
+
+def test_the_cheaper_estimator_is_chosen():
+    known = SamplingCost(half=0.01, each=0.1)
+    assert known.samples(0.02) == FEW and known.samples(0.005) == 4 * FEW
+    assert known.cheapest(0.02, each=0.1) == (5.0, FEW, "50 followed samples with surrogates")
+    assert known.cheapest(0.02, each=1e-4)[1:] == (enough(0.02), f"{enough(0.02)} samples alone")
+    assert SamplingCost().cheapest(0.02, each=1.0)[1] == enough(0.02)
+
+
+@pytest.mark.slow
+def test_fifty_followed_samples_with_surrogates_know_the_lap_joint_and_given_samples_do_not(lap_model):
+    found = measure_sampling(lap_model, "coulomb", 4)
+    assert 1e-4 < found.half < 0.05 and found.each > 0
+    monte_carlo = {"values": [[0.0, 0.0, 0.0]] * 500}
+    given = replace(lap_model, scene=changed(lap_model.scene, monte_carlo=monte_carlo))
+    assert np.isnan(measure_sampling(given, "coulomb", 4).half)
 
 
 def test_a_source_without_a_known_uncertainty_is_named():

@@ -7,7 +7,8 @@ leading quantity, and fails if the error minus its uncertainty exceeds it for on
 characteristics and zone slips whose 6σ is at least a tenth of the largest of their kind. If the samples do not decide,
 more are drawn: as many as would decide if the uncertainty falls with their square root (Stein's second stage), at most
 :data:`MOST`, and none if even those could not decide. Errors that do not depend on the setting (the law, the nominal
-stiffness) are not counted.
+stiffness) are not counted. The number of samples is that of the cheaper estimator of the scene, samples alone or few
+followed ones with surrogates (:mod:`verification.sampling_cost`).
 """
 
 from __future__ import annotations
@@ -20,21 +21,19 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
-from scipy.stats import norm
 
 from mic.errors import MicError, SceneError
 from mic.results.run_folder import versions
 from mic.scene import SETTINGS, Scene
 from mic.scene.process import FollowedPath
 from mic.statistics.draw import draw
-from mic.statistics.estimates import LEVEL
 from verification.budget import SAMPLES, Case, Item, estimate, total
 from verification.comparison import reduced_and_assembly
+from verification.sampling_cost import SamplingCost, leading, measure_sampling
 from verification.study import Team
 
-__all__ = ["Tried", "advice", "as_set", "choose", "enough", "leading", "share_of", "shares", "table"]
+__all__ = ["Tried", "advice", "as_set", "choose", "share_of", "shares", "table"]
 
-LEADING = 0.1  # quantities with a 6σ below this fraction of the largest of their kind are ignored
 MOST = 120  # largest number of samples per setting
 SOURCES = ("path", "pairs", "mesh and element")
 ALL = "all"
@@ -63,6 +62,8 @@ class Tried:
         CPU seconds for the reduced model without cache, and per sample.
     samples : int
         Number of samples.
+    sampling : SamplingCost
+        Accuracy and cost of samples with surrogates.
     """
 
     setting: str
@@ -70,6 +71,7 @@ class Tried:
     preparation: float
     each: float
     samples: int
+    sampling: SamplingCost = SamplingCost()
 
     @property
     def most(self) -> float:
@@ -120,13 +122,6 @@ def as_set(scene: Scene, setting: str) -> Scene:
     stages = [stage.model_copy(update={"path": None, "increments": None}) for stage in scene.stages]
     path = FollowedPath(tolerance=gives["tolerance"])
     return scene.model_copy(update={"parts": parts, "zones": zones, "stages": stages, "path": path, "setting": setting})
-
-
-def leading(six_sigma: pd.Series) -> pd.Index:
-    """Quantities whose 6σ is at least :data:`LEADING` times the largest of their kind."""
-    kind = six_sigma.index.str.partition(":").get_level_values(0)
-    most = six_sigma.groupby(kind).transform("max")
-    return six_sigma.index[(six_sigma > 0) & (six_sigma >= LEADING * most)]
 
 
 def shares(items: list[Item], six_sigma: pd.Series) -> pd.DataFrame:
@@ -202,6 +197,7 @@ def attempt(scene, setting, target, folder, cache, team, say) -> Tried:
     law, samples = scene.report.laws[0], SAMPLES
     model.process(law).attempt(draw(scene, scene.monte_carlo.seed, 0, 1))  # compiles code before time is measured
     mark = hashlib.sha256(f"{scene.model_dump_json()} {assembly.scene.folder} {versions()}".encode()).hexdigest()[:16]
+    sampling = measure_sampling(model, law, scene.monte_carlo.seed)
     while samples:
         case, start = Case(assembly, model, law, cache, samples=samples), time.process_time()
         six_sigma = 6 * case.production.std(ddof=1)
@@ -213,7 +209,7 @@ def attempt(scene, setting, target, folder, cache, team, say) -> Tried:
             )
         items = estimate(case, folder, mark, team, SOURCES, say)
         # from the first rank, because times differ between ranks
-        tried = team.from_first(Tried(setting, shares(items, six_sigma), prepared, each, samples))
+        tried = team.from_first(Tried(setting, shares(items, six_sigma), prepared, each, samples, sampling))
         samples = tried.further(target)
         if team.rank == 0:
             more = f", not decided; {samples} samples next" if samples else ""
@@ -221,16 +217,14 @@ def attempt(scene, setting, target, folder, cache, team, say) -> Tried:
     return tried
 
 
-def enough(target: float) -> int:
-    """Number of normal samples for which half the confidence interval of 6σ is the target."""
-    return math.ceil((norm.ppf((1 + LEVEL) / 2) / target) ** 2 / 2) + 1
-
-
 def advice(tried: list[Tried], target: float) -> str:
     """Recommendation as text."""
-    last, samples = tried[-1], enough(target)
-    seconds = last.preparation + samples * last.each
-    cost = f"{samples} samples have a sampling error of {target:.2g}; they take {seconds:.0f} CPU s with this setting."
+    last = tried[-1]
+    seconds, _, samples = last.sampling.cheapest(target, last.each)
+    cost = (
+        f"{samples[0].upper()}{samples[1:]} have a sampling error of {target:.2g}; they take "
+        f"{last.preparation + seconds:.0f} CPU s with this setting."
+    )
     if last.meets(target):
         row = last.errors.loc[ALL]
         return (

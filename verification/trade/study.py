@@ -21,9 +21,10 @@ from mic.statistics.paired_differences import six_sigma_change
 from verification.budget import values
 from verification.comparison import reduced_and_assembly, relative
 from verification.plots import panels
+from verification.sampling_cost import FEW, SamplingCost, leading, measure_sampling
 from verification.scenes import shipped, with_path
 from verification.study import Acceptance, Finding, Study
-from verification.target import as_set, leading
+from verification.target import as_set
 
 TARGETS = (0.01, 0.02, 0.05, 0.10)  # of 6σ
 COUNTS = (50, 100, 200, 500, 1000, 2000, 5000, 10000, 20000, 50000)
@@ -31,6 +32,7 @@ SEED = 17
 STILL = 4  # increments a step, if the path is not adaptive
 KINDS = {"measurement": "key characteristics", "slip": "slips"}
 FINE = Followed.tolerance / 4
+HALF, EACH = f"sampling error of {FEW} followed samples with surrogates", "per sample with surrogates, ms"
 COARSER = 16  # ratio of path tolerances for the error of the truth: a sixteenth reduces the error to about a sixth
 
 
@@ -148,8 +150,14 @@ def given(knobs: Knobs) -> dict:
     return {key: value for key, value in vars(knobs).items() if value is not None}
 
 
-def measure(scene: Scene, deviations: np.ndarray, cache) -> dict:
-    """Slips of the zones and key characteristics of a version on given samples, and its cost, CPU s."""
+def measure(scene: Scene, deviations: np.ndarray, cache, surrogates: bool) -> dict:
+    """Slips of the zones and key characteristics of a version on given samples, and its cost, CPU s.
+
+    Parameters
+    ----------
+    surrogates : bool
+        Whether to measure the accuracy of few samples with surrogates, too.
+    """
     start = time.process_time()
     model, assembly = reduced_and_assembly(scene, cache)
     prepared = time.process_time()
@@ -157,12 +165,16 @@ def measure(scene: Scene, deviations: np.ndarray, cache) -> dict:
     process.attempt(deviations[:2])  # compile before the time is measured
     compiled = time.process_time()
     evaluation = process.attempt(deviations)
+    evaluated = time.process_time()
+    few = measure_sampling(model, "coulomb", SEED) if surrogates else SamplingCost()
     return {
         "values": values(model, evaluation),
         "pairs": len(assembly.contacts),
         "nodes": sum(len(part.surface.points) for part in assembly.parts),
         "preparation, s": prepared - start,
-        "per sample, ms": 1e3 * (time.process_time() - compiled) / len(deviations),
+        "per sample, ms": 1e3 * (evaluated - compiled) / len(deviations),
+        HALF: few.half,
+        EACH: 1e3 * few.each,
         "failed": int(evaluation.failed.sum()),
     }
 
@@ -199,7 +211,7 @@ def errors(own: pd.DataFrame, exact: pd.DataFrame) -> dict:
 
 def row(scene, knob, value, found, exact) -> dict:
     """One line of the table."""
-    kept = ("nodes", "pairs", "preparation, s", "per sample, ms", "failed")
+    kept = ("nodes", "pairs", "preparation, s", "per sample, ms", HALF, EACH, "failed")
     line = {"scene": scene, "knob": knob, "value": value} | errors(found["values"], exact["values"])
     return line | {key: found[key] for key in kept}
 
@@ -218,14 +230,36 @@ def cost(line, samples) -> float:
 
 
 def cheapest(lines, target):
-    """The cheapest version and number of samples whose error plus sampling error meets the target; None without one."""
+    """The cheapest version and number of samples whose error plus sampling error meets the target; None without one.
+
+    Returns
+    -------
+    tuple or None
+        CPU seconds, line of the version, followed samples, sampling error, estimator.
+    """
     fitting = [
-        (cost(line, count), line, count)
+        (cost(line, count), line, count, sampling_error(count), "samples alone")
         for _, line in lines.iterrows()
         for count in COUNTS
         if line["error of 6σ"] + sampling_error(count) <= target
     ]
+    for _, line in lines.iterrows():
+        few = SamplingCost(line[HALF], 1e-3 * line[EACH])
+        count, rest = few.samples(target - line["error of 6σ"]), target - line["error of 6σ"]
+        if count == count:
+            seconds = line["preparation, s"] + count * few.each
+            fitting.append((seconds, line, int(count), min(few.half, rest), "followed samples with surrogates"))
     return min(fitting, key=lambda item: item[0]) if fitting else None
+
+
+def alone(line, samples) -> tuple[float, float]:
+    """CPU seconds of a version, and its error with the sampling error of samples alone."""
+    return cost(line, samples), line["error of 6σ"] + sampling_error(samples)
+
+
+def with_surrogates(line) -> tuple[float, float]:
+    """CPU seconds of a version, and its error with the sampling error of few followed samples and surrogates."""
+    return line["preparation, s"] + 1e-3 * FEW * line[EACH], line["error of 6σ"] + line[HALF]
 
 
 def front(lines, samples) -> list:
@@ -246,7 +280,7 @@ def turn_knobs(truths, context) -> pd.DataFrame:
     def of(key) -> dict:
         name, knob, _ = key
         count = truths[name].samples // (2 if knob in TURNED else 1)
-        return measure(scenes[key], deviations[name][:count], context.cache)
+        return measure(scenes[key], deviations[name][:count], context.cache, surrogates=knob == "setting")
 
     found = dict(zip(scenes, context.team.map(of, scenes)))
     return pd.DataFrame(
@@ -328,15 +362,16 @@ def advice(lines, full) -> pd.DataFrame:
                 }
             )
             continue
-        seconds, line, count = found
+        seconds, line, count, sampled, estimator = found
         dear = count * full.iloc[-1]["per sample, s"]
         rows.append(
             {
                 "6σ to": f"{target:.0%}",
                 "run": f"{line['knob']} {line['value']}",
                 "samples": count,
+                "estimator": estimator,
                 "error of 6σ": line["error of 6σ"],
-                "sampling error": sampling_error(count),
+                "sampling error": sampled,
                 "cost, s": seconds,
                 "full solves would take, s": dear,
                 "times cheaper": dear / seconds,
@@ -352,8 +387,8 @@ def in_words(table) -> str:
         + (
             f"{line['run']}."
             if not line["samples"] > 0
-            else f"run {line['run']} with {line['samples']:.0f} samples, {line['cost, s']:.0f} s; full solves would "
-            f"take {line['full solves would take, s'] / 3600:.1f} h, "
+            else f"run {line['run']} with {line['samples']:.0f} {line['estimator']}, {line['cost, s']:.0f} s; full "
+            f"solves of as many samples would take {line['full solves would take, s'] / 3600:.1f} h, "
             f"{line['times cheaper']:.0f} times as much."
         )
         for _, line in table.iterrows()
@@ -376,6 +411,13 @@ def picture(lines, samples):
         kept = front(shown, samples)
         x = [cost(shown.loc[i], samples) for i in kept]
         axis.loglog(x, shown.loc[kept, "error of 6σ"], "k-", lw=1, zorder=1, label="Pareto front")
+        settings = shown[shown["knob"] == "setting"]
+        for mark, words, of in (
+            ("^", f"settings, with the sampling error of {samples} samples alone", lambda line: alone(line, samples)),
+            ("v", f"settings, with that of {FEW} followed samples and surrogates", with_surrogates),
+        ):
+            places = np.array([of(line) for _, line in settings.iterrows()]).reshape(-1, 2)
+            axis.loglog(*places.T, mark, ms=7, mfc="white", color="0.2", label=words, zorder=3)
         for name, limit in LIMITS.items():
             axis.axhline(limit, color="0.6", ls=":", lw=1)
             axis.annotate(
