@@ -9,7 +9,10 @@ import pytest
 from support.pages import unpacked
 from typer.testing import CliRunner
 
+from mic.model.assembly import assemble
 from mic.options import app
+from mic.process.plan import plan_assembly
+from mic.studies.check_results import CheckResults
 from mic.system.foreign_files import ALSO_READ
 
 LAP = Path(__file__).resolve().parents[1] / "meshes" / "lap_joint"
@@ -159,3 +162,26 @@ def test_a_page_that_cannot_be_written_is_no_error_of_the_scene(tmp_path, cache)
     html, _, output = checked(tmp_path, cache)
     assert html == "" and "The scene is valid." in output
     assert "no page: " in output and "name another file with --page" in output
+
+
+@pytest.mark.slow
+def test_a_second_check_solves_nothing_and_a_changed_scene_is_solved(lap_model, cache, monkeypatch):
+    def results(scene):
+        return CheckResults(assemble(scene, cache, check=plan_assembly), cache)
+
+    scene, reseeded = lap_model.scene, lap_model.scene.monte_carlo.model_copy(update={"seed": 5})
+    first = results(scene)
+    samples, page = first.rough_samples(), first.page(["one"], lambda: "ä page")
+    assert first.solvable and samples.solved == samples.count and samples.mean.shape == (2,)
+
+    def refuse(*_):
+        raise NotImplementedError
+
+    monkeypatch.setattr("mic.studies.check_results.few_samples", refuse)
+    again = results(scene)
+    np.testing.assert_equal(vars(again.rough_samples()), vars(samples))
+    assert again.page(["one"], refuse) == page == "ä page"
+    changed = results(scene.model_copy(update={"monte_carlo": reseeded}))
+    for other in (lambda: again.page(["two"], refuse), changed.rough_samples):
+        with pytest.raises(NotImplementedError):
+            other()

@@ -70,6 +70,8 @@ def test_run_check_report(call, output, tmp_path, no_pictures):
     (folder / "report.html").unlink()
     assert "reused" in output("run", scene, "--samples", 12)
     assert (folder / "report.html").is_file()
+    assert "report:" not in output("run", scene, "--samples", 12, "--no-report")
+    assert not (folder / "report.html").exists() and (folder / "summary.json").is_file()
     record = RunFolder(folder).record()
     save_json(folder / "run.json", Format("record of a run", 4, ""), record)
     assert "an older version" in str(call("report", folder).exception)

@@ -44,9 +44,6 @@ from mic.scene import load_scene
 from mic.scene.deviation import deviation_unit
 from mic.studies import pair_convergence
 from mic.studies.check_results import MAX_PAIRS, PATIENCE, CheckResults
-from mic.studies.optimisation.description import describe as optimisation_sentences
-from mic.studies.optimisation.design import Space
-from mic.studies.optimisation.moved_items import check_places
 from mic.studies.thickness import DISTANCE, interpolation_errors
 from mic.system.console import plain
 from mic.system.cores import available_cores
@@ -70,10 +67,7 @@ def check(scene, law, accuracy, converge, normals, overlap, strict, page):
     console.say_step(f"{scene.name}: reading meshes and pairing")
     try:
         assembly = assemble(scene, cache_folder(), progress=console.say_step, check=plan_assembly)
-        plans, optimisation = plan_assembly(assembly), []
-        if scene.optimise is not None:
-            check_places(Space(assembly), assembly)
-            optimisation = optimisation_sentences(assembly)
+        plans, optimisation = plan_assembly(assembly), _optimisation(assembly)
     except SceneError as error:
         parts = loadable_parts(scene, cache_folder())
         warnings = find_warnings_unplaced(scene, parts)
@@ -114,6 +108,18 @@ def check(scene, law, accuracy, converge, normals, overlap, strict, page):
         raise_warnings(warnings)
     _print_warnings(console, warnings)
     console.print(f"[{'yellow' if warnings else 'green'}]{validity(warnings)}[/]")
+
+
+def _optimisation(assembly) -> list[str]:
+    """What `mic optimise` may change, in sentences; refuses places off the parts."""
+    if assembly.scene.optimise is None:
+        return []
+    from mic.studies.optimisation.description import describe  # few scenes have a table `optimise`
+    from mic.studies.optimisation.design import Space
+    from mic.studies.optimisation.moved_items import check_places
+
+    check_places(Space(assembly), assembly)
+    return describe(assembly)
 
 
 def _print_warnings(console, warnings):

@@ -10,7 +10,6 @@ from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
-from scipy.optimize import nnls
 from scipy.spatial import cKDTree
 
 from mic.geometry.pairing.standing_edges import STEEP
@@ -287,6 +286,8 @@ def _beside(points: np.ndarray, at: np.ndarray, direction: np.ndarray) -> float:
     """Distance of a point from the convex hull of others, projected along a direction, mm."""
     if not len(points):
         return np.inf
+    from scipy.optimize import nnls  # slow to import, and warnings are cached
+
     flat = points - at
     flat = flat - np.outer(flat @ direction, direction)
     scale = max(1.0, float(np.abs(flat).max()))

@@ -22,7 +22,6 @@ from dataclasses import replace
 from functools import partial
 
 import numpy as np
-from scipy.optimize import linprog
 from scipy.sparse import csr_matrix, diags, hstack, identity, kron
 
 from mic.compliance.support import completing_rows
@@ -204,6 +203,8 @@ def _balanced(held, pairs, mu, bounds, pushing, size, pressed) -> bool | None:
 
     Unknowns are the forces of the contacts, normals first, then both tangents, those of the rows held, and the loads.
     """
+    from scipy.optimize import linprog  # slow to import, and only resting parts need it
+
     m, others = len(mu), len(held) + len(bounds)
     scale = np.abs(bounds[np.isfinite(bounds)]).max(initial=0.0) or 1.0
     balance = hstack([*(csr_matrix(rows).T for rows in (*pairs, held, pushing))], format="csr")

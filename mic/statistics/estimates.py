@@ -24,7 +24,6 @@ from collections.abc import Callable
 from dataclasses import dataclass, fields
 
 import numpy as np
-from scipy.optimize import brentq
 from scipy.special import betaincinv, chdtri, ndtri, stdtrit
 
 __all__ = [
@@ -220,6 +219,8 @@ def covered_share(n: int, level: float = LEVEL) -> float:
     """
     if n < 2:
         return float("nan")
+    from scipy.optimize import brentq  # slow to import, and only reports need it
+
     return float(brentq(lambda p: n * p ** (n - 1) - (n - 1) * p**n - (1 - level), 0.0, 1.0, xtol=1e-14))
 
 
