@@ -378,6 +378,7 @@ def _cost(assembly, plans, results) -> list[str]:
     sizes = [len(part.functionals) for part in assembly.parts]
     nodes = ", ".join(f"{len(part.surface.points)} nodes" for part in assembly.parts)
     samples, laws = scene.monte_carlo.samples, scene.report.laws
+    most = "at most " * (scene.monte_carlo.accuracy is not None)
     megabytes = 8 * sum(size**2 for size in sizes) / 1e6
     lines = [
         f"one factorisation per part, unless it is cached: {nodes}",
@@ -391,11 +392,11 @@ def _cost(assembly, plans, results) -> list[str]:
         solves = [sum(plan.solves(LAWS[law]) for plan in resolved) for law in laws]
         each = f"({' + '.join(map(str, solves))})" if len(solves) > 1 else str(solves[0])
         lines.append(
-            f"{samples} samples × {each} contact solves ({', '.join(laws)}) = {samples * sum(solves)} solves of "
+            f"{most}{samples} samples × {each} contact solves ({', '.join(laws)}) = {samples * sum(solves)} solves of "
             f"{contacts.dimension * len(contacts)} unknowns" + ", and more along followed load paths" * followed
         )
     else:
-        lines.append(f"{samples} samples × {len(laws)} laws, no contact to resolve")
+        lines.append(f"{most}{samples} samples × {len(laws)} laws, no contact to resolve")
     if any(item.kind in ("friction", "thickness") and item.sigma for item in scene.deviations):
         lines.append("friction or thickness varies: each sample needs its own model, which takes many times as long")
     expected = str(forecast(assembly, laws, samples, available_cores()))
