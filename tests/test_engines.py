@@ -188,9 +188,16 @@ def test_an_engine_is_chosen_by_name_and_a_wrong_one_is_refused(monkeypatch):
         choose("dask")
 
 
-def test_a_dask_cluster_does_every_task_and_raises_errors():
+def test_a_dask_cluster_does_every_task_also_of_a_killed_worker_and_raises_errors(tmp_path):
     pytest.importorskip("distributed", reason="Dask is not installed")
-    engine = choose("dask")
-    assert finished(engine, pickle.dumps, ["a", "b", "c"]) == {i: pickle.dumps(x) for i, x in enumerate("abc")}
+    engine, once = choose("dask"), tmp_path / "once"
+
+    def killed(task):
+        if task == "b" and not once.exists():
+            once.touch()
+            os.kill(os.getpid(), signal.SIGKILL)
+        return pickle.dumps(task)
+
+    assert finished(engine, killed, "abc") == {i: pickle.dumps(x) for i, x in enumerate("abc")} and once.exists()
     with pytest.raises(AttributeError):
         finished(engine, pickle.dumps, ["a", lambda: None])

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass, replace
 from typing import Any, Generic, TypeVar, cast
@@ -154,13 +154,11 @@ def monte_carlo(
         reused[law] += count
         advance(law, count)
     evaluate = _Evaluate(model, seed, sink)
-    for law in laws:
-        model.process(law, backend=model.scene.monte_carlo.backend)  # raises, before any worker starts
     if not missing:
         return reused
-    begun, seconds = evaluate.first_samples(missing[0])
-    seconds = on_first(world, lambda: seconds)  # all ranks must divide the blocks alike
-    planned = _without(pieces(missing, engine.workers, seconds), missing[0], len(begun.deviations))
+    # One process compiles what is not in Numba's cache, and loads it before workers are forked.
+    begun, seconds = on_first(world, lambda: evaluate.first_samples(missing))
+    planned = _without(pieces(missing, engine.workers, seconds), begun)
     joining: dict[Block, dict[int, Evaluation]] = {}
 
     def join(block: Block, first: int, evaluation: Evaluation) -> None:
@@ -174,8 +172,9 @@ def monte_carlo(
     expected = seconds * sum(piece.count for piece in planned)
     if world is None or world.rank == 0:
         (expect or _ignore)(expected / engine.workers)
-        join(missing[0], missing[0][1], begun)
-        advance(missing[0][0], len(begun.deviations))
+        for block, evaluation in begun.items():
+            join(block, block[1], evaluation)
+            advance(block[0], len(evaluation.deviations))
     with closing(engine.completed(evaluate, planned, expected)) as completed:
         for number, result in completed:
             piece = planned[number]
@@ -191,16 +190,15 @@ def _ignore(*_: Any) -> None:
     """Do nothing, in place of a callback that the caller did not give."""
 
 
-def _without(planned: Sequence[Piece], block: Block, count: int) -> list[Piece]:
-    """The pieces without the first samples of a block."""
-    start = block[1] + count
-    cut = [
-        replace(piece, first=max(piece.first, start), count=piece.first + piece.count - max(piece.first, start))
-        if piece.block == block
-        else piece
-        for piece in planned
-    ]
-    return [piece for piece in cut if piece.count > 0]
+def _without(planned: Sequence[Piece], begun: Mapping[Block, Evaluation]) -> list[Piece]:
+    """The pieces without the samples with which some blocks are begun."""
+    found = []
+    for piece in planned:
+        evaluated = len(begun[piece.block].deviations) if piece.block in begun else 0
+        first, end = max(piece.first, piece.block[1] + evaluated), piece.first + piece.count
+        if first < end:
+            found.append(replace(piece, first=first, count=end - first))
+    return found
 
 
 class _Evaluate(Generic[T]):
@@ -219,18 +217,21 @@ class _Evaluate(Generic[T]):
         evaluation = self._evaluation(piece.law, piece.first, piece.count)
         return self._sink(piece.law, piece.first, evaluation) if piece.whole else evaluation
 
-    def first_samples(self, block: Block) -> tuple[Evaluation, float]:
-        """Up to two samples of a block, and the duration of the last one, s.
+    def first_samples(self, missing: Sequence[Block]) -> tuple[dict[Block, Evaluation], float]:
+        """Evaluations of the first sample of each law and one more, by block, and the duration of that one, s.
 
-        The first one loads and compiles code, which forked workers then inherit.
+        The first sample under each law loads or compiles code; so it is not timed if there is another.
         """
-        law, first, count = block
-        found, seconds = [], 0.0
-        for number in range(first, first + min(count, 2)):
+        begun: dict[Block, Evaluation] = {}
+        start = time.perf_counter()
+        for law in dict.fromkeys(block[0] for block in missing):
+            block = next(block for block in missing if block[0] == law)
+            begun[block] = self._evaluation(law, block[1], 1)
+        law, first, count = missing[0]
+        if count > 1:
             start = time.perf_counter()
-            found.append(self._evaluation(law, number, 1))
-            seconds = time.perf_counter() - start
-        return Evaluation.join(found), seconds
+            begun[missing[0]] = Evaluation.join([begun[missing[0]], self._evaluation(law, first + 1, 1)])
+        return begun, time.perf_counter() - start
 
     def _evaluation(self, law: str, first: int, count: int) -> Evaluation:
         process = self._model.process(law, backend=self._model.scene.monte_carlo.backend)
