@@ -7,7 +7,7 @@ import pytest
 from scipy.special import ndtr, ndtri
 from scipy.stats import norm, qmc
 
-from mic.statistics.control_variate import FOLDS, LEAST, surrogate_estimates
+from mic.statistics.control_variate import FOLDS, LEAST, LEAST_ALONE, surrogate_estimates
 from mic.statistics.surrogate import best_surrogate
 
 P = 3
@@ -39,7 +39,7 @@ def hinge_moments(start: float = 0.5) -> tuple[float, float]:
     return mean, np.sqrt(variance)
 
 
-@pytest.mark.parametrize("n", [LEAST, 100])
+@pytest.mark.parametrize("n", [LEAST_ALONE, 200])
 def test_linear_outputs_are_exact(n):
     x = normal(np.random.default_rng(1), n)
     found = surrogate_estimates(x, 2.0 + x @ np.array([[1.0], [2.0], [2.0]]), population(4096))
@@ -61,7 +61,7 @@ def test_intervals_cover_a_kink(cheap, times):
     mean, sigma = hinge_moments()
     cpk = (3.0 - mean) / (3 * sigma)
     points, rng, covered, widths = population(), np.random.default_rng(5), [], []
-    n = 40 if cheap else 60
+    n = LEAST if cheap else LEAST_ALONE
     for _ in range(times):
         x = normal(rng, n + cheap)
         y, o = hinge(x[:n]), hinge(x, 0.6, 0.8)
@@ -80,7 +80,7 @@ def test_estimates_are_unbiased():
     mean, sigma = hinge_moments(1.0)
     points, rng, found = population(), np.random.default_rng(7), []
     for _ in range(200):
-        x = normal(rng, LEAST)
+        x = normal(rng, LEAST_ALONE)
         estimates = surrogate_estimates(x, hinge(x, 1.0), points)
         found.append([estimates.mean().value[0] - mean, estimates.sigma().value[0] ** 2 - sigma**2])
     scatter = np.std(found, axis=0) / np.sqrt(len(found))
@@ -94,17 +94,17 @@ def test_rare_jumps_of_the_cheap_model_widen_the_interval():
     jump = (x[:, 1] > ndtri(0.99)).astype(float)
     jump[:50], x[:50, 1] = 0.0, np.minimum(x[:50, 1], 2.0)
     y, points = (x[:, 0] + 3.0 * jump)[:, None], population(2048)
-    alone = surrogate_estimates(x[:50], y[:50], points).sigma()
     with_cheap = surrogate_estimates(x[:50], y[:50], points, (x, 0.9 * y)).sigma()
     truth = np.sqrt(1 + 9 * 0.01 * 0.99)
-    assert alone.high[0] < truth  # nothing can tell
+    without = surrogate_estimates(x[:50], y[:50], points, (x[:50], 0.9 * y[:50])).sigma()
+    assert without.high[0] < truth  # nothing can tell
     assert with_cheap.low[0] < truth < with_cheap.high[0]
 
 
 def test_an_output_without_a_pattern_is_called_plain():
     rng = np.random.default_rng(2)
-    x = normal(rng, 60)
-    found = surrogate_estimates(x, np.column_stack([x[:, 0], rng.standard_normal(60)]), population())
+    x = normal(rng, 100)
+    found = surrogate_estimates(x, np.column_stack([x[:, 0], rng.standard_normal(100)]), population())
     assert found.kind[0] != "plain"
     assert found.kind[1] == "plain"
     assert found.at([1]).mean().value == found.mean().value[1:]
@@ -112,14 +112,15 @@ def test_an_output_without_a_pattern_is_called_plain():
 
 def test_failed_samples_and_constant_inputs_are_left_out():
     rng = np.random.default_rng(3)
-    x = np.column_stack([normal(rng, 60), np.full(60, 7.0)])
+    x = np.column_stack([normal(rng, 120), np.full(120, 7.0)])
     y = x[:, :1].copy()
     y[3] = np.nan
     points = np.concatenate([population(), np.full((FOLDS, 512, 1), 7.0)], axis=2)
     found = surrogate_estimates(x, y, points)
-    assert found.samples == 59
+    assert found.samples == 119
     assert found.sigma().value == pytest.approx([1.0], rel=0.02)
-    assert surrogate_estimates(x[: LEAST - 1], y[: LEAST - 1], points) is None
+    assert surrogate_estimates(x[:LEAST_ALONE], y[:LEAST_ALONE], points) is None  # 99 of them
+    assert surrogate_estimates(x[: LEAST - 1], y[: LEAST - 1], points, (x, y)) is None
     assert surrogate_estimates(x[:, 3:], y, points[:, :, 3:]) is None
 
 

@@ -6,16 +6,18 @@ of the samples alone, and so does one that so many samples know better.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from mic.results.output_samples import Key, OutputSamples
 from mic.statistics import draw, estimates
-from mic.statistics.control_variate import FOLDS, LEAST, SurrogateEstimates, surrogate_estimates
+from mic.statistics.control_variate import FOLDS, LEAST, LEAST_ALONE, SurrogateEstimates, surrogate_estimates
 from mic.statistics.estimates import Estimate, Moments
 
-__all__ = ["Improved", "improve"]
+__all__ = ["Improved", "improve", "population"]
 
 POINTS = 8192  # of the population of each fold
 
@@ -49,7 +51,13 @@ def population(scene) -> np.ndarray:
     return draw.population(scene, scene.monte_carlo.seed, FOLDS, POINTS)
 
 
-def improve(scene, samples: OutputSamples, total: int, one_step: OutputSamples | None = None) -> Improved | None:
+def improve(
+    scene,
+    samples: OutputSamples,
+    total: int,
+    one_step: OutputSamples | None = None,
+    points: Callable[[Any], np.ndarray] = population,
+) -> Improved | None:
     """Estimates from the samples of a law; None for few samples, or if the scene gives or groups them.
 
     Parameters
@@ -61,9 +69,12 @@ def improve(scene, samples: OutputSamples, total: int, one_step: OutputSamples |
         Number of all valid samples.
     one_step : OutputSamples, optional
         Of the same law in one step, in ascending order: these and further ones.
+    points : callable, optional
+        Returns the :func:`population` of a scene.
     """
     drawn = scene.monte_carlo.values is None and scene.monte_carlo.design == "independent"
-    if not drawn or not scene.deviations or len(samples.y) < LEAST or not samples.keys:
+    needed = LEAST_ALONE if one_step is None else LEAST
+    if not drawn or not scene.deviations or len(samples.y) < needed or not samples.keys:
         return None
     cheap = None
     if one_step is not None:
@@ -74,7 +85,7 @@ def improve(scene, samples: OutputSamples, total: int, one_step: OutputSamples |
         o = np.where(known[:, None], one_step.y[np.minimum(place, len(one_step.y) - 1)], np.nan)
         further = ~np.isin(one_step.numbers, samples.numbers)
         cheap = np.concatenate([samples.x, one_step.x[further]]), np.concatenate([o, one_step.y[further]])
-    found = surrogate_estimates(samples.x, samples.y, population(scene), cheap)
+    found = surrogate_estimates(samples.x, samples.y, points(scene), cheap)
     if found is None:
         return None
     better = np.array([kind != "plain" for kind in found.kind])

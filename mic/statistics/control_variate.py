@@ -13,9 +13,13 @@ c(x)``, where ô and c are surrogates; without, ``p = h = c``. Everything is fit
 [2]_), the choice of the surrogate included. So the estimates are unbiased for any fit, and choosing the best surrogate
 does not make the intervals too narrow. β is 1 unless the samples show otherwise.
 
-Standard errors are those of the differences. To each level two samples are added that deviate as much as the farthest
+Standard errors are those of the differences. A sample also enters the surrogates that its neighbours judge. A local
+surrogate, a spline, is changed by it where about one other sample judges, but that number scatters by about one, which
+doubles the variance. To each level two samples are added that deviate as much as the farthest
 one, and at the upper level at least half as much as a sample of the cheap model does from its surrogate: few samples
-miss rare jumps, which many cheap ones show. Student's t has a degree of freedom less than there are folds.
+miss rare jumps, which many cheap ones show. Student's t has a degree of freedom less than there are folds. What fewer
+than 3 of n assemblies do may be unseen in all samples, and no interval holds it; therefore more samples are needed
+without a cheap model.
 
 Shares and quantiles are those of ``h`` plus the held-out errors ``y - h``, scaled to the estimated mean and σ. Their
 intervals take the uncertainty of the mean and of σ at the limit, the error of the surrogate near it (of one sample
@@ -42,9 +46,9 @@ from scipy.special import ndtri, stdtrit
 from mic.statistics.estimates import LEVEL, Estimate
 from mic.statistics.surrogate import best_surrogate, linear_functions
 
-__all__ = ["FOLDS", "LEAST", "SurrogateEstimates", "surrogate_estimates"]
+__all__ = ["FOLDS", "LEAST", "LEAST_ALONE", "SurrogateEstimates", "surrogate_estimates"]
 
-LEAST = 32  # samples of the model
+LEAST, LEAST_ALONE = 32, 100  # samples of the model, with a cheap model and without
 FOLDS = 8
 ADDED = 2  # samples as far as the farthest
 UNSEEN = 0.5  # of the largest error of the cheap model's surrogate: error of the cheap model that no sample shows
@@ -66,6 +70,8 @@ class _Sum(NamedTuple):
         Half the difference between the halves of the population of each fold, times the weight of the fold.
     unseen : (k,) array
         Contribution of a jump that no sample shows.
+    local : (k,) array
+        Share of the folds whose surrogate is local, a spline.
     """
 
     value: np.ndarray
@@ -73,24 +79,27 @@ class _Sum(NamedTuple):
     lower: np.ndarray
     halves: np.ndarray
     unseen: np.ndarray
+    local: np.ndarray
 
     def times(self, factor) -> _Sum:
         """The contributions times a factor (k,)."""
-        value, upper, lower, halves, _ = (factor * item for item in self)
-        return _Sum(value, upper, lower, halves, np.abs(factor) * self.unseen)
+        value, upper, lower, halves, _, _ = (factor * item for item in self)
+        return _Sum(value, upper, lower, halves, np.abs(factor) * self.unseen, self.local)
 
     def plus(self, other: _Sum) -> _Sum:
-        return _Sum(*(mine + its for mine, its in zip(self, other)))
+        """The sum with another quantity of the same samples."""
+        return _Sum(*(mine + its for mine, its in zip(self, other)))._replace(local=self.local)
 
     @property
     def error(self) -> np.ndarray:
         """(k,) standard error."""
         variance = (self.halves**2).sum(axis=0)
-        for part, least in ((self.upper, self.unseen), (self.lower, 0.0)):
+        for part, least, local in ((self.upper, self.unseen, self.local), (self.lower, 0.0, 1.0)):
             if len(part) > 1:
                 square = (part - part.mean(axis=0)) ** 2
                 farthest = np.maximum(square.max(axis=0), np.square(least))
-                variance = variance + len(part) / (len(part) - 1) * (square.sum(axis=0) + ADDED * farthest)
+                own = len(part) / (len(part) - 1) * (square.sum(axis=0) + ADDED * farthest)
+                variance = variance + (1 + local) * own
         return np.sqrt(variance)
 
 
@@ -101,7 +110,8 @@ class SurrogateEstimates:
     Attributes
     ----------
     kind : list of str
-        By output, the surrogate of most folds: ``"plain"`` (none), ``"linear"``, ``"quadratic"`` or ``"spline"``, after
+        By output, the surrogate of most folds: ``"plain"`` (none, or the variance is not known), ``"linear"``,
+        ``"quadratic"`` or ``"spline"``, after
         ``"one-step, "`` with the cheap model.
     explained : (k,) array
         Share of the variance that the surrogate explains.
@@ -284,7 +294,7 @@ def surrogate_estimates(
     Returns
     -------
     SurrogateEstimates or None
-        None for fewer than :data:`LEAST` samples, or inputs without spread.
+        None for fewer than :data:`LEAST` samples, :data:`LEAST_ALONE` without a cheap model, or inputs without spread.
     """
     valid = np.isfinite(y).all(axis=1)
     o, further_x, further_o = np.zeros((len(y), 0)), x[:0], y[:0]
@@ -296,7 +306,7 @@ def surrogate_estimates(
     x, y, o = x[valid], y[valid], o[valid]
     centre, spread = population.mean(axis=(0, 1)), population.std(axis=(0, 1))
     varying = spread > 0
-    if len(y) < LEAST or not varying.any():
+    if len(y) < (LEAST if cheap else LEAST_ALONE) or not varying.any():
         return None
     x, further_x, points = ((z[..., varying] - centre[varying]) / spread[varying] for z in (x, further_x, population))
     return _Folds(x, y, o, further_x, further_o, points).estimates()
@@ -335,11 +345,12 @@ class _Folds:
         variance = self._mean_of(lambda value: (value - mean.value) ** 2)
         with np.errstate(divide="ignore", invalid="ignore"):
             explained = 1 - (self.y - self.p).var(axis=0) / variance.value
-        kind = [Counter(names).most_common(1)[0][0] for names in zip(*self.kinds)]
+        known = variance.value > variance.error
+        kinds = (Counter(names).most_common(1)[0][0] for names in zip(*self.kinds))
+        kind = [name if certain else "plain" for name, certain in zip(kinds, known)]
         errors = self.y - self.h
-        farthest = np.maximum(
-            np.abs(errors).max(axis=0), UNSEEN * self._largest(self.p - self.h, self.further_p - self.further_h)
-        )
+        unseen = self._unseen(np.concatenate([self.p - self.h, self.further_p - self.further_h]))
+        farthest = np.maximum(np.abs(errors).max(axis=0), unseen)
         ordered, points = np.sort(np.moveaxis(self.population, 2, 0), axis=2), self.population.astype(np.float32)
         return SurrogateEstimates(
             kind, explained, len(self.y), self.cheap, mean, variance, ordered, points, errors, farthest, self.fold
@@ -354,12 +365,14 @@ class _Folds:
         further_below = function(self.further_p) - function(self.further_h)
         upper, lower = above / n + below / total, further_below / total
         value = (weight * (first + second) / 2).sum(axis=0) + upper.sum(axis=0) + lower.sum(axis=0)
-        unseen = UNSEEN * self._largest(below, further_below) / n
-        return _Sum(value, upper, lower, weight * (first - second) / 2, unseen)
+        unseen = self._unseen(np.concatenate([below, further_below])) / n
+        local = np.mean([[name.endswith("spline") for name in names] for names in self.kinds], axis=0)
+        return _Sum(value, upper, lower, weight * (first - second) / 2, unseen, local)
 
     @staticmethod
-    def _largest(*parts: np.ndarray) -> np.ndarray:
-        return np.abs(np.concatenate(parts)).max(axis=0)
+    def _unseen(below: np.ndarray) -> np.ndarray:
+        """(k,) difference y - p of a sample that none of the n is like, from those of the lower level."""
+        return UNSEEN * np.abs(below).max(axis=0)
 
 
 def _fit(x, y, o, known) -> tuple[Callable, Callable, list[str]]:

@@ -1,7 +1,8 @@
 """Surrogates of a model from few evaluated samples, each with its leave-one-out errors.
 
 A surrogate is chosen by output: the one with the least leave-one-out errors, of the mean, a linear and a quadratic
-function (least squares), and a smoothing spline (:class:`mic.statistics.emulator.Emulator`).
+function (least squares), and a smoothing spline (:class:`mic.statistics.emulator.Emulator`). It is limited to three
+times the range of the samples, since quadratic functions and splines of few samples go far astray in the tails.
 """
 
 from __future__ import annotations
@@ -58,10 +59,13 @@ def best_surrogate(x: np.ndarray, y: np.ndarray) -> Surrogate:
     names = list(candidates)
     squares = np.array([candidates[name][0] for name in names])
     chosen = squares.argmin(axis=0)
+    least, most = y.min(axis=0), y.max(axis=0)
+    reach = most - least
 
     def predict(x: np.ndarray) -> np.ndarray:
         values = {i: candidates[names[i]][1](x) for i in set(chosen.tolist())}
-        return np.column_stack([values[i][:, k] for k, i in enumerate(chosen.tolist())])
+        y = np.column_stack([values[i][:, k] for k, i in enumerate(chosen.tolist())])
+        return np.clip(y, least - reach, most + reach)
 
     return Surrogate([names[i] for i in chosen], squares.min(axis=0), predict)
 
