@@ -1,7 +1,7 @@
 """Statistics of a run with surrogates and, where the path is followed, with samples in one step.
 
-See :mod:`mic.statistics.control_variate`. An output for which no surrogate is better than the mean keeps the estimates
-of the samples alone, and so does one that so many samples know better.
+See :mod:`mic.statistics.control_variate`. An output keeps the estimates of the samples alone if the surrogate explains
+less than half of its variance, or if so many samples know better.
 """
 
 from __future__ import annotations
@@ -19,7 +19,8 @@ from mic.statistics.estimates import Estimate, Moments
 
 __all__ = ["Improved", "improve", "population"]
 
-POINTS = 8192  # of the population of each fold
+POINTS = 4096  # of the population of each fold
+USEFUL = 0.5  # share of the variance that a surrogate explains, at least
 
 
 @dataclass(frozen=True)
@@ -88,7 +89,7 @@ def improve(
     found = surrogate_estimates(samples.x, samples.y, points(scene), cheap)
     if found is None:
         return None
-    better = np.array([kind != "plain" for kind in found.kind])
+    better = np.array([kind != "plain" for kind in found.kind]) & (found.explained >= USEFUL)
     if total > len(samples.y):
         shrink = np.sqrt(len(samples.y) / total)
         better &= _width(found.sigma()) < shrink * _width(estimates.sigma(Moments.of(samples.y)))
