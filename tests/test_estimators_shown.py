@@ -56,13 +56,13 @@ def test_the_share_outside_any_limit_is_between_the_largest_and_the_sum_of_the_c
 
 def test_the_report_says_from_what_the_estimates_are_and_what_may_be_unseen(outcome, no_pictures):
     assert sample_count(outcome, "coulomb") == "50 followed samples and 450 in one step"
-    assert sample_count(outcome, "frictionless") == "50 samples"
+    assert sample_count(outcome, "frictionless") == "50 samples and 450 in one step"
     followed, frictionless = estimator_sentences(outcome)
     assert followed.startswith("coulomb: 50 followed samples and 450 in one step. Mean, 6σ, Cp, Cpk and share outside")
     assert "by the samples in one step, corrected by a" in followed and "of the variance" in followed
     assert "fewer than 6.0 % of the assemblies may be unseen in 50 followed samples" in followed
     assert "those in one step show it from 0.7 % on, unless it comes from the load path" in followed
-    assert "may be unseen in 50 samples." in frictionless
+    assert "may be unseen in 50 samples; those in one step" in frictionless
     page = write_report(outcome.folder, outcome).read_text(encoding="utf-8")
     assert followed in page and frictionless in page
     own = outcome.measurement_headlines.iloc[0]

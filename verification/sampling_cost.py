@@ -10,11 +10,11 @@ import numpy as np
 import pandas as pd
 from scipy.stats import norm
 
-from mic.contact.laws import LAWS
 from mic.process.model import ReducedModel
 from mic.results.improved import improve
 from mic.results.output_samples import OutputSamples
 from mic.runs import IN_ONE_STEP
+from mic.statistics.control_variate import LEAST_ALONE
 from mic.statistics.draw import draw
 from mic.statistics.estimates import LEVEL, six_sigma
 from verification.budget import values
@@ -32,20 +32,22 @@ class SamplingCost:
     Attributes
     ----------
     half : float
-        Largest half-width of the 95 % interval of a leading 6σ by :data:`FEW` followed samples, relative to it; NaN
-        without surrogates.
+        Largest half-width of the 95 % interval of a leading 6σ, relative to it; NaN without surrogates.
     each : float
         CPU seconds per followed sample, including its samples in one step.
+    used : int
+        Followed samples with this half-width, fewer than which a run does not use.
     """
 
     half: float = math.nan
     each: float = math.nan
+    used: int = FEW
 
     def samples(self, target: float) -> float:
         """Followed samples for a half-width: it falls at least with their square root. NaN without surrogates."""
         if not (self.half == self.half and target > 0):
             return math.nan
-        return max(FEW, math.ceil(FEW * (self.half / target) ** 2))
+        return max(self.used, math.ceil(self.used * (self.half / target) ** 2))
 
     def cheapest(self, target: float, each: float) -> tuple[float, int, str]:
         """CPU seconds, followed samples and estimator of the cheaper way to a half-width.
@@ -77,14 +79,14 @@ def leading(six_sigma: pd.Series) -> pd.Index:
 
 def measure_sampling(model: ReducedModel, law: str, seed: int) -> SamplingCost:
     """Evaluate the first followed samples of a scene, and its samples in one step, as a run with an accuracy does."""
-    x = draw(model.scene, seed, 0, (1 + IN_ONE_STEP) * FEW)
-    own, seconds = _evaluated(model, law, x[:FEW])
-    one_step = model.one_step if LAWS[law].followed and model.contacts.dimension == 3 else None
-    cheap = None
+    one_step = model.one_step if len(model.contacts) else None
+    used, cheap = FEW if one_step is not None else LEAST_ALONE, None
+    x = draw(model.scene, seed, 0, (1 + IN_ONE_STEP) * used)
+    own, seconds = _evaluated(model, law, x[:used])
     if one_step is not None:
         frame, more = _evaluated(one_step, law, x)
         cheap, seconds = _outputs(x, frame), seconds + more
-    improved = improve(model.scene, _outputs(x[:FEW], own), FEW, cheap)
+    improved = improve(model.scene, _outputs(x[:used], own), used, cheap)
     names = leading(6 * own.std(ddof=1))
     if improved is None or not len(names):
         return SamplingCost()
@@ -93,7 +95,7 @@ def measure_sampling(model: ReducedModel, law: str, seed: int) -> SamplingCost:
         k = improved.index((name,))
         best = six_sigma(own[name].to_numpy()) if k is None else found.at(k)
         halves.append(float((best.high - best.low) / (2 * best.value)))
-    return SamplingCost(max(halves), seconds / FEW)
+    return SamplingCost(max(halves), seconds / used, used)
 
 
 def _evaluated(model: ReducedModel, law: str, x: np.ndarray) -> tuple[pd.DataFrame, float]:

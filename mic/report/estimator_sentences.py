@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from mic.contact.laws import LAWS
 from mic.report.style import percent
 from mic.results.outcome import Outcome
 
@@ -21,7 +22,7 @@ def sample_count(outcome: Outcome, law: str) -> str:
     improved, samples = outcome.improved(law), len(outcome.sample_numbers(law))
     if improved is None or not improved.estimates.cheap_samples:
         return f"{samples} sample{'s' * (samples != 1)}"
-    return f"{samples} followed samples and {improved.estimates.cheap_samples} in one step"
+    return f"{samples}{_followed(law)} samples and {improved.estimates.cheap_samples} in one step"
 
 
 def estimator_sentences(outcome: Outcome) -> list[str]:
@@ -79,5 +80,9 @@ def _unseen(outcome: Outcome, law: str) -> str:
     share, beyond = percent(min(1.0, UNSEEN / samples), 1), ""
     if cheap:
         beyond = f"; those in one step show it from {percent(UNSEEN / cheap, 1)} on, unless it comes from the load path"
-    followed = " followed" * (cheap > 0)
-    return f"Behaviour of fewer than {share} of the assemblies may be unseen in {samples}{followed} samples{beyond}."
+    among = f"{samples}{_followed(law) * (cheap > 0)} samples"
+    return f"Behaviour of fewer than {share} of the assemblies may be unseen in {among}{beyond}."
+
+
+def _followed(law: str) -> str:
+    return " followed" * LAWS[law].followed

@@ -21,6 +21,7 @@ from mic.results import statistic_tables
 from mic.results.block_samples import BlockSamples
 from mic.results.block_statistics import Accumulator
 from mic.results.headline import headline
+from mic.results.improved import Improved
 from mic.results.required_accuracy import Uncertainty, largest_uncertainty
 from mic.results.run_folder import Block, RunFolder
 from mic.results.run_identity import differences, inputs
@@ -95,10 +96,13 @@ class BlockCache:
     Attributes
     ----------
     tables : dict of Block to dict of str to DataFrame
+    estimates : dict of (str, int) to Improved
+        By law and number of samples.
     """
 
     def __init__(self, size: int = CACHE_SIZE) -> None:
         self.tables: dict[Block, Mapping[str, pd.DataFrame]] = {}
+        self.estimates: dict[tuple[str, int], Improved | None] = {}
         self._free = size  # bytes
         self._waiting: dict[tuple[str, int], tuple[Block, Accumulator]] = {}  # by law and first sample
         self._merged: dict[str, tuple[list[Block], Accumulator]] = {}
@@ -182,7 +186,8 @@ def read_outcome(folder, model: ReducedModel | None = None, cached: BlockCache |
                 if size <= (free - CACHE_SIZE // 2 if name == "contacts" else free):
                     cached_tables[block][name], free = frame, free - size
             del tables, statistics  # frees memory before the next block
-    return Outcome(store.path, record, model, blocks, accumulators, tuple(damaged), cached_tables)
+    estimates = cached.estimates if cached else {}
+    return Outcome(store.path, record, model, blocks, accumulators, tuple(damaged), cached_tables, estimates)
 
 
 def _model(store: RunFolder, record: Mapping[str, Any]) -> ReducedModel:

@@ -22,7 +22,7 @@ from mic.errors import FormatError, RunError, StorageError
 from mic.process.model import ReducedModel
 from mic.results.block_samples import BlockSamples
 from mic.results.block_statistics import Accumulator
-from mic.results.improved import Improved, improve
+from mic.results.improved import Improved, improve, population
 from mic.results.output_samples import OutputSamples
 from mic.results.path_effect import PathStudy
 from mic.results.run_folder import Block, RunFolder
@@ -56,6 +56,8 @@ class RunSamples:
         One sentence for each block that could not be read.
     cached_tables : dict of Block to dict of str to DataFrame
         Cached tables of the first blocks, by name.
+    cached_estimates : dict of (str, int) to Improved
+        Cached results of :meth:`improved` by law and number of samples.
     """
 
     folder: Path
@@ -65,6 +67,7 @@ class RunSamples:
     accumulators: Mapping[str, Accumulator]
     damaged: tuple[str, ...] = ()
     cached_tables: Mapping[Block, Mapping[str, pd.DataFrame]] = field(default_factory=dict, repr=False)
+    cached_estimates: dict[tuple[str, int], Improved | None] = field(default_factory=dict, repr=False)
 
     @property
     def laws(self) -> list[str]:
@@ -109,15 +112,18 @@ class RunSamples:
 
     def improved(self, law: str) -> Improved | None:
         """Estimates of a law with surrogates, cached; None without (:func:`mic.results.improved.improve`)."""
-        if law not in self._improved:
-            outputs, number = self.accumulators[law].outputs, len(self.sample_numbers(law))
+        outputs, number = self.accumulators[law].outputs, len(self.sample_numbers(law))
+        if (law, number) not in self.cached_estimates:
             one_step = OutputSamples.union(RunFolder(self.folder).one_step(law, self.record["identity"]).values())
-            self._improved[law] = None if outputs is None else improve(self.model.scene, outputs, number, one_step)
-        return self._improved[law]
+            points = lambda scene: self._population
+            found = None if outputs is None else improve(self.model.scene, outputs, number, one_step, points)
+            self.cached_estimates[law, number] = found
+        return self.cached_estimates[law, number]
 
     @cached_property
-    def _improved(self) -> dict[str, Improved | None]:
-        return {}
+    def _population(self) -> np.ndarray:
+        """Points of the deviations' distribution, the same under all laws."""
+        return population(self.model.scene)
 
     @property
     def together(self) -> int:
