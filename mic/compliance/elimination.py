@@ -165,7 +165,13 @@ class _SupportedRows:
 class _BilateralRows:
     """Bilateral rows, split into the support A and the independent rows R among the rest, with H_RR factorised."""
 
-    def __init__(self, compliance: Blocks, rows: csr_matrix, yielding: np.ndarray | None, multiply):
+    def __init__(
+        self,
+        compliance: Blocks,
+        rows: csr_matrix,
+        yielding: np.ndarray | None,
+        multiply: Callable[[np.ndarray, np.ndarray], np.ndarray],
+    ):
         self._compliance, self._count, self._multiply = compliance, rows.shape[0], multiply
         rigid = compliance.rigid(rows)
         self._support = support = statically_determinate(rigid, motion_size(compliance.G))

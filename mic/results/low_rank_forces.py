@@ -9,6 +9,7 @@ union.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -16,7 +17,7 @@ import numpy as np
 
 from mic.system.matrix_product import one_thread
 
-__all__ = ["CentredForces", "CompressedForces", "ForceAccumulator"]
+__all__ = ["CentredForces", "CompressedForces", "ForceAccumulator", "pack_forces", "unpack_forces"]
 
 BUFFER = 8_000_000  # bytes of uncompressed samples, by part and law
 ROUNDING = 1e-13  # singular values below this share of the largest are dropped, columns scaled to unit norm
@@ -140,6 +141,21 @@ class CentredForces:
     def motion(self) -> np.ndarray:
         """(r, 6) array."""
         return self.rows[:, -6:]
+
+
+def pack_forces(arrays: Mapping[str, np.ndarray]) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
+    """Header and arrays of ``force`` (n, F) and ``motion``, without the many functionals that carry no force."""
+    force = np.ascontiguousarray(arrays["force"])
+    loaded = np.flatnonzero(force.view(np.int64).any(axis=0))  # keeps the sign of zeros
+    stored = {"functional": loaded, "functionals": np.array(force.shape[1])}
+    return {}, {**arrays, "force": force[:, loaded], **stored}
+
+
+def unpack_forces(arrays: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """``force`` (n, F) and ``motion`` of :func:`pack_forces`."""
+    force = np.zeros((len(arrays["force"]), int(arrays["functionals"])))
+    force[:, arrays["functional"]] = arrays["force"]
+    return {"force": force, "motion": arrays["motion"]}
 
 
 def _with_ones(force: np.ndarray, motion: np.ndarray) -> np.ndarray:

@@ -45,7 +45,7 @@ import pandas as pd
 from mic.compliance.part import Part
 from mic.errors import FormatError, RunError
 from mic.results.contact_sums import ContactSums
-from mic.results.low_rank_forces import CompressedForces
+from mic.results.low_rank_forces import CompressedForces, pack_forces, unpack_forces
 from mic.results.output_samples import OutputSamples
 from mic.results.parquet import read_identity, read_names, read_table, write_table
 from mic.results.run_identity import NOT_INSTALLED, differences, installed_version, program_version
@@ -96,7 +96,7 @@ _RUN = Format("record of a run", 5, _AGAIN)
 _PARTS = Format("set of parts", 5, _AGAIN)
 _FORMATS = {
     SUMS: Format("sums of a block", 2, _AGAIN),
-    FORCES: Format("block of forces", 1, _AGAIN),
+    FORCES: Format("block of forces", 2, _AGAIN),
     CONDENSED: Format("block of condensed forces", 2, _AGAIN),
     ONE_STEP: Format("block of samples in one step", 1, _AGAIN),
 }
@@ -370,12 +370,12 @@ class RunFolder:
         tables : dict of str to DataFrame
             The datasets of :data:`mic.results.schema.DATASETS`.
         arrays : dict of Table, optional
-            By :data:`mic.results.schema.FORCES`: arrays as declared. By ``SUMS``: the `ContactSums` that replace
-            the contact pairs. By ``CONDENSED``: the `CompressedForces` that replace the forces, by part.
+            By :data:`mic.results.schema.FORCES`: `force` (n, F) and `motion` (n, 6P). By ``SUMS``: the `ContactSums`
+            that replace the contact pairs. By ``CONDENSED``: the `CompressedForces` that replace the forces, by part.
         """
         with together() as group:
             for table, content in (arrays or {}).items():
-                packed, stored = ({}, content) if table == FORCES else pack(content, {})
+                packed, stored = pack_forces(content) if table == FORCES else pack(content, {})
                 header = {"identity": block.stamp(identity), "content": packed}
                 save_arrays(self._path(table, block), _FORMATS[table], header, stored, group=group)
             written = [table for table in DATASETS if table is SAMPLES or len(tables.get(table.name, ()))]
@@ -458,7 +458,7 @@ class RunFolder:
             if header["identity"] != block.stamp(identity):
                 raise FormatError(f"{path}: {_OTHER_BLOCK}")
             types = (ContactSums, Moments, CompressedForces, OutputSamples)
-            return arrays if table == FORCES else unpack(header["content"], arrays, types, {})
+            return unpack_forces(arrays) if table == FORCES else unpack(header["content"], arrays, types, {})
 
     def write_one_step(self, block: Block, identity: str, samples: OutputSamples) -> None:
         """Write a block of samples in one step."""
