@@ -103,7 +103,7 @@ def run(arguments) -> None:
     world = communicator()
     scene = mic.load_scene(arguments.scene)
     report = scene.report.model_copy(update={"laws": [LAW]})
-    number = scene.monte_carlo.model_copy(update={"samples": arguments.samples})
+    number = scene.monte_carlo.model_copy(update={"samples": arguments.samples, "accuracy": None})
     scene = scene.model_copy(update={"report": report, "monte_carlo": number})
     run_scene(scene, arguments.folder, mic.cache_folder())
     tell(arguments.folder, world.rank if world else 0)

@@ -117,6 +117,8 @@ def spent(arguments: argparse.Namespace) -> dict[str, float]:
 
     found = {IMPORTS: time.process_time()}
     scene = with_options(load_scene(arguments.scene), None, arguments.samples)
+    if arguments.one_step:  # as many samples as before
+        scene = scene.model_copy(update={"monte_carlo": scene.monte_carlo.model_copy(update={"accuracy": None})})
     runs.time = SimpleNamespace(perf_counter=time.process_time)  # the clock of a run's phases
     quiet = ReportProgress(CommandConsole(quiet=True))
     outcome = runs.run(going(scene, "one-step") if arguments.one_step else scene, arguments.into, cache_folder(), quiet)

@@ -324,11 +324,13 @@ def _on_increments(scene):
 
 
 def _with_truth(scene):
-    """The scene with Coulomb's law among its laws if it has friction, and without fields."""
+    """The scene with Coulomb's law among its laws if it has friction, with all its samples, and without fields."""
     laws = list(scene.report.laws)
     if any(zone.frictional for zone in scene.zones) and "coulomb" not in laws:
         laws.insert(0, "coulomb")
-    return scene.model_copy(update={"report": scene.report.model_copy(update={"laws": laws, "fields": False})})
+    report = scene.report.model_copy(update={"laws": laws, "fields": False})
+    everything = scene.monte_carlo.model_copy(update={"accuracy": None})  # extremes are chosen among many samples
+    return scene.model_copy(update={"report": report, "monte_carlo": everything})
 
 
 def _model_key(model):
