@@ -17,10 +17,12 @@ from pathlib import Path
 from typing import Any
 
 import typer
+from rich.console import Console
 
 from mic import examples
 from mic.contact.laws import LAWS
 from mic.errors import RunError
+from mic.system.console import plain
 from mic.system.foreign_files import ALSO_READ, NO_SCRIPTS
 
 __all__ = ["app"]
@@ -61,10 +63,11 @@ _LISTS = {
 }
 
 
-def _command(module: str) -> Callable[[Callable[..., None]], Callable[..., None]]:
+def _command(module: str, first: str = "") -> Callable[[Callable[..., None]], Callable[..., None]]:
     """Decorator that adds a command with the parameters of a function.
 
-    The function of the same name in a module of :mod:`mic.commands` implements it.
+    The function of the same name in a module of :mod:`mic.commands` implements it. `first` is a line that is printed
+    at once, with the values of the parameters.
     """
 
     def add(function: Callable[..., None]) -> Callable[..., None]:
@@ -75,6 +78,8 @@ def _command(module: str) -> Callable[[Callable[..., None]], Callable[..., None]
         @wraps(function)
         def command(**values: Any) -> None:
             _set_access(values)
+            if first:
+                Console().print(plain(first.format(**values)), highlight=False, soft_wrap=True)
             getattr(import_module(f"mic.commands.{module}"), name)(**values)  # numerics and tables take a second
 
         every = [*own.parameters.values(), *reads]
@@ -134,7 +139,7 @@ def report(folder: Path, excel: bool = False):
     """Rewrite statistics, fields and report of a results folder from its samples."""
 
 
-@_command("check")
+@_command("check", "Reading {scene} …")
 def check(
     scene: Path,
     law: list[Law] | None = None,

@@ -45,6 +45,7 @@ def checked(tmp_path, cache, *edits, page=None, strict=False, error=None):
 @pytest.mark.slow
 def test_all_that_the_scene_places_is_drawn_with_its_name(tmp_path, cache):
     html, data, output = checked(tmp_path, cache)
+    assert output.startswith("Reading ")  # before anything slow is imported
     assert "page: results/lap-joint/check.html" in output and "The scene is valid. </b>" not in html
     assert not (tmp_path / "scene" / "check.html").exists()
     assert [part["name"] for part in data["parts"]] == ["lower", "upper"]
