@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+import copy
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field, fields
 
 import numpy as np
 import pandas as pd
@@ -14,7 +16,43 @@ from mic.results.schema import SLIPS
 from mic.statistics.capability import outside
 from mic.statistics.estimates import Moments
 
-__all__ = ["Accumulator"]
+__all__ = ["Accumulator", "MomentTable"]
+
+
+class MomentTable(Mapping[tuple[str, ...], Moments]):
+    """Moments by key, all in one array for each of their fields, so that two tables are merged in one step.
+
+    Parameters
+    ----------
+    moments : mapping of tuple to Moments
+    """
+
+    def __init__(self, moments: Mapping[tuple[str, ...], Moments]) -> None:
+        self._shapes = {key: np.shape(one.mean) for key, one in moments.items()}
+        ends = np.cumsum([int(np.prod(shape)) for shape in self._shapes.values()]).tolist()
+        self._ranges = {key: slice(first, end) for key, first, end in zip(moments, [0, *ends], ends)}
+        together = ([np.ravel(getattr(one, item.name)) for one in moments.values()] for item in fields(Moments))
+        self._all = Moments(*(np.concatenate(arrays) if arrays else np.zeros(0) for arrays in together))
+
+    def __getitem__(self, key: tuple[str, ...]) -> Moments:
+        shape, own = self._shapes[key], self._all.at(self._ranges[key])
+        return own.at(0) if shape == () else Moments(*(getattr(own, item.name).reshape(shape) for item in fields(own)))
+
+    def __iter__(self) -> Iterator[tuple[str, ...]]:
+        return iter(self._shapes)
+
+    def __len__(self) -> int:
+        return len(self._shapes)
+
+    def merged(self, other: MomentTable) -> MomentTable:
+        """The moments of both sets of samples."""
+        if self._shapes != other._shapes:
+            both = {key: self[key].merged(other[key]) if key in self and key in other else one
+                    for key, one in (dict(other) | dict(self)).items()}  # fmt: skip
+            return MomentTable(both)
+        found = copy.copy(self)
+        found._all = self._all.merged(other._all)
+        return found
 
 
 @dataclass
@@ -36,7 +74,7 @@ class Accumulator:
         −1 if there is no penetration. The first one of equal depth.
     outputs : OutputSamples or None
         Deviations and outputs of the first valid samples; None before the first block.
-    moments : dict of tuple to Moments
+    moments : MomentTable
         Over the valid samples: ``("measurements",)``, (k,) in the order of the scene; ``("profiles", name)``, by point;
         ``("slips", stage, column)``, by zone, columns of :data:`mic.results.schema.SLIPS`; ``("contacts", stage,
         column)``, (m,), columns of :meth:`BlockSamples.contact`; ``("pressed", stage, which)``, by zone: sum of the
@@ -54,7 +92,7 @@ class Accumulator:
     unbuilt: list[int] = field(default_factory=list)
     unseen: tuple[float, str, int, int] = (0.0, "", -1, -1)
     outputs: OutputSamples | None = None
-    moments: dict[tuple[str, ...], Moments] = field(default_factory=dict)
+    moments: MomentTable = field(default_factory=lambda: MomentTable({}))
     counts: dict[tuple[str, ...], np.ndarray] = field(default_factory=dict)
     _numbers: list[np.ndarray] = field(default_factory=list)
     _failed: list[np.ndarray] = field(default_factory=list)
@@ -96,17 +134,18 @@ class Accumulator:
             _failed=[block.failed],
             _failures=[block.failures()],
         )
-        found._add_measurements(block, model)
+        moments = found._measurements(block, model)
         sums = sums or ContactSums.of(block, model)
-        found.moments |= dict(sums.moments)
+        moments |= dict(sums.moments)
         found.counts |= dict(sums.counts)
-        found._add_stages(block, model)
+        moments |= found._stages(block, model)
         for stage, name in block.tables["limits"][["stage", "name"]].drop_duplicates().itertuples(index=False):
             for column in ("pushed", "left", "needed"):
                 values = block.column("limits", column, stage=stage, name=name)
-                found.moments["limits", stage, name, column] = Moments.of(values)
+                moments["limits", stage, name, column] = Moments.of(values)
             reached = block.column("limits", "reached", stage=stage, name=name)
             found.counts["short", stage, name] = np.array((~reached).sum())
+        found.moments = MomentTable(moments)
         return found
 
     def merge(self, other: Accumulator) -> None:
@@ -122,8 +161,7 @@ class Accumulator:
         elif other.outputs is not None and len(self.outputs.y) < MOST:
             both = OutputSamples.union([self.outputs, other.outputs])
             self.outputs = both and both.first(MOST)
-        for key, moments in other.moments.items():
-            self.moments[key] = self.moments[key].merged(moments) if key in self.moments else moments
+        self.moments = self.moments.merged(other.moments) if self.moments else other.moments
         for key, count in other.counts.items():
             self.counts[key] = self.counts[key] + count if key in self.counts else count
         self._numbers += other._numbers
@@ -131,20 +169,22 @@ class Accumulator:
         if len(other.failed) or not self._failures:
             self._failures += other._failures
 
-    def _add_measurements(self, block: BlockSamples, model) -> None:
+    def _measurements(self, block: BlockSamples, model) -> dict[tuple[str, ...], Moments]:
         items = model.scene.measurements
         if not items:
-            return
+            return {}
         y = np.column_stack([block.column("measurements", "value", measurement=item.name) for item in items])
-        self.moments["measurements",] = Moments.of(y)
+        moments: dict[tuple[str, ...], Moments] = {("measurements",): Moments.of(y)}
         lower, upper = np.array([(item.lower, item.upper) for item in items]).T
         self.counts["outside",] = outside(y, lower, upper)
         self.counts["any outside",] = np.array(((y < lower) | (y > upper)).any(axis=1).sum())
         for item in items:
             if item.points is not None:
-                self.moments["profiles", item.name] = Moments.of(block.profile(item.name))
+                moments["profiles", item.name] = Moments.of(block.profile(item.name))
+        return moments
 
-    def _add_stages(self, block: BlockSamples, model) -> None:
+    def _stages(self, block: BlockSamples, model) -> dict[tuple[str, ...], Moments]:
+        moments: dict[tuple[str, ...], Moments] = {}
         tangential = len(model.contacts) > 0 and model.contacts.dimension == 3
         rescued = np.zeros(len(block.numbers), dtype=bool)
         for stage in block.stages:
@@ -156,8 +196,9 @@ class Accumulator:
                 self.unseen = float(depth[i]), stage, int(block.numbers[i]), point
             for column in ("residual", "path_error", "steps", "factorisations"):
                 values = block.column("resolutions", column, stage=stage)
-                self.moments["resolutions", stage, column] = Moments.of(values)
+                moments["resolutions", stage, column] = Moments.of(values)
             for column in SLIPS.names[3:] if tangential else ():
                 zones = [block.column("slips", column, stage=stage, zone=zone.name) for zone in model.scene.zones]
-                self.moments["slips", stage, column] = Moments.of(np.column_stack(zones))
+                moments["slips", stage, column] = Moments.of(np.column_stack(zones))
         self.rescued += [int(number) for number in block.numbers[rescued]]
+        return moments
