@@ -148,8 +148,6 @@ def run(
             report_line = lambda line: progress.report(f"{line} …")
             assembly, warnings = on_first(world, lambda: _assemble(scene, cache, report_line, progress, strict))
             scene = assembly.scene  # that of the first process, in case the file has changed
-            for part in (part for part in scene.parts if part.name in assembly.decks):
-                _report_notes(progress, repair_summary(part, assembly.decks[part.name]))
         laws, samples, seed = scene.report.laws, scene.monte_carlo.samples, scene.monte_carlo.seed
 
         def prepare() -> None:
@@ -163,9 +161,8 @@ def run(
         on_first(world, prepare)  # refuse an unusable folder before computing
         with clock("influence coefficients"):
             influence, cached = coefficients(assembly, cache, report_line, world)
-            reused = [name for name, hit in cached.items() if hit]
             on_first(world, lambda: RunFolder(folder).add_to_record("versions", solver_versions(influence.values())))
-            if reused:
+            if reused := [name for name, hit in cached.items() if hit]:
                 progress.report(f"influence coefficients of {', '.join(reused)}: reused from {cache}")
         if scene.report.accuracy:
             with clock("accuracy of the meshes"):
@@ -181,9 +178,8 @@ def run(
             samples = on_first(world, lambda: RunFolder(folder).record()["samples"])
         if world is not None and world.rank > 0:
             return None
-        for law, count in reused_samples.items():
-            if count:
-                progress.report(f"{law}: {count} of {samples} samples were already finished in {folder}")
+        for law in (law for law, count in reused_samples.items() if count):
+            progress.report(f"{law}: {reused_samples[law]} of {samples} samples were already finished in {folder}")
         return conclude(folder, clock.seconds, progress, cache, model, cached_blocks)
 
 
@@ -243,6 +239,8 @@ def _assemble(scene: Scene, cache: Path, report_line, progress: Progress, strict
         raise_warnings(warnings)
     for warning in warnings:
         progress.report(f"warning: {warning}")
+    for part in (part for part in assembly.scene.parts if part.name in assembly.decks):
+        _report_notes(progress, repair_summary(part, assembly.decks[part.name]))
     return assembly, [str(warning) for warning in warnings]
 
 
