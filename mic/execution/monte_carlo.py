@@ -33,6 +33,7 @@ MAX_FIRST_ENTRIES = 50_000  # samples × contact pairs in each of the first bloc
 MAX_ENTRIES = 200_000  # in a block: some hundred megabytes while it is evaluated or read
 PIECES = 4  # for each worker, at least, so that all end at about the same time
 REPORT_INTERVAL = 10.0  # s that a piece takes at most, since progress is reported after each
+JOIN = 0.003  # s in which this process takes and joins a piece; all workers together must not send them faster
 MAX_JOINED = 100  # samples of a block that is divided for many workers: this process joins the pieces and writes it
 
 
@@ -97,7 +98,8 @@ def pieces(missing: Sequence[Block], workers: int, seconds: float = 0.0) -> list
     """
     slow = max(1, math.floor(min(REPORT_INTERVAL / max(seconds, 1e-9), sys.maxsize)))
     few = workers > 1 and len(missing) < PIECES * workers
-    share = max(1, sum(count for *_, count in missing) // (PIECES * workers))
+    worthwhile = math.ceil(JOIN * workers / max(seconds, 1e-9))
+    share = max(worthwhile, sum(count for *_, count in missing) // (PIECES * workers))
     found = []
     for law, first, count in missing:
         parts = math.ceil(count / (min(slow, share) if few and count <= MAX_JOINED else slow))
