@@ -62,8 +62,7 @@ def _words(kind: str, better: bool) -> str:
     """How an output is estimated, after its name."""
     *one_step, function = kind.split(", ")
     if not better:
-        reason = "no surrogate explains them" if function == "plain" else "which know them better"
-        return f"by the samples alone, {reason}"
+        return "by the samples alone, because no surrogate is better"
     start = "by the samples in one step, corrected by" if one_step else "by"
     return f"{start} {FUNCTIONS[function]}"
 
