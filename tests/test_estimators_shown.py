@@ -75,7 +75,10 @@ def test_a_characteristic_that_no_surrogate_explains_is_named(outcome):
     improved.better[improved.keys.index(("measurement", "M2"))] = False
     try:
         (followed, _) = estimator_sentences(outcome)
-        assert "M2 by the samples alone, because no surrogate is better" in followed and "M1 by the samples in one step" in followed
+        assert (
+            "M2 by the samples alone, because no surrogate is better" in followed
+            and "M1 by the samples in one step" in followed
+        )
     finally:
         improved.better[improved.keys.index(("measurement", "M2"))] = True
     assert np.all(improved.better[:2])
