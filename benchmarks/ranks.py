@@ -7,8 +7,8 @@ Whole runs under ``mpirun``, including statistics and fields, with one thread a 
 which depend little on other work of the machine. A short run of 50 samples a process gives the time t_0 of work that is
 done once. The time beyond it grows with the samples: t_s for evaluating and writing a sample, t_r for reading it in the
 statistics. One process would take ``t_0 + n (t_s + t_r)``; the efficiency is this time over p times that of the busiest
-of p processes. An idle process with the same imports gives the memory of Python and its libraries. The last table
-extrapolates to more samples and processes by ``t_0 + n t_s / p + n t_r``.
+of p processes. An idle process with the same imports gives the memory of Python and its libraries. ``scaling.py``
+predicts more samples and processes.
 """
 
 from __future__ import annotations
@@ -31,7 +31,6 @@ from mic.execution.ranks import communicator, exit_together
 
 ROOT = Path(__file__).resolve().parents[1]
 LAW = "coulomb"
-SAMPLES, PROCESSES = (20_000, 10**6, 10**8), (1, 2, 16, 64)  # of the last table
 
 
 def main() -> None:
@@ -73,17 +72,6 @@ def main() -> None:
         f"{len(files)} files, {sum(files.values()) / 1e6:.0f} MB",
         soft_wrap=True,
     )
-    console.print(further(t_0, t_s, t_r))
-
-
-def further(t_0: float, t_s: float, t_r: float) -> Table:
-    """Prediction for more samples and processes."""
-    shown = Table("samples", *(f"{p}" for p in PROCESSES), *(f"efficiency on {p}" for p in PROCESSES[1:]))
-    for n in SAMPLES:
-        took = [t_0 + n * t_s / p + n * t_r for p in PROCESSES]
-        gained = [f"{took[0] / (p * one):.0%}" for p, one in zip(PROCESSES[1:], took[1:])]
-        shown.add_row(f"{n:.0e}", *(f"{one:.0f} s" for one in took), *gained)
-    return shown
 
 
 def processes(arguments, count: int, work: str, samples: int, folder: Path) -> list[dict[str, float]]:
