@@ -54,7 +54,7 @@ ADDED = 2  # samples as far as the farthest
 UNSEEN = 0.5  # of the largest error of the cheap model's surrogate: error of the cheap model that no sample shows
 PRIOR = 0.1  # variance of the cheap model that speaks for β = 1, in samples
 JOINT = 256  # samples whose errors enter a share over several outputs
-REACH, BISECTIONS = 20.0, 40  # of quantiles: standard deviations around the mean, halvings
+REACH, BISECTIONS = 20.0, 26  # of quantiles: standard deviations around the mean, halvings
 NEIGHBOURHOOD = 0.5  # standard deviations around a limit whose samples show the error of the surrogate there
 
 
