@@ -283,7 +283,9 @@ STUDY = Study(
             bound="at least",
             reason=REASON,
         ),
-        Acceptance("alone", "The same without them, n = 100 and 200.", LIMIT, bound="at least", reason="As for one-step."),
+        Acceptance(
+            "alone", "The same without them, n = 100 and 200.", LIMIT, bound="at least", reason="As for one-step."
+        ),
         Acceptance(
             "stop",
             "Coverage where a run stops, looking at 50 to 400 samples.",
