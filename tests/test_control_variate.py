@@ -39,7 +39,7 @@ def hinge_moments(start: float = 0.5) -> tuple[float, float]:
     return mean, np.sqrt(variance)
 
 
-@pytest.mark.parametrize("n", [LEAST_ALONE, 200])
+@pytest.mark.parametrize("n", [LEAST_ALONE, 300])
 def test_linear_outputs_are_exact(n):
     x = normal(np.random.default_rng(1), n)
     found = surrogate_estimates(x, 2.0 + x @ np.array([[1.0], [2.0], [2.0]]), population(4096))
@@ -101,25 +101,24 @@ def test_rare_jumps_of_the_cheap_model_widen_the_interval():
     assert with_cheap.low[0] < truth < with_cheap.high[0]
 
 
-def test_an_output_without_a_pattern_is_called_plain():
+def test_an_output_without_a_pattern_is_not_explained():
     rng = np.random.default_rng(2)
-    x = normal(rng, 100)
-    found = surrogate_estimates(x, np.column_stack([x[:, 0], rng.standard_normal(100)]), population())
-    assert found.kind[0] != "plain"
-    assert found.kind[1] == "plain"
+    x = normal(rng, 200)
+    found = surrogate_estimates(x, np.column_stack([x[:, 0], rng.standard_normal(200)]), population())
+    assert found.explained[0] > 0.99 and found.explained[1] < 0.1
     assert found.at([1]).mean().value == found.mean().value[1:]
 
 
 def test_failed_samples_and_constant_inputs_are_left_out():
     rng = np.random.default_rng(3)
-    x = np.column_stack([normal(rng, 120), np.full(120, 7.0)])
+    x = np.column_stack([normal(rng, 220), np.full(220, 7.0)])
     y = x[:, :1].copy()
     y[3] = np.nan
     points = np.concatenate([population(), np.full((FOLDS, 512, 1), 7.0)], axis=2)
     found = surrogate_estimates(x, y, points)
-    assert found.samples == 119
+    assert found.samples == 219
     assert found.sigma().value == pytest.approx([1.0], rel=0.02)
-    assert surrogate_estimates(x[:LEAST_ALONE], y[:LEAST_ALONE], points) is None  # 99 of them
+    assert surrogate_estimates(x[:LEAST_ALONE], y[:LEAST_ALONE], points) is None  # 199 of them
     assert surrogate_estimates(x[: LEAST - 1], y[: LEAST - 1], points, (x, y)) is None
     assert surrogate_estimates(x[:, 3:], y, points[:, :, 3:]) is None
 

@@ -34,10 +34,10 @@ def kinked(x):
 def test_samples_in_one_step_meet_their_followed_ones(lap_scene):
     """y - o is constant, so that the estimate is that of all samples of o, but for the surrogate's noise; a sample that
     failed in one step is left out of both."""
-    followed = outputs(lap_scene, np.arange(40), lambda x: kinked(x) + 5.0)
+    followed = outputs(lap_scene, np.arange(60), lambda x: kinked(x) + 5.0)
     one_step = outputs(lap_scene, np.arange(360), kinked)
-    found = improve(lap_scene, followed, 40, one_step)
-    assert found.index(KEY) == 0 and found.estimates.samples == 40 and found.estimates.cheap_samples == 360
+    found = improve(lap_scene, followed, 60, one_step)
+    assert found.index(KEY) == 0 and found.estimates.samples == 60 and found.estimates.cheap_samples == 360
     many = kinked(outputs(lap_scene, np.arange(20_000), kinked).x)
     mean, sigma, scatter = found.estimates.mean(), found.estimates.sigma(), 3 * many.std() / np.sqrt(len(many))
     assert mean.low[0] - scatter < many.mean() + 5.0 < mean.high[0] + scatter
@@ -45,8 +45,8 @@ def test_samples_in_one_step_meet_their_followed_ones(lap_scene):
     assert mean.high[0] - mean.low[0] < 0.1 * many.std() and found.estimates.explained[0] == pytest.approx(1.0)
     missing = np.isin(one_step.numbers, [3, 200], invert=True)
     fewer = OutputSamples((KEY,), one_step.numbers[missing], one_step.x[missing], one_step.y[missing])
-    again = improve(lap_scene, followed, 40, fewer).estimates
-    assert again.samples == 39 and again.mean().value == pytest.approx(mean.value, abs=0.01 * many.std())
+    again = improve(lap_scene, followed, 60, fewer).estimates
+    assert again.samples == 59 and again.mean().value == pytest.approx(mean.value, abs=0.01 * many.std())
 
 
 def test_the_model_in_one_step_closes_everything_at_once(lap_model):
@@ -57,18 +57,18 @@ def test_the_model_in_one_step_closes_everything_at_once(lap_model):
 
 
 def test_without_known_distributions_or_few_samples_there_is_no_estimate(lap_scene):
-    samples = outputs(lap_scene, np.arange(100), kinked)
-    assert improve(lap_scene, samples, 100) is not None
-    assert improve(lap_scene, outputs(lap_scene, np.arange(99), kinked), 99) is None
-    designed = changed(lap_scene, monte_carlo={"design": "antithetic", "samples": 100})
+    samples = outputs(lap_scene, np.arange(200), kinked)
+    assert improve(lap_scene, samples, 200) is not None
+    assert improve(lap_scene, outputs(lap_scene, np.arange(199), kinked), 199) is None
+    designed = changed(lap_scene, monte_carlo={"design": "antithetic", "samples": 200})
     given = changed(lap_scene, monte_carlo={"values": samples.x.tolist()})
-    assert improve(designed, samples, 100) is None and improve(given, samples, 100) is None
+    assert improve(designed, samples, 200) is None and improve(given, samples, 200) is None
 
 
 def test_many_samples_know_better_than_the_surrogate_of_the_first(lap_scene):
     rng = np.random.default_rng(1)
-    samples = outputs(lap_scene, np.arange(100), lambda x: x[:, 0] / x[:, 0].std() + rng.standard_normal(len(x)))
-    assert improve(lap_scene, samples, 100).index(KEY) == 0
+    samples = outputs(lap_scene, np.arange(200), lambda x: x[:, 0] / x[:, 0].std() + rng.standard_normal(len(x)))
+    assert improve(lap_scene, samples, 200).index(KEY) == 0
     assert improve(lap_scene, samples, 10**6).index(KEY) is None
 
 

@@ -48,7 +48,7 @@ from mic.statistics.surrogate import best_surrogate, linear_functions
 
 __all__ = ["FOLDS", "LEAST", "LEAST_ALONE", "SurrogateEstimates", "surrogate_estimates"]
 
-LEAST, LEAST_ALONE = 32, 100  # samples of the model, with a cheap model and without
+LEAST, LEAST_ALONE = 50, 200  # samples of the model, with a cheap model and without
 FOLDS = 8
 ADDED = 2  # samples as far as the farthest
 UNSEEN = 0.5  # of the largest error of the cheap model's surrogate: error of the cheap model that no sample shows

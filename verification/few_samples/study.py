@@ -144,7 +144,7 @@ def on_springs(two, population, repetitions) -> list[dict]:
     limit, rows = mean + 2 * sigma, []
     truth = {"mean": mean, "6σ": 6 * sigma, "Cpk": np.full(2, 2 / 3)}
     for repetition in repetitions:
-        for count in (32, 100) if two else (100, 200):
+        for count in (50, 100) if two else (200, 400):
             stream = np.random.default_rng([43, two, count, repetition])
             x = springs.MEANS + springs.SIGMAS * stream.standard_normal(((1 + two * FURTHER) * count, 5))
             followed, one_step = springs.contacts(x)
@@ -209,7 +209,7 @@ def picture(tables: dict[str, pd.DataFrame]):
 
 def run(context):
     repetitions, runs, sets = (10, 3, 3) if context.quick else (200, 160, 60)
-    counts = {True: (32, 100) if context.quick else (32, 50, 100, 200), False: (100,) if context.quick else (100, 200)}
+    counts = {True: (50, 100) if context.quick else (50, 100, 200), False: (200,) if context.quick else (200, 400)}
     looks = STOPS[:3] if context.quick else STOPS
     truths = [one.truth() for one in POPULATIONS]
     stream = np.random.default_rng(40)
@@ -278,13 +278,13 @@ STUDY = Study(
     acceptance=(
         Acceptance(
             "one-step",
-            "Coverage with one-step samples, n from 32 to 200, worst of all outputs and quantities.",
+            "Coverage with one-step samples, n from 50 to 200, worst of all outputs and quantities.",
             LIMIT,
             bound="at least",
             reason=REASON,
         ),
         Acceptance(
-            "alone", "The same without them, n = 100 and 200.", LIMIT, bound="at least", reason="As for one-step."
+            "alone", "The same without them, n = 200 and 400.", LIMIT, bound="at least", reason="As for one-step."
         ),
         Acceptance(
             "stop",
