@@ -35,6 +35,7 @@ from mic.results.block_statistics import Accumulator
 from mic.results.contact_sums import ContactSums
 from mic.results.cost_estimate import duration, forecast
 from mic.results.fields import write_fields
+from mic.results.improved import FURTHER
 from mic.results.low_rank_forces import CompressedForces
 from mic.results.mesh_error import accuracy_table
 from mic.results.outcome import CACHE_SIZE, BlockCache, Outcome, memory, read_outcome
@@ -54,7 +55,6 @@ from mic.system.progress_bar import ProgressBar
 
 __all__ = ["Progress", "conclude", "finished", "hold", "read_run", "run", "sample_into", "write_evaluation"]
 
-IN_ONE_STEP = 8  # further samples in one step for each followed one, which cost a twentieth to a hundredth each
 GROWTH = 1.3  # factor on the samples between two checks of the accuracy
 LONG = 3600.0  # s; a longer run reports its expected time before it starts
 
@@ -296,7 +296,7 @@ def _sample_to_accuracy(
         checked = end
         already_finished = _sample(folder, model, laws, end, seed, progress, cached, engine)
         reused = reused or already_finished
-        _sample_one_step(folder, model, laws, (1 + IN_ONE_STEP) * end, seed, engine)
+        _sample_one_step(folder, model, laws, (1 + FURTHER) * end, seed, engine)
         uncertainty = on_first(world, check)
         if uncertainty.reached or end == samples:
             progress.report(uncertainty.sentence(end))

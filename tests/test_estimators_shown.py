@@ -57,11 +57,12 @@ def test_the_share_outside_any_limit_is_between_the_largest_and_the_sum_of_the_c
 def test_the_report_says_from_what_the_estimates_are_and_what_may_be_unseen(outcome, no_pictures):
     assert sample_count(outcome, "coulomb") == "50 followed samples and 450 in one step"
     assert sample_count(outcome, "frictionless") == "50 samples and 450 in one step"
-    followed, frictionless = estimator_sentences(outcome)
+    followed, frictionless, reached = estimator_sentences(outcome)
+    assert reached.startswith("50 samples: ") and reached.endswith(".")
     assert followed.startswith("coulomb: 50 followed samples and 450 in one step. Mean, 6σ, Cp, Cpk and share outside")
     assert "by the samples in one step, corrected by a" in followed and "of the variance" in followed
     assert "fewer than 6.0 % of the assemblies may be unseen in 50 followed samples" in followed
-    assert "those in one step show it from 0.7 % on, unless it comes from the load path" in followed
+    assert "those in one step show behaviour of 0.7 % or more, unless the load path causes it" in followed
     assert "may be unseen in 50 samples; those in one step" in frictionless
     page = write_report(outcome.folder, outcome).read_text(encoding="utf-8")
     assert followed in page and frictionless in page
@@ -74,7 +75,7 @@ def test_a_characteristic_that_no_surrogate_explains_is_named(outcome):
     improved = outcome.improved("coulomb")
     improved.better[improved.keys.index(("measurement", "M2"))] = False
     try:
-        (followed, _) = estimator_sentences(outcome)
+        followed, *_ = estimator_sentences(outcome)
         assert (
             "M2 by the samples alone, because no surrogate is better" in followed
             and "M1 by the samples in one step" in followed

@@ -7,11 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mic.results.improved import improve
+from mic.results.improved import FURTHER, improve, population
 from mic.results.outcome import read_outcome
 from mic.results.output_samples import OutputSamples
 from mic.results.run_folder import RunFolder
-from mic.runs import IN_ONE_STEP, sample_into
+from mic.runs import sample_into
 from mic.scene.schema import Accuracy
 from mic.statistics.draw import draw
 from tests.support.runs import changed
@@ -65,6 +65,17 @@ def test_without_known_distributions_or_few_samples_there_is_no_estimate(lap_sce
     assert improve(designed, samples, 200) is None and improve(given, samples, 200) is None
 
 
+def test_more_samples_get_a_larger_population(lap_scene):
+    """Its error would be a floor otherwise."""
+    assert [population(lap_scene, count).shape[1] for count in (50, 200, 201, 2000, 10**6)] == [
+        4096,
+        4096,
+        8192,
+        32768,
+        32768,
+    ]
+
+
 def test_many_samples_know_better_than_the_surrogate_of_the_first(lap_scene):
     rng = np.random.default_rng(1)
     samples = outputs(lap_scene, np.arange(200), lambda x: x[:, 0] / x[:, 0].std() + rng.standard_normal(len(x)))
@@ -79,7 +90,7 @@ def test_a_run_of_a_required_accuracy_draws_stores_and_reuses_samples_in_one_ste
     sample_into(tmp_path, model, laws, 500, 4)
     store, identity = RunFolder(tmp_path), RunFolder(tmp_path).record()["identity"]
     stored = OutputSamples.union(store.one_step("coulomb", identity).values())
-    assert stored.numbers.tolist() == list(range((1 + IN_ONE_STEP) * 50))
+    assert stored.numbers.tolist() == list(range((1 + FURTHER) * 50))
     direct = model.one_step.process("coulomb").attempt(stored.x[:5])
     measured = [stored.keys.index(("measurement", item.name)) for item in model.scene.measurements]
     np.testing.assert_allclose(stored.y[:5, measured], direct.measurements, rtol=1e-12)
@@ -87,6 +98,9 @@ def test_a_run_of_a_required_accuracy_draws_stores_and_reuses_samples_in_one_ste
     assert set(table["one_step_samples"]) == {450}
     width = table["improved_six_sigma_high"] - table["improved_six_sigma_low"]
     assert (width < 0.2 * (table["six_sigma_high"] - table["six_sigma_low"])).all()
+
+    without = replace(model, scene=changed(model.scene, monte_carlo={"accuracy": None}))
+    assert read_outcome(tmp_path, without).improved("coulomb") is None  # whatever an earlier run has left
 
     (missing,) = tmp_path.glob("one_step/law=coulomb/000100-*")
     damaged = next(tmp_path.glob("one_step/law=coulomb/000200-*"))

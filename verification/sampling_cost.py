@@ -11,9 +11,8 @@ import pandas as pd
 from scipy.stats import norm
 
 from mic.process.model import ReducedModel
-from mic.results.improved import improve
+from mic.results.improved import FURTHER, improve
 from mic.results.output_samples import OutputSamples
-from mic.runs import IN_ONE_STEP
 from mic.statistics.control_variate import LEAST_ALONE
 from mic.statistics.draw import draw
 from mic.statistics.estimates import LEVEL, six_sigma
@@ -81,7 +80,7 @@ def measure_sampling(model: ReducedModel, law: str, seed: int) -> SamplingCost:
     """Evaluate the first followed samples of a scene, and its samples in one step, as a run with an accuracy does."""
     one_step = model.one_step if len(model.contacts) else None
     used, cheap = FEW if one_step is not None else LEAST_ALONE, None
-    x = draw(model.scene, seed, 0, (1 + IN_ONE_STEP) * used)
+    x = draw(model.scene, seed, 0, (1 + FURTHER) * used)
     own, seconds = _evaluated(model, law, x[:used])
     if one_step is not None:
         frame, more = _evaluated(one_step, law, x)

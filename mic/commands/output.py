@@ -27,6 +27,9 @@ SHORT_HEAD = 8  # characters: such a heading stays on one line if there is room
 class CommandConsole(Console):
     """A console with the forms of output that commands share."""
 
+    def __init__(self, **options: Any) -> None:
+        super().__init__(emoji=False, **options)
+
     def say(self, sentence: object, style: str | None = None) -> None:
         """Print one line of text."""
         self.print(plain(sentence), style=style, highlight=False, soft_wrap=True)

@@ -26,15 +26,19 @@ def sample_count(outcome: Outcome, law: str) -> str:
 
 
 def estimator_sentences(outcome: Outcome) -> list[str]:
-    """Estimators of the key characteristics and of the slips, by law; empty if all are those of the samples alone.
+    """Estimators of the key characteristics, by law; and whether the required accuracy is reached.
 
-    Laws with the same estimators share a sentence.
+    Laws with the same estimators share a sentence; a law whose estimates are those of the samples alone has none.
     """
     laws: dict[str, list[str]] = {}
     for law in outcome.laws:
         if outcome.improved(law) is not None:
             laws.setdefault(_of_law(outcome, law), []).append(law)
-    return [f"{', '.join(named)}: {text}" for text, named in laws.items()]
+    sentences = [f"{', '.join(named)}: {text}" for text, named in laws.items()]
+    accuracy = outcome.model.scene.monte_carlo.accuracy
+    if accuracy is not None:
+        sentences.append(f"{outcome.uncertainty(accuracy.required).sentence(outcome.record['samples'])}.")
+    return sentences
 
 
 def _of_law(outcome: Outcome, law: str) -> str:
@@ -64,10 +68,12 @@ def _words(kind: str, better: bool) -> str:
     if not better:
         return "by the samples alone, because no surrogate is better"
     start = "by the samples in one step, corrected by" if one_step else "by"
-    return f"{start} {FUNCTIONS[function]}"
+    return f"{start} {FUNCTIONS[function]}"  # "plain" with samples in one step only
 
 
 def _at_least(share: float) -> str:
+    if share > 0.9999:
+        return "more than 99.99 %"
     digits = 2 if share > 0.99 else 0
     return f"at least {percent(int(share * 10 ** (2 + digits)) / 10 ** (2 + digits), digits)}"
 
@@ -78,7 +84,8 @@ def _unseen(outcome: Outcome, law: str) -> str:
     cheap = improved.estimates.cheap_samples if improved else 0
     share, beyond = percent(min(1.0, UNSEEN / samples), 1), ""
     if cheap:
-        beyond = f"; those in one step show it from {percent(UNSEEN / cheap, 1)} on, unless it comes from the load path"
+        seen = percent(UNSEEN / cheap, 1)
+        beyond = f"; those in one step show behaviour of {seen} or more, unless the load path causes it"
     among = f"{samples}{_followed(law) * (cheap > 0)} samples"
     return f"Behaviour of fewer than {share} of the assemblies may be unseen in {among}{beyond}."
 

@@ -17,9 +17,10 @@ from mic.statistics import draw, estimates
 from mic.statistics.control_variate import FOLDS, LEAST, LEAST_ALONE, SurrogateEstimates, surrogate_estimates
 from mic.statistics.estimates import Estimate, Moments
 
-__all__ = ["Improved", "improve", "population"]
+__all__ = ["FURTHER", "Improved", "improve", "population"]
 
-POINTS = 4096  # of the population of each fold
+POINTS, MOST_POINTS = 4096, 32768  # of the population of each fold, up to 200 samples and at most
+FURTHER = 8  # samples in one step for each sample that are computed beyond it; each costs a twentieth to a hundredth
 USEFUL = 0.5  # share of the variance that a surrogate explains, at least
 
 
@@ -47,9 +48,12 @@ class Improved:
         return k if k is not None and self.better[k] else None
 
 
-def population(scene) -> np.ndarray:
-    """(F, N, p) points of the distribution of the scene's deviations."""
-    return draw.population(scene, scene.monte_carlo.seed, FOLDS, POINTS)
+def population(scene, samples: int) -> np.ndarray:
+    """(F, N, p) points of the distribution of the scene's deviations; more for more samples, whose error is smaller."""
+    points = POINTS
+    while points < min(POINTS * samples / LEAST_ALONE, MOST_POINTS):
+        points *= 2
+    return draw.population(scene, scene.monte_carlo.seed, FOLDS, points)
 
 
 def improve(
@@ -57,7 +61,7 @@ def improve(
     samples: OutputSamples,
     total: int,
     one_step: OutputSamples | None = None,
-    points: Callable[[Any], np.ndarray] = population,
+    points: Callable[[Any, int], np.ndarray] = population,
 ) -> Improved | None:
     """Estimates from the samples of a law; None for few samples, or if the scene gives or groups them.
 
@@ -71,7 +75,7 @@ def improve(
     one_step : OutputSamples, optional
         Of the same law in one step, in ascending order: these and further ones.
     points : callable, optional
-        Returns the :func:`population` of a scene.
+        Returns the :func:`population` of a scene and a number of samples.
     """
     drawn = scene.monte_carlo.values is None and scene.monte_carlo.design == "independent"
     needed = LEAST_ALONE if one_step is None else LEAST
@@ -86,7 +90,7 @@ def improve(
         o = np.where(known[:, None], one_step.y[np.minimum(place, len(one_step.y) - 1)], np.nan)
         further = ~np.isin(one_step.numbers, samples.numbers)
         cheap = np.concatenate([samples.x, one_step.x[further]]), np.concatenate([o, one_step.y[further]])
-    found = surrogate_estimates(samples.x, samples.y, points(scene), cheap)
+    found = surrogate_estimates(samples.x, samples.y, points(scene, total), cheap)
     if found is None:
         return None
     better = np.array([kind != "plain" for kind in found.kind]) & (found.explained >= USEFUL)

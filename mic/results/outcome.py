@@ -61,7 +61,12 @@ class Outcome(RunSamples):
 
     def summary(self) -> dict:
         """The outcome in one JSON-ready dict (``summary.json``), see :func:`mic.results.summary.summary`."""
-        return summary(self, self.zone_statistics, self.measurement_statistics, self.limit_statistics)
+        accuracy, reached = self.model.scene.monte_carlo.accuracy, {}
+        if accuracy is not None:
+            found = self.uncertainty(accuracy.required)
+            sentence = found.sentence(self.record["samples"])
+            reached = {"required_accuracy": {"reached": bool(found.reached), "sentence": sentence}}
+        return summary(self, self.zone_statistics, self.measurement_statistics, self.limit_statistics) | reached
 
     # ---------------------------------------------------------------------------------------------- names of 0.1.0
 

@@ -107,4 +107,6 @@ def _half_width(table: pd.DataFrame, name: str) -> pd.Series:
 
 
 def _number(value: float, unit: str) -> str:
-    return f"{100 * value:.3g} {unit}" if unit else f"{value:.3g}"
+    if not unit:
+        return f"{value:.3g}"
+    return f"{100 * value:.3g} {unit}" if value < 1 else f"over 100 {unit}"

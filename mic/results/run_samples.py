@@ -22,7 +22,7 @@ from mic.errors import FormatError, RunError, StorageError
 from mic.process.model import ReducedModel
 from mic.results.block_samples import BlockSamples
 from mic.results.block_statistics import Accumulator
-from mic.results.improved import Improved, improve, population
+from mic.results.improved import FURTHER, Improved, improve, population
 from mic.results.output_samples import OutputSamples
 from mic.results.path_effect import PathStudy
 from mic.results.run_folder import Block, RunFolder
@@ -114,16 +114,23 @@ class RunSamples:
         """Estimates of a law with surrogates, cached; None without (:func:`mic.results.improved.improve`)."""
         outputs, number = self.accumulators[law].outputs, len(self.sample_numbers(law))
         if (law, number) not in self.cached_estimates:
-            one_step = OutputSamples.union(RunFolder(self.folder).one_step(law, self.record["identity"]).values())
-            points = lambda scene: self._population
-            found = None if outputs is None else improve(self.model.scene, outputs, number, one_step, points)
+            points = lambda *_: self._population
+            found = None if outputs is None else improve(self.model.scene, outputs, number, self._one_step(law), points)
             self.cached_estimates[law, number] = found
         return self.cached_estimates[law, number]
+
+    def _one_step(self, law: str) -> OutputSamples | None:
+        """The samples in one step that belong to the requested samples; an earlier run may have left further ones."""
+        if self.model.scene.monte_carlo.accuracy is None:
+            return None
+        found = OutputSamples.union(RunFolder(self.folder).one_step(law, self.record["identity"]).values())
+        end = (1 + FURTHER) * self.record["samples"]
+        return found and found.first(int(np.searchsorted(found.numbers, end)))
 
     @cached_property
     def _population(self) -> np.ndarray:
         """Points of the deviations' distribution, the same under all laws."""
-        return population(self.model.scene)
+        return population(self.model.scene, self.record["samples"])
 
     @property
     def together(self) -> int:

@@ -125,7 +125,7 @@ class SurrogateEstimates:
     cheap_samples: int
     _mean: _Sum
     _variance: _Sum
-    _sorted: np.ndarray  # (k, F, N), sorted along the last axis
+    _sorted: np.ndarray  # (k, F, 2, N / 2), both halves of the population, sorted along the last axis
     _points: np.ndarray  # (F, N, k), the same in the order of the points, single precision
     _errors: np.ndarray  # (n, k), held out
     _farthest: np.ndarray  # (k,), largest error or that of a jump that no sample shows
@@ -179,8 +179,8 @@ class SurrogateEstimates:
         for sign in (0.0, 1.0, -1.0):  # the value; limits moved outwards, and inwards
             low = lower - sign * self._shift(lower, level)
             high = upper + sign * self._shift(upper, level)
-            share = self._distribution(low) + 1 - self._distribution(high)
-            shares.append(np.clip(share - sign * self._share_error(share, level), 0.0, 1.0))
+            outside = self._below(low) + self._weight[:, None] / 2 - self._below(high)
+            shares.append(np.clip(outside.sum(axis=(1, 2)) - sign * self._halves_error(outside, level), 0.0, 1.0))
         return self._estimate(*shares)
 
     def share_outside_any(self, lower, upper, level: float = LEVEL) -> Estimate:
@@ -219,18 +219,18 @@ class SurrogateEstimates:
     @cached_property
     def _predicted(self) -> tuple[np.ndarray, np.ndarray]:
         """Mean and standard deviation (k,) of the surrogates' values and errors."""
-        centre = self._sorted.mean(axis=(1, 2)) + self._errors.mean(axis=0)
-        return centre, np.sqrt(self._sorted.var(axis=(1, 2)) + self._errors.var(axis=0))
+        centre = self._sorted.mean(axis=(1, 2, 3)) + self._errors.mean(axis=0)
+        return centre, np.sqrt(self._sorted.var(axis=(1, 2, 3)) + self._errors.var(axis=0))
 
     def quantile(self, probability: float, level: float = LEVEL) -> Estimate:
         """Quantile of the predicted distribution."""
         value = self._inverse(probability)
-        half = self._share_error(np.array(probability), level)
+        half = self._halves_error(self._below(value), level)
         shift = self._shift(value, level)
-        low, high = (self._inverse(float(np.clip(probability + sign * half, 0.0, 1.0))) for sign in (-1, 1))
+        low, high = (self._inverse(np.clip(probability + sign * half, 0.0, 1.0)) for sign in (-1, 1))
         return self._estimate(value, low - shift, high + shift)
 
-    def _inverse(self, probability: float) -> np.ndarray:
+    def _inverse(self, probability: float | np.ndarray) -> np.ndarray:
         """(k,) quantiles, by bisection."""
         low, high = self._mean.value - REACH * self._sigma, self._mean.value + REACH * self._sigma
         for _ in range(BISECTIONS):
@@ -241,7 +241,7 @@ class SurrogateEstimates:
 
     def _share_error(self, share: np.ndarray, level: float) -> np.ndarray:
         """Sampling error of a share of the population, at most: that of random points."""
-        points = self._sorted.shape[1] * self._sorted.shape[2]
+        points = self._sorted[0].size
         return ndtri(0.5 + level / 2) * np.sqrt(np.clip(share, 0.0, 1.0) * (1 - np.clip(share, 0.0, 1.0)) / points)
 
     @property
@@ -260,11 +260,26 @@ class SurrogateEstimates:
 
     def _distribution(self, limit) -> np.ndarray:
         """(k,) share of the predicted distribution below limits (k,)."""
+        return self._below(limit).sum(axis=(1, 2))
+
+    def _below(self, limit) -> np.ndarray:
+        """The same share as a sum over folds and halves of the population, (k, F, 2)."""
         limits = self._limits(np.asarray(limit, dtype=float))
-        below = np.zeros(len(self.kind))
-        for k, folds in enumerate(self._sorted):
-            below[k] = sum(np.searchsorted(folds[f], limits[self._fold == f, k]).sum() for f in range(len(folds)))
-        return below / (self._sorted.shape[2] * len(limits))
+        below = np.empty(self._sorted.shape[:3])
+        for k, f, half in np.ndindex(below.shape):
+            below[k, f, half] = np.searchsorted(self._sorted[k, f, half], limits[self._fold == f, k]).sum()
+        return below / (2 * self._sorted.shape[3] * len(limits))
+
+    def _halves_error(self, shares: np.ndarray, level: float) -> np.ndarray:
+        """(k,) sampling error of a sum of shares (k, F, 2), from the differences of the halves; at least one point."""
+        points = self._sorted[0].size
+        square = (np.diff(shares, axis=2)[:, :, 0] ** 2).sum(axis=1)
+        return _t(level) * np.sqrt(square + 1 / points**2)
+
+    @property
+    def _weight(self) -> np.ndarray:
+        """(F,) share of the samples in each fold."""
+        return np.bincount(self._fold, minlength=FOLDS) / len(self._fold)
 
     def _shift(self, limit, level: float) -> np.ndarray:
         """(k,) uncertainty of the prediction at limits (k,)."""
@@ -351,7 +366,8 @@ class _Folds:
         errors = self.y - self.h
         unseen = self._unseen(np.concatenate([self.p - self.h, self.further_p - self.further_h]))
         farthest = np.maximum(np.abs(errors).max(axis=0), unseen)
-        ordered, points = np.sort(np.moveaxis(self.population, 2, 0), axis=2), self.population.astype(np.float32)
+        halves = np.stack(np.array_split(np.moveaxis(self.population, 2, 0), 2, axis=2), axis=2)
+        ordered, points = np.sort(halves, axis=3), self.population.astype(np.float32)
         return SurrogateEstimates(
             kind, explained, len(self.y), self.cheap, mean, variance, ordered, points, errors, farthest, self.fold
         )  # fmt: skip

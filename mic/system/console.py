@@ -17,7 +17,7 @@ def plain(text):
 
 def error_line(error):
     """An error as the console shows it."""
-    console = Console(stderr=True)
+    console = Console(stderr=True, emoji=False)  # :-1: is a number
     with console.capture() as capture:
         console.print(f"[bold red]error:[/] {plain(error)}", highlight=False, soft_wrap=True)
     return capture.get()
