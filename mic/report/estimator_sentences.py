@@ -68,7 +68,7 @@ def _words(kind: str, better: bool) -> str:
     if not better:
         return "by the samples alone, because no surrogate is better"
     start = "by the samples in one step, corrected by" if one_step else "by"
-    return f"{start} {FUNCTIONS[function]}"  # "plain" with samples in one step only
+    return f"{start} {FUNCTIONS[function]}"
 
 
 def _at_least(share: float) -> str:

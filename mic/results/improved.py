@@ -1,4 +1,4 @@
-"""Statistics of a run with surrogates and, where the path is followed, with samples in one step.
+"""Statistics of a run with surrogates and, if an accuracy is required, with samples in one step.
 
 See :mod:`mic.statistics.control_variate`. An output keeps the estimates of the samples alone if the surrogate explains
 less than half of its variance, or if so many samples know better.
@@ -20,7 +20,7 @@ from mic.statistics.estimates import Estimate, Moments
 __all__ = ["FURTHER", "Improved", "improve", "population"]
 
 POINTS, MOST_POINTS = 4096, 32768  # of the population of each fold, up to 200 samples and at most
-FURTHER = 8  # samples in one step for each sample that are computed beyond it; each costs a twentieth to a hundredth
+FURTHER = 8  # further samples in one step for each sample; each costs a twentieth to a hundredth of a followed one
 USEFUL = 0.5  # share of the variance that a surrogate explains, at least
 
 
@@ -49,7 +49,10 @@ class Improved:
 
 
 def population(scene, samples: int) -> np.ndarray:
-    """(F, N, p) points of the distribution of the scene's deviations; more for more samples, whose error is smaller."""
+    """(F, N, p) points of the distribution of the scene's deviations.
+
+    More samples take more points, so that the points do not limit the accuracy.
+    """
     points = POINTS
     while points < min(POINTS * samples / LEAST_ALONE, MOST_POINTS):
         points *= 2

@@ -111,8 +111,7 @@ class SurrogateEstimates:
     ----------
     kind : list of str
         By output, the surrogate of most folds: ``"plain"`` (none, or the variance is not known), ``"linear"``,
-        ``"quadratic"`` or ``"spline"``, after
-        ``"one-step, "`` with the cheap model.
+        ``"quadratic"`` or ``"spline"``; with the cheap model after ``"one-step, "``.
     explained : (k,) array
         Share of the variance that the surrogate explains.
     samples, cheap_samples : int
@@ -179,7 +178,7 @@ class SurrogateEstimates:
         for sign in (0.0, 1.0, -1.0):  # the value; limits moved outwards, and inwards
             low = lower - sign * self._shift(lower, level)
             high = upper + sign * self._shift(upper, level)
-            outside = self._below(low) + self._weight[:, None] / 2 - self._below(high)
+            outside = self._below(low) + _weights(self._fold)[:, None] / 2 - self._below(high)
             shares.append(np.clip(outside.sum(axis=(1, 2)) - sign * self._halves_error(outside, level), 0.0, 1.0))
         return self._estimate(*shares)
 
@@ -241,8 +240,8 @@ class SurrogateEstimates:
 
     def _share_error(self, share: np.ndarray, level: float) -> np.ndarray:
         """Sampling error of a share of the population, at most: that of random points."""
-        points = self._sorted[0].size
-        return ndtri(0.5 + level / 2) * np.sqrt(np.clip(share, 0.0, 1.0) * (1 - np.clip(share, 0.0, 1.0)) / points)
+        share, points = np.clip(share, 0.0, 1.0), self._sorted[0].size
+        return ndtri(0.5 + level / 2) * np.sqrt(share * (1 - share) / points)
 
     @property
     def _sigma(self) -> np.ndarray:
@@ -275,11 +274,6 @@ class SurrogateEstimates:
         points = self._sorted[0].size
         square = (np.diff(shares, axis=2)[:, :, 0] ** 2).sum(axis=1)
         return _t(level) * np.sqrt(square + 1 / points**2)
-
-    @property
-    def _weight(self) -> np.ndarray:
-        """(F,) share of the samples in each fold."""
-        return np.bincount(self._fold, minlength=FOLDS) / len(self._fold)
 
     def _shift(self, limit, level: float) -> np.ndarray:
         """(k,) uncertainty of the prediction at limits (k,)."""
@@ -375,7 +369,7 @@ class _Folds:
     def _mean_of(self, function: Callable[[np.ndarray], np.ndarray]) -> _Sum:
         """E g(y)."""
         n, total = len(self.y), len(self.y) + len(self.further_h)
-        weight = np.bincount(self.fold, minlength=FOLDS)[:, None] / n
+        weight = _weights(self.fold)[:, None]
         first, second = (function(half).mean(axis=1) for half in np.array_split(self.population, 2, axis=1))
         above, below = function(self.y) - function(self.p), function(self.p) - function(self.h)
         further_below = function(self.further_p) - function(self.further_h)
@@ -412,6 +406,11 @@ def _residual(functions: np.ndarray, y: np.ndarray) -> np.ndarray:
     if len(y) <= functions.shape[1] + 2:
         return y - y.mean(axis=0)
     return y - functions @ np.linalg.lstsq(functions, y, rcond=None)[0]
+
+
+def _weights(fold: np.ndarray) -> np.ndarray:
+    """(F,) share of the samples in each fold."""
+    return np.bincount(fold, minlength=FOLDS) / len(fold)
 
 
 def _t(level: float) -> float:
