@@ -187,12 +187,11 @@ def read_outcome(folder, model: ReducedModel | None = None, cached: BlockCache |
             blocks[law].append(block)
             cached_tables[block] = {}
             for name, frame in (tables or {}).items():  # contact tables get half of the cache; the others are small
-                size = int(frame.memory_usage(index=False).sum())
+                size = memory({name: frame})
                 if size <= (free - CACHE_SIZE // 2 if name == "contacts" else free):
                     cached_tables[block][name], free = frame, free - size
             del tables, statistics  # frees memory before the next block
-    estimates = cached.estimates if cached else {}
-    return Outcome(store.path, record, model, blocks, accumulators, tuple(damaged), cached_tables, estimates)
+    return Outcome(store.path, record, model, blocks, accumulators, tuple(damaged), cached_tables, cached.estimates)
 
 
 def _model(store: RunFolder, record: Mapping[str, Any]) -> ReducedModel:

@@ -108,6 +108,7 @@ _TABLES = tuple(table.place for table in (*STATISTICS, *STUDIES))
 _FIELDS = "fields/fields.npz"
 _ARRAYS = (SUMS, FORCES, CONDENSED)
 _BLOCK_TABLES = (SAMPLES, *(table for table in DATASETS if table is not SAMPLES), *_ARRAYS)  # in order of removal
+_WITH_FOLDER = (*_BLOCK_TABLES, ONE_STEP)
 _BLOCK_NAME = re.compile(r"(\d{6,})-(\d{6,})")
 
 
@@ -320,15 +321,14 @@ class RunFolder:
 
     def _refuse_links(self) -> None:
         """Refuse symbolic links: they could lead out of the folder."""
-        names = ("run.json", *_SINGLE, *(table.name for table in (*_BLOCK_TABLES, ONE_STEP)))
+        names = ("run.json", *_SINGLE, *(table.name for table in _WITH_FOLDER))
         for place in (*(self.path / name for name in names), *self._folders()[1:]):
             if place.is_symlink():
                 raise RunError(f"{place}: is a link, and a run writes to its own folder only; remove the link")
 
     def _folders(self) -> list[Path]:
         """Folders that hold files of a run."""
-        tables = (*_BLOCK_TABLES, ONE_STEP)
-        partitions = [path for table in tables for path in (self.path / table.name).glob("law=*")]
+        partitions = [path for table in _WITH_FOLDER for path in (self.path / table.name).glob("law=*")]
         return [self.path, self.path / "tables", self.path / "fields", *partitions]
 
     def _clear(self) -> list[str]:
@@ -344,8 +344,7 @@ class RunFolder:
             table.remove(self.path)
         for name in (*_SINGLE, _FIELDS, "run.json"):
             (self.path / name).unlink(missing_ok=True)
-        tables = {self.path / table.name for table in (*_BLOCK_TABLES, ONE_STEP)}
-        for folder in sorted({*self._folders(), *tables}, reverse=True):
+        for folder in sorted({*self._folders(), *(self.path / table.name for table in _WITH_FOLDER)}, reverse=True):
             if folder != self.path:
                 with suppress(OSError):  # it holds other files
                     folder.rmdir()
