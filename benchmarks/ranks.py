@@ -106,7 +106,7 @@ def idle(arguments) -> None:
     from mic.compliance import provider
     from mic.contact.laws import LAWS
     from mic.contact.native.follower import follower
-    from mic.contact.native.kernels import compiled
+    from mic.contact.native.law_equation import compiled
 
     provider.installed()
     follower()

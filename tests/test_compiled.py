@@ -1,12 +1,14 @@
 """Kernels are compiled at setup and not at the first evaluation."""
 
 import os
+import shutil
 import subprocess
 import sys
 
 import pytest
 
 from mic.contact.laws import LAWS
+from mic.contact.native import kernel as native_kernel
 from mic.system.compilation import MESSAGE
 
 EVALUATE = """
@@ -56,3 +58,24 @@ def test_compilation_is_reported_once_and_cached_code_silently_reused(tmp_path):
     (tmp_path / "adding.py").write_text(ADDING)
     command = "-c", f"import sys; sys.path.insert(0, {str(tmp_path)!r}); import mic.contact.native, adding"
     assert [python(*command).count(MESSAGE) for _ in range(2)] == [1, 0]
+
+
+MODULES = {
+    "adding": "from native.kernel import NUMBER, kernel\n\n@kernel(NUMBER(NUMBER))\ndef add(x):\n    return x + 1\n",
+    "doubling": "from native.adding import add\nfrom native.kernel import NUMBER, kernel\n\n"
+    "@kernel(NUMBER(NUMBER))\ndef double(x):\n    return 2 * add(x)\n",
+}
+CALL = "from native.doubling import double as f; print(len(f.overloads), f(1), f.stats.cache_hits.total())"
+
+
+@pytest.mark.slow
+def test_a_kernel_is_loaded_when_called_and_compiled_again_when_one_that_it_calls_changes(tmp_path, monkeypatch):
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path), prepend=os.pathsep)
+    package = tmp_path / "native"
+    package.mkdir()
+    shutil.copy(native_kernel.__file__, package)
+    for name, text in MODULES.items():
+        (package / f"{name}.py").write_text(text)
+    found = [python("-c", CALL).splitlines()[-1] for _ in range(2)]
+    (package / "adding.py").write_text(MODULES["adding"].replace("+ 1", "+ 2"))
+    assert [*found, python("-c", CALL).splitlines()[-1]] == ["0 4.0 0", "0 4.0 1", "0 6.0 0"]

@@ -15,7 +15,8 @@ from mic.contact.backends import BACKENDS
 from mic.contact.friction import Friction
 from mic.contact.laws import ASSOCIATED, COULOMB, FRICTIONLESS, LAWS, find
 from mic.contact.laws.pressure_dependent import table
-from mic.contact.native import kernels
+from mic.contact.native.law_equation import starting_scale
+from mic.contact.native.newton import newton
 from mic.contact.native.solver import NativeSolver
 from mic.contact.states import STATES, ContactState, classify
 from verification.contact_problems import box_stack, compliant, manufactured, slip_dominated
@@ -67,8 +68,8 @@ def test_newton_converges_quadratically_for_sliding_contacts(law, stick, slide, 
     y *= 1 + 1e-4 * rng.normal(size=60)
     w, W = scaled.W @ y + q, scaled.W
     given = np.linalg.inv(W) if inverse else np.empty((0, 0))
-    known = given, q, scaled.parameters, y, w, 0.0, kernels.starting_scale(q), 1e-12
-    error, steps = kernels.newton(scaled.equation, W, *known, 10, 0, 20.0)
+    known = given, q, scaled.parameters, y, w, 0.0, starting_scale(q), 1e-12
+    error, steps = newton(scaled.equation, W, *known, 10, 0, 20.0)
     assert error <= 1e-12 and steps <= 3
 
 

@@ -11,7 +11,8 @@ from scipy.linalg import block_diag
 
 from mic.contact import ContactSolver, Status, certify, ladder, solve
 from mic.contact.laws import ASSOCIATED, COULOMB, LAWS
-from mic.contact.native import kernels, patience
+from mic.contact.native import patience
+from mic.contact.native.linear_step import LARGE, linear_step
 from mic.contact.native.solver import NativeSolver
 from mic.contact.states import OPEN, STICK
 from verification.contact_problems import (
@@ -225,17 +226,17 @@ def test_a_good_guess_saves_iterations():
 @pytest.mark.parametrize("condition, near", [(10.0, True), (1e6, False)])
 def test_a_large_newton_step_is_solved_iteratively_or_by_factorisation(condition, near):
     """Contacts that all stick: the forces that take their displacements back."""
-    m = kernels.LARGE // 3 + 5
+    m = LARGE // 3 + 5
     W, rng = compliant(m, np.random.default_rng(4), condition), np.random.default_rng(5)
     z, x = rng.normal(size=3 * m), np.empty(3 * m)
     A, B, stick = np.zeros((m, 3, 3)), np.tile(np.eye(3), (m, 1, 1)), np.full(m, STICK)
-    assert kernels.linear_step(W, A, B, z, stick, OPEN, z, 0.0, True, x) == near
+    assert linear_step(W, A, B, z, stick, OPEN, z, 0.0, True, x) == near
     np.testing.assert_allclose(W @ x, -z, atol=1e-7 * np.abs(z).max())
 
 
 @pytest.mark.slow
 def test_many_sticking_contacts_do_not_depend_on_their_batch():
-    m = kernels.LARGE // 3 + 5
+    m = LARGE // 3 + 5
     rng = np.random.default_rng(6)
     problem = manufactured(compliant(m, rng, 1e3), np.full(m, 0.3), 6, rng, stick=0.8, slide=0.1)
     solver = ContactSolver(problem.S, problem.mu)

@@ -1,7 +1,6 @@
 """Compile all kernels in advance: ``python -m mic.commands.compile``.
 
-Numba caches the compiled code beside the program, or in ``NUMBA_CACHE_DIR``; loading it takes a third of a second. Two
-processes compile in parallel.
+Numba caches the compiled code beside the program, or in ``NUMBA_CACHE_DIR``. Two processes compile in parallel.
 """
 
 from __future__ import annotations
@@ -9,25 +8,41 @@ from __future__ import annotations
 import sys
 from importlib import import_module
 from multiprocessing import get_context
+from pkgutil import iter_modules
 
 import numpy as np
 from scipy.sparse import csr_matrix
 
 from mic.compliance.blocks import Blocks
+from mic.contact import native
 from mic.contact.laws import LAWS
 from mic.contact.native.follower import follower
-from mic.contact.native.kernels import compiled  # the import compiles what both processes need
+from mic.contact.native.kernel import Kernel
+from mic.contact.native.law_equation import compiled
 from mic.system.matrix_product import product
 
+DERIVATIVES = "tangent"  # shares no kernel with the other modules
+
+
+def load_kernels(names: list[str]) -> None:
+    """Compile the kernels of modules of :mod:`mic.contact.native`."""
+    for name in names:
+        for value in vars(import_module(f"{native.__name__}.{name}")).values():
+            if isinstance(value, Kernel):
+                value.load()
+
+
 if __name__ == "__main__":
-    tangent_process = get_context("fork").Process(target=import_module, args=("mic.contact.native.tangent",))
-    tangent_process.start()
-    follower()
+    derivatives = get_context("fork").Process(target=load_kernels, args=([DERIVATIVES],))
+    derivatives.start()
+    for kernel in follower():
+        kernel.load()
+    load_kernels([module.name for module in iter_modules(native.__path__) if module.name != DERIVATIVES])
     product(np.ones((1, 1)), np.ones((1, 1)))
     for law in LAWS.values():
         if law.equation is not None:
             compiled(law.equation)
     one = csr_matrix(np.ones((1, 1)))
     Blocks((np.ones((1, 1)),), (np.zeros((1, 6)),)).gather(one, one)
-    tangent_process.join()
-    sys.exit(tangent_process.exitcode)
+    derivatives.join()
+    sys.exit(derivatives.exitcode)

@@ -89,7 +89,7 @@ class Columns:
 
     def block(self, numbers: np.ndarray) -> np.ndarray:
         """(k, k) submatrix with these indices, of a matrix that is symmetric up to rounding; made exactly symmetric."""
-        from mic.contact.native.kernels import symmetric  # compiles, or reads the cache, when it is imported
+        from mic.contact.native.matrices import symmetric  # Numba is slow to import
 
         self._provide(numbers)
         return symmetric(self._given, self._own, self._at, np.ascontiguousarray(numbers, dtype=np.int64))
@@ -111,7 +111,7 @@ class Columns:
         loaded = np.flatnonzero(force.any(axis=0))
         if not len(loaded):  # nothing touches: no kernel is needed
             return np.zeros((len(force), self.shape[0]))
-        from mic.contact.native.kernels import responses  # compiles, or reads the cache, when it is imported
+        from mic.contact.native.matrices import responses  # Numba is slow to import
 
         self._provide(loaded)
         readings = np.empty((len(force), self.shape[0]))

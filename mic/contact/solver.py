@@ -144,7 +144,7 @@ class ContactSolver:
     @one_thread
     def subset(self, own: np.ndarray) -> ContactSolver:
         """The solver of a subset `own` (m,) of the contacts; prepared data are reused."""
-        from mic.contact.native.kernels import block  # compiles, or reads the cache, when it is imported
+        from mic.contact.native.matrices import block  # Numba is slow to import
 
         index, rows = np.flatnonzero(own), np.repeat(own, self.dimension)
         some = copy(self)

@@ -34,7 +34,7 @@ import numpy as np
 from mic.contact.compliance_columns import Columns
 from mic.contact.friction import Friction
 from mic.contact.laws import COULOMB, Law
-from mic.contact.native.kernels import compiled
+from mic.contact.native.law_equation import compiled
 from mic.contact.path_record import PathRecord
 from mic.contact.solver import ContactSolver
 from mic.contact.states import OPEN, SLIP, STICK, classify

@@ -115,18 +115,13 @@ def judged(mutation: Mutation, folder: Path) -> Verdict:
     if text.count(mutation.right) != 1:
         return Verdict(mutation, "stale", f"{mutation.file} holds it {text.count(mutation.right)} times", 0.0)
     compiled = mutation.file.startswith(("mic/contact/native/", "mic/contact/laws/"))
-    if compiled:  # what calls a compiled function holds a copy of it
-        for each in (folder / "mic").rglob("__pycache__/*.nb[ic]"):
-            each.unlink()
     path.write_text(text.replace(mutation.right, mutation.wrong), encoding="utf-8")
     start = time.monotonic()
     try:
         word, by = run(folder, mutation.tests)
     finally:
         shutil.copy2(kept, path)
-        if compiled:
-            for each in (folder / "mic").rglob("__pycache__/*.nb[ic]"):
-                each.unlink()
+        if compiled:  # its cache as well
             copied(folder)
     return Verdict(mutation, word, by, time.monotonic() - start)
 

@@ -10,8 +10,10 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from mic.contact.ladder import Rung
-from mic.contact.native import kernels
+from mic.contact.native.frictionless import solve_frictionless
 from mic.contact.native.problem import ScaledProblem
+from mic.contact.native.splitting import solve_by_splitting
+from mic.contact.native.sweeps import solve_by_sweeps
 
 __all__ = ["METHODS", "relaxation", "splitting"]
 
@@ -21,7 +23,7 @@ def relaxation(problem: ScaledProblem, rung: Rung, tol: float) -> Callable:
     if not problem.law.frictional:
 
         def active_set(Q, Y, errors, *counts):
-            kernels.solve_frictionless(problem.W, Q, Y, tol, rung["rounds"], errors, *counts)
+            solve_frictionless(problem.W, Q, Y, tol, rung["rounds"], errors, *counts)
 
         return active_set
     # Rounds differ in their sweeps alone: without them the second would repeat the first.
@@ -29,7 +31,7 @@ def relaxation(problem: ScaledProblem, rung: Rung, tol: float) -> Callable:
     crowd = rung["crowd"] * len(problem.parameters)
 
     def sweep(Q, Y, errors, *counts):
-        kernels.solve_by_sweeps(
+        solve_by_sweeps(
             problem.equation,
             problem.W,
             problem.factors,
@@ -52,7 +54,7 @@ def splitting(problem: ScaledProblem, rung: Rung, tol: float) -> Callable:
     inverse, resolvent, rho = problem.splitting
 
     def split(Q, Y, errors, *counts):
-        kernels.solve_by_splitting(
+        solve_by_splitting(
             problem.equation,
             problem.law.shift,
             problem.W,

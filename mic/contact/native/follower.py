@@ -32,31 +32,16 @@ with ``λ > 0`` only where the force is on the cone.  A step goes like this.
 
 from __future__ import annotations
 
-import hashlib
 from functools import cache
-from pathlib import Path
 
 import numpy as np
 from numba import boolean, int64, types, void
 
-from mic.contact.native import kernels
-from mic.contact.native.kernels import (
-    BLOCKS,
-    COUNTS,
-    EQUATION_POINTER,
-    MATRIX,
-    NUMBER,
-    VECTOR,
-    block,
-    derivative,
-    force_scale,
-    gauss_seidel,
-    jit,
-    newton,
-    starting_scale,
-    system,
-    times,
-)
+from mic.contact.native.gauss_seidel import gauss_seidel
+from mic.contact.native.kernel import BLOCKS, COUNTS, MATRIX, NUMBER, VECTOR, kernel
+from mic.contact.native.law_equation import EQUATION_POINTER, derivative, force_scale, starting_scale
+from mic.contact.native.matrices import block, system, times
+from mic.contact.native.newton import newton
 from mic.contact.states import OPEN, SLIP, STICK
 
 __all__ = ["follower"]
@@ -114,7 +99,7 @@ LAST_PROBLEM = COUNTS, VECTOR, BLOCKS, BLOCKS, COUNTS, MATRIX
 SOLVED = types.Tuple((int64, COUNTS, MATRIX))
 
 
-@jit(NUMBER(NUMBER))
+@kernel(NUMBER(NUMBER))
 def _lag(z):
     """``1 - θ = 1/z - 1/(eᶻ - 1)``: how far behind the end of its slip a slider's reference is, in shares of it."""
     if z < 1e-3:
@@ -124,14 +109,14 @@ def _lag(z):
     return 1.0 / z - 1.0 / np.expm1(z)
 
 
-@jit(NUMBER(NUMBER, NUMBER))
+@kernel(NUMBER(NUMBER, NUMBER))
 def _crossing(start, end):
     """Where a line from ``start >= 0`` to ``end < 0`` crosses zero."""
     start = max(start, 0.0)
     return start / (start - end)
 
 
-@jit(void(VECTOR, COUNTS, MATRIX, VECTOR, VECTOR, VECTOR, VECTOR, COUNTS, boolean, MATRIX, VECTOR))
+@kernel(void(VECTOR, COUNTS, MATRIX, VECTOR, VECTOR, VECTOR, VECTOR, COUNTS, boolean, MATRIX, VECTOR))
 def _shifts(w0, state0, e0, grip, loose, y, w, state, solved, shift, touched):
     """Where each contact's slip is measured from in a step, and the share of it after which an open contact touches.
 
@@ -168,7 +153,7 @@ def _shifts(w0, state0, e0, grip, loose, y, w, state, solved, shift, touched):
             shift[k, 0], shift[k, 1] = -back * d1, -back * d2
 
 
-@jit(NUMBER(VECTOR, VECTOR))
+@kernel(NUMBER(VECTOR, VECTOR))
 def _motion(w, unit):
     """Root mean square over the contacts of a tangential motion, a length."""
     total = 0.0
@@ -177,7 +162,7 @@ def _motion(w, unit):
     return np.sqrt(total / max(len(unit), 1))
 
 
-@jit(void(VECTOR, VECTOR))
+@kernel(void(VECTOR, VECTOR))
 def _forward(y, w):
     """Sliders go a little forward along their way, so that a contact on its cone is one, whatever its last bits."""
     for i in range(0, len(y), 3):
@@ -185,7 +170,7 @@ def _forward(y, w):
         w[i + 2] -= NEAR * y[i + 2]
 
 
-@jit(boolean(VECTOR, VECTOR, VECTOR, boolean))
+@kernel(boolean(VECTOR, VECTOR, VECTOR, boolean))
 def _unforeseen(y, w, rate, starts):
     """Whether contacts may press in the next step of which nothing is known: any, where none presses yet, and where a
     path starts those that touch without force."""
@@ -199,7 +184,7 @@ def _unforeseen(y, w, rate, starts):
     return (soon and not presses) or (at_once and starts)
 
 
-@jit(types.UniTuple(NUMBER, 2)(VECTOR, VECTOR, VECTOR, int64, VECTOR))
+@kernel(types.UniTuple(NUMBER, 2)(VECTOR, VECTOR, VECTOR, int64, VECTOR))
 def _opening(y0, w, motion, k, opened):
     """After which share of a step contact k opens, and how much that is to be doubted, 0 to 1.
 
@@ -211,7 +196,7 @@ def _opening(y0, w, motion, k, opened):
     return opened[k], min(abs(w[i] - motion[i]) / max(w[i], motion[i], 1e-300), 1.0)
 
 
-@jit(NUMBER(VECTOR, COUNTS, VECTOR, VECTOR, COUNTS, VECTOR, MATRIX, VECTOR))
+@kernel(NUMBER(VECTOR, COUNTS, VECTOR, VECTOR, COUNTS, VECTOR, MATRIX, VECTOR))
 def _unsure(y0, state0, motion, w, state, opened, gone, unit):
     """Root mean square over the contacts of the way on which it is in doubt whether one that opens was still loaded, a
     length: its position is right, its slip under load may not be."""
@@ -228,7 +213,7 @@ def _unsure(y0, state0, motion, w, state, opened, gone, unit):
     return np.sqrt(total / max(len(state), 1))
 
 
-@jit(NUMBER(VECTOR, COUNTS, MATRIX, VECTOR, VECTOR, VECTOR, VECTOR, VECTOR, COUNTS, MATRIX, MATRIX, VECTOR))
+@kernel(NUMBER(VECTOR, COUNTS, MATRIX, VECTOR, VECTOR, VECTOR, VECTOR, VECTOR, COUNTS, MATRIX, MATRIX, VECTOR))
 def _error(y0, state0, e0, grip, loose, motion, y, w, state, shift, other, unit):
     """Root mean square over the contacts of what a step may be wrong by in their tangential positions, a length.
 
@@ -258,7 +243,7 @@ def _error(y0, state0, e0, grip, loose, motion, y, w, state, shift, other, unit)
     return np.sqrt(total / max(len(state), 1))
 
 
-@jit(
+@kernel(
     void(
         VECTOR,
         VECTOR,
@@ -336,7 +321,7 @@ def _record(
         work[k] -= f1 * m1 + f2 * m2
 
 
-@jit(MATRIX(MATRIX))
+@kernel(MATRIX(MATRIX))
 def _inverted_by_lapack(matrix):
     """As :func:`_inverted`, of a large one."""
     try:
@@ -345,7 +330,7 @@ def _inverted_by_lapack(matrix):
         return np.zeros_like(matrix)
 
 
-@jit(void(MATRIX, MATRIX))
+@kernel(void(MATRIX, MATRIX))
 def _inverted_four(block, inverse):
     """Inverse of a (4, 4) block whose rows come in the order of its pivots."""
     inverse[:] = 0.0
@@ -363,7 +348,7 @@ def _inverted_four(block, inverse):
                     inverse[b, j] -= factor * inverse[a, j]
 
 
-@jit(boolean(MATRIX, MATRIX, MATRIX, COUNTS, int64))
+@kernel(boolean(MATRIX, MATRIX, MATRIX, COUNTS, int64))
 def _pivots(M, four, trial, place, k):
     """Rows k to k + 3 of M and of ``four``, its columns of the same numbers, become pivots; False if there are none.
 
@@ -392,7 +377,7 @@ def _pivots(M, four, trial, place, k):
     return True
 
 
-@jit(MATRIX(MATRIX))
+@kernel(MATRIX(MATRIX))
 def _inverted(matrix):
     """Inverse X by Gauss and Jordan's method with pivots, four columns at a time; zeros if it is singular.
 
@@ -450,7 +435,7 @@ def _inverted(matrix):
     return inverse
 
 
-@jit(void(MATRIX, MATRIX, MATRIX, MATRIX))
+@kernel(void(MATRIX, MATRIX, MATRIX, MATRIX))
 def _lessen(inverse, left, M, X):
     """``inverse -= left M⁻¹ X`` of rank 3, nothing if M is singular; M and X are used up.
 
@@ -486,7 +471,7 @@ def _lessen(inverse, left, M, X):
             row[j] -= l0 * X0[j] + l1 * X1[j] + l2 * X2[j]
 
 
-@jit(void(MATRIX, BLOCKS, BLOCKS, COUNTS, MATRIX, int64, MATRIX, MATRIX))
+@kernel(void(MATRIX, BLOCKS, BLOCKS, COUNTS, MATRIX, int64, MATRIX, MATRIX))
 def _change(W, A, B, closed, inverse, a, new_A, new_B):
     """The contact ``closed[a]`` begins or ceases to slide: its rows of the system change, the inverse by rank 3."""
     n, k = len(inverse), closed[a]
@@ -516,7 +501,7 @@ def _change(W, A, B, closed, inverse, a, new_A, new_B):
     _lessen(inverse, left, np.eye(3) + X[:, 3 * a : 3 * a + 3], X)
 
 
-@jit(types.Tuple((COUNTS, MATRIX))(MATRIX, BLOCKS, COUNTS, MATRIX, int64))
+@kernel(types.Tuple((COUNTS, MATRIX))(MATRIX, BLOCKS, COUNTS, MATRIX, int64))
 def _border(W, B, own, inverse, k):
     """The contact k joins the system `own`, open: its inverse with three rows and columns more."""
     c, n = len(own), len(inverse)
@@ -537,7 +522,7 @@ def _border(W, B, own, inverse, k):
     return joined, grown
 
 
-@jit(void(MATRIX, int64))
+@kernel(void(MATRIX, int64))
 def _let_go(inverse, a):
     """The contact ``closed[a]`` opens: its rows and columns leave the system, the inverse by rank 3."""
     i = 3 * a
@@ -547,7 +532,7 @@ def _let_go(inverse, a):
     inverse[i : i + 3] = 0.0
 
 
-@jit(int64(EQUATION_POINTER, MATRIX, VECTOR, VECTOR, COUNTS, types.Array(types.boolean, 1, "C"), VECTOR, COUNTS))
+@kernel(int64(EQUATION_POINTER, MATRIX, VECTOR, VECTOR, COUNTS, types.Array(types.boolean, 1, "C"), VECTOR, COUNTS))
 def _breaking(equation, parameters, y, still, state, held, phi, found):
     """A contact that sticks and whose force has left the cone, but for those that were just held; -1 if none does.
 
@@ -569,7 +554,7 @@ def _breaking(equation, parameters, y, still, state, held, phi, found):
     return -1
 
 
-@jit(void(EQUATION_POINTER, MATRIX, VECTOR, VECTOR, VECTOR, int64, MATRIX, MATRIX, VECTOR, VECTOR))
+@kernel(void(EQUATION_POINTER, MATRIX, VECTOR, VECTOR, VECTOR, int64, MATRIX, MATRIX, VECTOR, VECTOR))
 def _facet(equation, parameters, y, w, y_new, k, A, B, right, e):
     """Contact k slides against the force that ``y_new`` has: its linear equation there, ``A dy + B dw = right``.
 
@@ -599,13 +584,13 @@ def _compile(digest):
     # In the closure of `follow` these would be part of the cache's key, and no two processes write them alike.
     global inverse_of, rates, linear, sweep, closings, newton_by_pivots, solve, lands, predict, follow
 
-    @jit(MATRIX(MATRIX, BLOCKS, BLOCKS, COUNTS))
+    @kernel(MATRIX(MATRIX, BLOCKS, BLOCKS, COUNTS))
     def inverse_of(W, A, B, closed):
         """Inverse of ``A_k x_k + B_k (W x)_k`` over the contacts that are closed; zeros if it is singular."""
         digest  # noqa: B018  (a variable of the closure, and so part of the cache's key)
         return _inverted(system(W, A, B, closed, DAMPING))
 
-    @jit(void(MATRIX, BLOCKS, COUNTS, MATRIX, VECTOR, VECTOR, VECTOR))
+    @kernel(void(MATRIX, BLOCKS, COUNTS, MATRIX, VECTOR, VECTOR, VECTOR))
     def rates(W, B, closed, inverse, rate, dy, dw):
         """``A_k dy_k + B_k dw_k = 0`` with ``dw = W dy + rate``, and ``dy = 0`` where contacts are open."""
         digest  # noqa: B018
@@ -626,7 +611,7 @@ def _compile(digest):
         times(W, dy, dw)
         dw += rate
 
-    @jit(void(MATRIX, COUNTS, MATRIX, VECTOR, VECTOR, VECTOR, VECTOR, VECTOR))
+    @kernel(void(MATRIX, COUNTS, MATRIX, VECTOR, VECTOR, VECTOR, VECTOR, VECTOR))
     def linear(W, own, inverse, right, y, q, y_new, w_new):
         """``y_new = y + J⁻¹ right`` over the contacts `own`, and ``w_new = W y_new + q``."""
         digest  # noqa: B018
@@ -642,7 +627,7 @@ def _compile(digest):
         times(W, y_new, w_new)
         w_new += q
 
-    @jit(void(MATRIX, MATRIX, MATRIX, VECTOR, VECTOR, VECTOR, VECTOR, int64))
+    @kernel(void(MATRIX, MATRIX, MATRIX, VECTOR, VECTOR, VECTOR, VECTOR, int64))
     def sweep(W, P, parameters, y, w, q, slip, sweeps):
         """Gauss-Seidel's sweeps from (y, w), and ``w = W y + q`` without the rounding that they leave."""
         digest  # noqa: B018
@@ -651,7 +636,7 @@ def _compile(digest):
         times(W, y, w)
         w += q
 
-    @jit(void(MATRIX, COUNTS, MATRIX, VECTOR, COUNTS, VECTOR, VECTOR, COUNTS, MATRIX, VECTOR))
+    @kernel(void(MATRIX, COUNTS, MATRIX, VECTOR, COUNTS, VECTOR, VECTOR, COUNTS, MATRIX, VECTOR))
     def closings(W, own, inverse, w0, state0, y, w, state, shift, touched):
         """Where contacts that close in a step were when they did, and after which share of it: ``shift``, ``touched``.
 
@@ -716,7 +701,7 @@ def _compile(digest):
             shift[new[first]] = at[first, 1:]
             late[first] = False
 
-    @jit(SOLVED(EQUATION_POINTER, MATRIX, MATRIX, VECTOR, VECTOR, VECTOR, NUMBER, NUMBER, *LAST_PROBLEM, COUNTS))
+    @kernel(SOLVED(EQUATION_POINTER, MATRIX, MATRIX, VECTOR, VECTOR, VECTOR, NUMBER, NUMBER, *LAST_PROBLEM, COUNTS))
     def newton_by_pivots(equation, W, parameters, y, w, q, tol, scale, kept, stretch, A, B, own, inverse, counts):
         """Newton's method whose linear problems keep their inequalities (Josephy's), from the guess (y, w).
 
@@ -884,7 +869,7 @@ def _compile(digest):
             y[:], w[:] = y_new, w_new
         return 0, own, inverse
 
-    @jit(
+    @kernel(
         SOLVED(
             EQUATION_POINTER,
             MATRIX,
@@ -971,7 +956,7 @@ def _compile(digest):
                     return 1, own, inverse
         return 0, own, inverse
 
-    @jit(boolean(EQUATION_POINTER, MATRIX, MATRIX, VECTOR, VECTOR, VECTOR, VECTOR, NUMBER, COUNTS))
+    @kernel(boolean(EQUATION_POINTER, MATRIX, MATRIX, VECTOR, VECTOR, VECTOR, VECTOR, NUMBER, COUNTS))
     def lands(equation, W, parameters, guess, y, w, q, tol, counts):
         """Whether Newton's method solves a problem from a guess (3m,); else (y, w) stay as they are."""
         digest  # noqa: B018
@@ -988,7 +973,7 @@ def _compile(digest):
         y[:], w[:] = found, moved
         return True
 
-    @jit(
+    @kernel(
         NUMBER(
             EQUATION_POINTER,
             MATRIX,
@@ -1224,7 +1209,7 @@ def _compile(digest):
                 loose[k] /= step
         return step
 
-    @jit(
+    @kernel(
         void(
             EQUATION_POINTER,
             MATRIX,
@@ -1571,7 +1556,7 @@ def _compile(digest):
             Q[sample] = q
             Y[sample] = y
 
-    @jit(
+    @kernel(
         void(
             EQUATION_POINTER,
             MATRIX,
@@ -1713,4 +1698,4 @@ def _compile(digest):
 @cache
 def follower():
     """The compiled follower: of samples that share their contacts, and of samples each with its own of them."""
-    return _compile(hashlib.sha256(Path(kernels.__file__).read_bytes()).hexdigest())
+    return _compile("")

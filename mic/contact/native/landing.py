@@ -16,7 +16,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mic.contact.native import kernels
+from mic.contact.native.law_equation import derivative, force_scale, starting_scale
+from mic.contact.native.linear_step import linear_step
+from mic.contact.native.matrices import block, times
 from mic.contact.native.problem import ScaledProblem
 from mic.contact.states import OPEN, STICK
 
@@ -73,7 +75,7 @@ class Landing:
             Its scaled forces' units.
         Q : (n, 3k) array
         tol : float
-            Of the error, as :func:`mic.contact.native.kernels.newton` has it.
+            Of the error, as :func:`mic.contact.native.newton.newton` has it.
 
         Returns
         -------
@@ -86,16 +88,16 @@ class Landing:
         """One sample; `best` is changed in place."""
         held, m = self._own[among], len(among)
         rows, place = _rows(np.flatnonzero(held)), np.cumsum(held) - 1
-        scale, least, y = kernels.starting_scale(q), np.inf, best.copy()
+        scale, least, y = starting_scale(q), np.inf, best.copy()
         phi, w, state = np.empty(3 * m), np.empty(3 * m), np.empty(m, np.int64)
         A, B = np.empty((m, 3, 3)), np.empty((m, 3, 3))
         two = np.full(1, -1)  # contacts whose forces are unknown, and what that takes
         for step in range(STEPS + 1):
-            kernels.times(problem.W, y, w)
+            times(problem.W, y, w)
             w += q
-            kernels.derivative(problem.equation, problem.parameters, y, w, phi, A, B, state)
+            derivative(problem.equation, problem.parameters, y, w, phi, A, B, state)
             # Without the contacts that obey their law, whose number hangs on what others need.
-            error, size = np.linalg.norm(phi[phi != 0.0]), kernels.force_scale(scale, q, y, w)
+            error, size = np.linalg.norm(phi[phi != 0.0]), force_scale(scale, q, y, w)
             if error < least:
                 least, best[:] = error, y
             if error <= tol * size or step == STEPS or not np.isfinite(error):
@@ -110,19 +112,19 @@ class Landing:
             if not np.array_equal(before, two):
                 touching = problem.W[others][:, rows]  # W_NP
                 answers = self._answers.take(_rows(among[two])) * unit[others, None]  # (V W_PN)ᵀ
-                free = kernels.block(problem.W, two, 3) - answers @ touching.T
+                free = block(problem.W, two, 3) - answers @ touching.T
             columns = np.empty((3 * len(mine),) * 2)
-            columns[:few, :few] = kernels.block(self._inverse, place[one], 3)
+            columns[:few, :few] = block(self._inverse, place[one], 3)
             columns[few:, :few] = -answers[:, _rows(place[one])]
             columns[:few, few:] = -columns[few:, :few].T
             columns[few:, few:] = free
             first, second = A[mine], B[mine]
             first[: len(one)], second[: len(one)] = B[one], A[one]
             x, nothing = np.empty(len(columns)), np.empty(0)
-            kernels.linear_step(columns, first, second, phi[_rows(mine)], state[mine], EVERY, nothing, 0.0, False, x)
+            linear_step(columns, first, second, phi[_rows(mine)], state[mine], EVERY, nothing, 0.0, False, x)
             change, answer = -(x[few:] @ touching), np.empty(len(rows))
             change[_rows(place[one])] += x[:few]
-            kernels.times(self._inverse, change, answer)
+            times(self._inverse, change, answer)
             y[rows] += answer
             y[others] += x[few:]
         return step

@@ -10,7 +10,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mic.contact.native import kernels
+from mic.contact.native.frictionless import solve_frictionless
+from mic.contact.native.gauss_seidel import gauss_seidel
+from mic.contact.native.law_equation import starting_scale
+from mic.contact.native.newton import newton
 from mic.contact.native.problem import ScaledProblem
 
 __all__ = ["METHODS", "Search"]
@@ -104,7 +107,7 @@ def _solved(problem, neighbours, rung, q, y) -> _Found:
 
 def _swept(problem, neighbours, q, y, sweeps):
     y, w, slip = y.copy(), problem.W @ y + q, np.zeros(len(problem.parameters))
-    kernels.gauss_seidel(problem.W, *neighbours, problem.factors, problem.parameters, y, w, slip, sweeps, 1e-15)
+    gauss_seidel(problem.W, *neighbours, problem.factors, problem.parameters, y, w, slip, sweeps, 1e-15)
     return y
 
 
@@ -113,11 +116,11 @@ def landed(problem, rung, q, y):
     tol, m = 0.1 * rung["tol"], len(problem.parameters)
     if not problem.law.frictional:
         Y, error, passes, taken = y[None].copy(), np.zeros(1), np.zeros(1, np.int64), np.zeros(1, np.int64)
-        kernels.solve_frictionless(problem.W, q[None], Y, tol, 1, error, passes, taken)
+        solve_frictionless(problem.W, q[None], Y, tol, 1, error, passes, taken)
         return Y[0], error[0], int(taken[0])
     y, w = y.copy(), problem.W @ y + q
-    settings = rung["damping"], kernels.starting_scale(q), tol, rung["newton"], 0, m
-    error, steps = kernels.newton(problem.equation, problem.W, np.empty((0, 0)), q, problem.parameters, y, w, *settings)
+    settings = rung["damping"], starting_scale(q), tol, rung["newton"], 0, m
+    error, steps = newton(problem.equation, problem.W, np.empty((0, 0)), q, problem.parameters, y, w, *settings)
     return y, error, steps
 
 

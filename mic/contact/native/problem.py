@@ -20,7 +20,8 @@ from scipy.sparse.csgraph import connected_components
 from mic.contact.certificate import contact_stiffness, residual
 from mic.contact.ladder import SPLITTING
 from mic.contact.laws import COULOMB, Law
-from mic.contact.native.kernels import compiled, local_factors
+from mic.contact.native.gauss_seidel import local_factors
+from mic.contact.native.law_equation import compiled
 
 __all__ = ["ScaledProblem", "inverse_root"]
 
@@ -39,7 +40,7 @@ class ScaledProblem:
     parameters : (m, p) array
         Of the law, contact by contact; scaled friction ``μ'`` first, as it is held.
     factors : (m, 7) array or None
-        :func:`mic.contact.native.kernels.local_factors` of ``W``; None without friction.
+        :func:`mic.contact.native.gauss_seidel.local_factors` of ``W``; None without friction.
     """
 
     law: Law
@@ -73,7 +74,7 @@ class ScaledProblem:
 
     @cached_property
     def neighbours(self) -> tuple[np.ndarray, np.ndarray]:
-        """Which contacts each contact moves, as :func:`mic.contact.native.kernels.gauss_seidel` takes it."""
+        """Which contacts each contact moves, as :func:`mic.contact.native.gauss_seidel.gauss_seidel` takes it."""
         touching = self._touching
         if touching.mean() > SPARSE:
             return np.empty(0, np.int64), np.empty(0, np.int64)

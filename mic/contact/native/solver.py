@@ -14,9 +14,10 @@ from mic.contact import ladder
 from mic.contact.friction import Friction
 from mic.contact.laws import Law
 from mic.contact.lazy_memory import lazy_zeros
-from mic.contact.native import batch, follower, kernels, patience
+from mic.contact.native import batch, follower, patience
 from mic.contact.native.infeasibility import infeasible
 from mic.contact.native.landing import Landing
+from mic.contact.native.matrices import block
 from mic.contact.native.problem import ScaledProblem, inverse_root
 from mic.contact.path import Increments, Leg, Path
 from mic.contact.path_record import PathRecord, record_array
@@ -94,7 +95,7 @@ class NativeSolver:
         some.scaling = self.scaling[rows]
         some.problem = replace(
             problem,
-            W=kernels.block(problem.W, np.flatnonzero(own), self._size),
+            W=block(problem.W, np.flatnonzero(own), self._size),
             parameters=problem.parameters[own],
             factors=None if problem.factors is None else problem.factors[own],
         )

@@ -15,7 +15,8 @@ from __future__ import annotations
 import numpy as np
 from numba import boolean, int64, types, void
 
-from mic.contact.native.kernels import BLOCKS, COUNTS, EQUATION_POINTER, MATRIX, NUMBER, VECTOR, jit
+from mic.contact.native.kernel import BLOCKS, COUNTS, MATRIX, NUMBER, VECTOR, kernel
+from mic.contact.native.law_equation import EQUATION_POINTER
 from mic.contact.states import LOADED, ON_CONE, OPEN, SLIP, STICK
 
 __all__ = ["walks"]
@@ -36,7 +37,7 @@ BEYOND, SHARE = 1e6, 1e-5
 MASK = types.Array(types.boolean, 1, "C")
 
 
-@jit(types.UniTuple(NUMBER, 2)(NUMBER))
+@kernel(types.UniTuple(NUMBER, 2)(NUMBER))
 def _lag(z):
     """``φ(z) = 1/z - 1/(eᶻ - 1)`` and its derivative."""
     if abs(z) < 0.05:
@@ -49,7 +50,7 @@ def _lag(z):
     return 1.0 / z - 1.0 / below, (below + 1.0) / (below * below) - 1.0 / (z * z)
 
 
-@jit(types.UniTuple(NUMBER, 2)(EQUATION_POINTER, boolean, MATRIX, int64, NUMBER))
+@kernel(types.UniTuple(NUMBER, 2)(EQUATION_POINTER, boolean, MATRIX, int64, NUMBER))
 def _bound(equation, varies, parameters, k, normal):
     """``g(f_n)`` of contact k, and ``g'``: the law's equation tells both where it varies, of a force far outside."""
     if not varies:
@@ -62,7 +63,7 @@ def _bound(equation, varies, parameters, k, normal):
     return B[0, 2, 2] * y[1] if normal > 0.0 else 0.0, B[0, 1, 0]
 
 
-@jit(MATRIX(MATRIX, MATRIX))
+@kernel(MATRIX(MATRIX, MATRIX))
 def _solved(matrix, right):
     """A linear system; where contacts hold each other, the least forces."""
     size = np.abs(right).max() if right.size else 0.0
@@ -82,7 +83,7 @@ def _solved(matrix, right):
     return np.ascontiguousarray(np.linalg.lstsq(matrix, right, HYPERSTATIC)[0])
 
 
-@jit(MATRIX(MATRIX, BLOCKS, BLOCKS, COUNTS))
+@kernel(MATRIX(MATRIX, BLOCKS, BLOCKS, COUNTS))
 def _system(S, P, Q, own):
     """Matrix of ``P_k x_k + Q_k (S x)_k`` over the contacts ``own``."""
     size, count = P.shape[1], len(own)
@@ -106,7 +107,7 @@ def _system(S, P, Q, own):
     return J
 
 
-@jit(MATRIX(MATRIX, COUNTS, int64, COUNTS, MATRIX))
+@kernel(MATRIX(MATRIX, COUNTS, int64, COUNTS, MATRIX))
 def _moved(S, rows, size, loaded, F):
     """(r, p) some rows of ``S F``, F the slopes of the forces of the contacts ``loaded`` and zero elsewhere."""
     columns = np.empty((len(rows), size * len(loaded)))
@@ -122,7 +123,7 @@ def _moved(S, rows, size, loaded, F):
     return np.dot(columns, force)
 
 
-@jit(MATRIX(MATRIX, MATRIX, COUNTS, VECTOR, int64))
+@kernel(MATRIX(MATRIX, MATRIX, COUNTS, VECTOR, int64))
 def _bent(left, right, whose, force, p):
     """(r, p) ``dS f`` of each input."""
     found = np.zeros((left.shape[1], p))
@@ -135,7 +136,7 @@ def _bent(left, right, whose, force, p):
     return found
 
 
-@jit(void(VECTOR, VECTOR, VECTOR, boolean, NUMBER, NUMBER, NUMBER, NUMBER, NUMBER, *3 * (MATRIX,), VECTOR, MATRIX))
+@kernel(void(VECTOR, VECTOR, VECTOR, boolean, NUMBER, NUMBER, NUMBER, NUMBER, NUMBER, *3 * (MATRIX,), VECTOR, MATRIX))
 def _slip(f, w, f0, turns, κ, μ, share, bound, rise, P, Q, P0, R, r):
     """A contact that slips under load; `share` is 1 - σ, and r (3, 2) receives what its equations change with its
     coefficient of friction and with its own compliance."""
@@ -186,7 +187,7 @@ def _slip(f, w, f0, turns, κ, μ, share, bound, rise, P, Q, P0, R, r):
         P0[2, 1 + j] = (f[1] * E0[1, j] - f[2] * E0[0, j]) / weight
 
 
-@jit(
+@kernel(
     void(
         EQUATION_POINTER,
         boolean,
@@ -238,7 +239,7 @@ def _equations(equation, varies, shift, length, parameters, own, state, slides, 
                 R[a, c], P[a, c, c] = length[k] * f[i + c], length[k]
 
 
-@jit(void(EQUATION_POINTER, boolean, NUMBER, VECTOR, MATRIX, int64, VECTOR, VECTOR, COUNTS))
+@kernel(void(EQUATION_POINTER, boolean, NUMBER, VECTOR, MATRIX, int64, VECTOR, VECTOR, COUNTS))
 def _states(equation, varies, shift, length, parameters, size, f, w, state):
     """Branches of the natural map, no tolerance."""
     for k in range(len(state)):
@@ -256,7 +257,7 @@ def _states(equation, varies, shift, length, parameters, size, f, w, state):
             state[k] = STICK if across <= bound else SLIP
 
 
-@jit(void(EQUATION_POINTER, boolean, MATRIX, VECTOR, MASK))
+@kernel(void(EQUATION_POINTER, boolean, MATRIX, VECTOR, MASK))
 def _on_cone(equation, varies, parameters, f, found):
     """Contacts that are loaded and on their cones."""
     largest = 0.0
@@ -270,7 +271,7 @@ def _on_cone(equation, varies, parameters, f, found):
             found[k] = bound > 0.0 and np.sqrt(f[i + 1] ** 2 + f[i + 2] ** 2) >= (1.0 - ON_CONE) * bound
 
 
-@jit(
+@kernel(
     void(
         EQUATION_POINTER,
         boolean,
@@ -431,7 +432,7 @@ def _touching(
                 dshift[2 * a + c, j] = h * (dx * dw[i + 1 + c] + x * slide)
 
 
-@jit(
+@kernel(
     int64(
         EQUATION_POINTER,
         boolean,
@@ -707,7 +708,7 @@ def _walk(
     return len(ends)
 
 
-@jit(
+@kernel(
     void(
         EQUATION_POINTER,
         boolean,

@@ -1,0 +1,89 @@
+"""Compiled functions in several modules: compiled, or read from the cache, at the first call.
+
+A kernel has one signature. Its cache is valid as long as no source of this package changes: Numba would compare only
+the file of the kernel itself, not those of the kernels that it calls. Importing a module compiles and loads nothing,
+and a kernel read from the cache brings the code of those that it calls with it.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable
+from functools import cache
+from pathlib import Path
+
+from numba import float64, int64
+from numba.core import caching
+from numba.core.compiler_lock import global_compiler_lock
+from numba.core.registry import CPUDispatcher
+
+from mic.contact import states
+
+__all__ = ["BLOCKS", "COUNTS", "MATRIX", "NUMBER", "VECTOR", "Kernel", "kernel"]
+
+NUMBER, VECTOR, MATRIX, BLOCKS = float64, float64[::1], float64[:, ::1], float64[:, :, ::1]
+COUNTS = int64[::1]
+
+
+@cache
+def _package_stamp() -> bytes:
+    """Hash of all sources that kernels are compiled from."""
+    digest = hashlib.sha256()
+    for path in [*sorted(Path(__file__).parent.glob("*.py")), Path(states.__file__)]:
+        digest.update(path.name.encode() + path.read_bytes())
+    return digest.digest()
+
+
+class _Stamped:
+    def get_source_stamp(self) -> bytes:
+        return _package_stamp()
+
+
+class _Provided(_Stamped, caching.UserProvidedCacheLocator): ...
+
+
+class _InTree(_Stamped, caching.InTreeCacheLocator): ...
+
+
+class _UserWide(_Stamped, caching.UserWideCacheLocator): ...
+
+
+class _CacheFiles(caching.CompileResultCacheImpl):
+    _locator_classes = [_Provided, _InTree, _UserWide]
+
+
+class _PackageCache(caching.FunctionCache):
+    _impl_class = _CacheFiles
+
+
+class Kernel(CPUDispatcher):
+    """A compiled function of one signature."""
+
+    def __init__(self, function: Callable, signature):
+        super().__init__(function, targetoptions={"nopython": True, "nogil": True, "error_model": "numpy"})
+        self._signature = signature
+
+    def load(self) -> None:
+        """Read the function from the cache, or compile it, unless that is done."""
+        with global_compiler_lock:
+            if not self._can_compile:
+                return
+            try:
+                self._cache = _PackageCache(self.py_func)
+            except RuntimeError:  # no folder can be written: each process compiles anew
+                pass
+            self.compile(self._signature)
+            self.disable_compile()
+
+    def _compile_for_args(self, *_):  # at the first call: what Numba calls instead
+        self.load()
+        return self
+
+    def get_call_template(self, args, kws):  # when a caller is compiled
+        self.load()
+        return super().get_call_template(args, kws)
+
+
+def kernel(signature) -> Callable[[Callable], Kernel]:
+    """Decorator that makes a function a :class:`Kernel`."""
+    return lambda function: Kernel(function, signature)

@@ -1,0 +1,229 @@
+"""The linear problem of a Newton step: elimination of what is known, factorisation, or GMRES for many unknowns."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import boolean, int64, void
+
+from mic.contact.native.kernel import BLOCKS, COUNTS, MATRIX, NUMBER, VECTOR, kernel
+from mic.contact.states import SLIP
+
+__all__ = ["LARGE", "linear_step", "solve_dense"]
+
+#: Relative to a contact's own matrix: what is less is rounding.
+RANK = 1e-10
+#: Rows above which GMRES is tried before a factorisation.
+LARGE = 900
+#: Iterations of GMRES, and its residual relative to the right-hand side; each Newton step gains that much.
+KRYLOV, NEAR = 40, 1e-8
+
+
+@kernel(VECTOR(MATRIX, VECTOR))
+def solve_dense(columns, r):
+    """``J⁻¹ r`` of a matrix given by its columns, ``Jᵀ``, as LAPACK has it; zeros if it is singular to the last bit."""
+    try:
+        return np.linalg.solve(columns.T, r)
+    except Exception:
+        return np.zeros_like(r)
+
+
+@kernel(void(NUMBER, NUMBER, NUMBER, BLOCKS, int64))
+def _across(l0, l1, l2, N, a):
+    """The first two columns of ``N[a]`` (3, 3) become unit vectors perpendicular to l and to each other."""
+    length = np.sqrt(l0 * l0 + l1 * l1 + l2 * l2)
+    n0, n1, n2 = l0 / length, l1 / length, l2 / length
+    if abs(l0) <= abs(l1) and abs(l0) <= abs(l2):
+        u0, u1, u2 = 1.0 - n0 * n0, -n0 * n1, -n0 * n2
+    elif abs(l1) <= abs(l2):
+        u0, u1, u2 = -n1 * n0, 1.0 - n1 * n1, -n1 * n2
+    else:
+        u0, u1, u2 = -n2 * n0, -n2 * n1, 1.0 - n2 * n2
+    size = np.sqrt(u0 * u0 + u1 * u1 + u2 * u2)
+    u0, u1, u2 = u0 / size, u1 / size, u2 / size
+    N[a, 0, 0], N[a, 1, 0], N[a, 2, 0] = u0, u1, u2
+    N[a, 0, 1], N[a, 1, 1], N[a, 2, 1] = n1 * u2 - n2 * u1, n2 * u0 - n0 * u2, n0 * u1 - n1 * u0
+
+
+@kernel(int64(BLOCKS, BLOCKS, VECTOR, int64, BLOCKS, BLOCKS, int64, VECTOR))
+def _unknowns(A, B, phi, k, M, N, a, x):
+    """How many unknowns ``A x + B p = -Φ`` of the contact k leaves where p hangs on others, 2 or 3.
+
+    A slider's B has rank 2: with l perpendicular to its columns ``l·A x = -l·Φ``, whatever p is.  Then its entries of
+    ``x`` receive one that obeys it, ``N[a]`` what may be added to it, and ``M[a]`` the combinations of rows that are
+    left, both (3, 3) in their first two columns.
+    """
+    l0 = l1 = l2 = largest = 0.0
+    for j in range(3):
+        i = (j + 1) % 3
+        c0 = B[k, 1, i] * B[k, 2, j] - B[k, 2, i] * B[k, 1, j]
+        c1 = B[k, 2, i] * B[k, 0, j] - B[k, 0, i] * B[k, 2, j]
+        c2 = B[k, 0, i] * B[k, 1, j] - B[k, 1, i] * B[k, 0, j]
+        size = c0 * c0 + c1 * c1 + c2 * c2
+        if size > largest:
+            largest, l0, l1, l2 = size, c0, c1, c2
+    if largest == 0.0:
+        return 3
+    size = np.sqrt(largest)
+    l0, l1, l2 = l0 / size, l1 / size, l2 / size
+    for j in range(3):
+        b0, b1, b2 = B[k, 0, j], B[k, 1, j], B[k, 2, j]
+        across = l0 * b0 + l1 * b1 + l2 * b2
+        if across * across > RANK * RANK * (b0 * b0 + b1 * b1 + b2 * b2):
+            return 3
+    g0 = l0 * A[k, 0, 0] + l1 * A[k, 1, 0] + l2 * A[k, 2, 0]
+    g1 = l0 * A[k, 0, 1] + l1 * A[k, 1, 1] + l2 * A[k, 2, 1]
+    g2 = l0 * A[k, 0, 2] + l1 * A[k, 1, 2] + l2 * A[k, 2, 2]
+    square, i = g0 * g0 + g1 * g1 + g2 * g2, 3 * k
+    if square < RANK * RANK:
+        return 3
+    ahead = -(l0 * phi[i] + l1 * phi[i + 1] + l2 * phi[i + 2]) / square
+    x[i], x[i + 1], x[i + 2] = ahead * g0, ahead * g1, ahead * g2
+    _across(l0, l1, l2, M, a)
+    _across(g0, g1, g2, N, a)
+    return 2
+
+
+@kernel(void(VECTOR, COUNTS, VECTOR))
+def _apart(row, own, out):
+    """The columns of a row that are those of the contacts `own`: all columns n come first, then t1, then t2."""
+    count = len(own)
+    first, second, third = out[:count], out[count : 2 * count], out[2 * count :]
+    for b in range(count):
+        j = 3 * own[b]
+        first[b], second[b], third[b] = row[j], row[j + 1], row[j + 2]
+
+
+@kernel(boolean(MATRIX, VECTOR, VECTOR))
+def _approached(columns, r, d):
+    """GMRES (Saad and Schultz 1986): fill ``d`` with ``J⁻¹ r`` up to :data:`NEAR`, of a matrix given by its columns.
+
+    Returns whether it was reached; it is given up where a quarter of the steps brings no quarter of the digits.
+    """
+    size, n = np.linalg.norm(r), len(r)
+    if size == 0.0:
+        d[:] = 0.0
+        return True
+    V, R = np.empty((KRYLOV + 1, n)), np.zeros((KRYLOV, KRYLOV))
+    c, s, g = np.zeros(KRYLOV), np.zeros(KRYLOV), np.zeros(KRYLOV + 1)
+    V[0], g[0] = r / size, 1.0
+    for k in range(KRYLOV):
+        v = np.dot(V[k], columns)
+        for i in range(k + 1):
+            R[i, k] = np.dot(V[i], v)
+            v -= R[i, k] * V[i]
+        beyond = np.linalg.norm(v)
+        for i in range(k):
+            R[i, k], R[i + 1, k] = c[i] * R[i, k] + s[i] * R[i + 1, k], c[i] * R[i + 1, k] - s[i] * R[i, k]
+        length = np.sqrt(R[k, k] ** 2 + beyond**2)
+        if not 0.0 < length < np.inf:
+            return False
+        c[k], s[k], R[k, k] = R[k, k] / length, beyond / length, length
+        g[k], g[k + 1] = c[k] * g[k], -s[k] * g[k]
+        if abs(g[k + 1]) <= NEAR:
+            d[:] = 0.0
+            for i in range(k, -1, -1):
+                for j in range(i + 1, k + 1):
+                    g[i] -= R[i, j] * g[j]
+                g[i] /= R[i, i]
+                d += size * g[i] * V[i]
+            return True
+        if 4 * (k + 1) == KRYLOV and abs(g[k + 1]) > NEAR**0.25:
+            return False
+        V[k + 1] = v / beyond
+    return False
+
+
+@kernel(boolean(MATRIX, BLOCKS, BLOCKS, VECTOR, COUNTS, int64, VECTOR, NUMBER, boolean, VECTOR))
+def linear_step(W, A, B, phi, state, known, z, damping, approach, x):
+    """Solve ``A_k x_k + B_k (W x)_k = -Φ_k`` for all contacts, given that ``x = -z`` where ``state`` is ``known``.
+
+    Fills ``x``.  Contacts that slide have two unknowns, others three: the matrix has the first ones of all contacts,
+    then the second ones, then the third, so that what is computed for one of them is computed for all in a row.  More
+    than :data:`LARGE` unknowns are approached, which no factorisation takes where the contacts are about as stiff as
+    what couples them; returned is ``approach``, False once that was in vain.
+    """
+    m = len(state)
+    unknown = np.flatnonzero(state != known)
+    count = len(unknown)
+    for i in range(len(x)):
+        x[i] = -z[i] if state[i // 3] == known else 0.0
+    if count == 0:
+        return approach
+    M, N, some = np.zeros((count, 3, 3)), np.zeros((count, 3, 3)), np.full(count, 3)
+    threes = 0
+    for a in range(count):
+        k = unknown[a]
+        if state[k] == SLIP:
+            some[a] = _unknowns(A, B, phi, k, M, N, a, x)
+        if some[a] == 3:
+            for c in range(3):
+                M[a, c, c] = N[a, c, c] = 1.0
+        threes += some[a] == 3
+    own, size = np.empty((3, 3 * count)), 2 * count + threes
+    product = np.zeros(3 * count)  # W x, as far as it is known
+    for k in range(m):
+        for i in range(3 * k, 3 * k + 3):
+            if x[i] != 0.0 and state[k] == known:
+                for b in range(count):
+                    for c in range(3):
+                        product[c * count + b] += W[i, 3 * unknown[b] + c] * x[i]
+    for a in range(3 * count):
+        i = 3 * unknown[a // 3] + a % 3
+        value, line = x[i], own[0]
+        if value != 0.0:
+            _apart(W[i], unknown, line)
+            for j in range(3 * count):
+                product[j] += line[j] * value
+    place, last = np.empty((3, count), np.int64), 2 * count  # of each contact's unknowns
+    r, rest = np.empty(size), np.empty(3)
+    C, D = np.zeros((3, 3, count)), np.zeros((3, 3, count))  # Mᵀ B and Mᵀ A N: unknown, column, contact
+    for a in range(count):
+        k, i = unknown[a], 3 * unknown[a]
+        place[0, a], place[1, a], place[2, a] = a, count + a, -1
+        if some[a] == 3:
+            place[2, a] = last
+            last += 1
+        for c in range(3):
+            rest[c] = -phi[i + c]
+            for j in range(3):
+                rest[c] -= A[k, c, j] * x[i + j] + B[k, c, j] * product[j * count + a]
+        for p in range(some[a]):
+            m0, m1, m2 = M[a, 0, p], M[a, 1, p], M[a, 2, p]
+            r[place[p, a]] = m0 * rest[0] + m1 * rest[1] + m2 * rest[2]
+            for c in range(3):
+                C[p, c, a] = m0 * B[k, 0, c] + m1 * B[k, 1, c] + m2 * B[k, 2, c]
+                MA = m0 * A[k, 0, c] + m1 * A[k, 1, c] + m2 * A[k, 2, c]
+                for q in range(some[a]):
+                    D[p, q, a] += MA * N[a, c, q]
+    columns, line = np.empty((size, size)), np.empty(3 * count)
+    line0, line1, line2 = line[:count], line[count : 2 * count], line[2 * count :]
+    for a in range(count):
+        for c in range(3):
+            _apart(W[3 * unknown[a] + c], unknown, own[c])
+            own[c, c * count + a] += damping
+        W0, W1, W2 = own[0], own[1], own[2]
+        for q in range(some[a]):
+            n0, n1, n2 = N[a, 0, q], N[a, 1, q], N[a, 2, q]
+            for j in range(3 * count):
+                line[j] = n0 * W0[j] + n1 * W1[j] + n2 * W2[j]
+            target = columns[place[q, a]]
+            for p in range(2):
+                row, C0, C1, C2 = target[p * count : (p + 1) * count], C[p, 0], C[p, 1], C[p, 2]
+                for b in range(count):
+                    row[b] = C0[b] * line0[b] + C1[b] * line1[b] + C2[b] * line2[b]
+            if threes > 0:
+                for b in range(count):
+                    if some[b] == 3:
+                        target[place[2, b]] = C[2, 0, b] * line0[b] + C[2, 1, b] * line1[b] + C[2, 2, b] * line2[b]
+            for p in range(some[a]):
+                target[place[p, a]] += D[p, q, a]
+    d = np.empty(size)
+    large = approach and size > LARGE
+    approach = approach and (not large or _approached(columns, r, d))
+    if not large or not approach:
+        d = solve_dense(columns, r)
+    for a in range(count):
+        for q in range(some[a]):
+            for c in range(3):
+                x[3 * unknown[a] + c] += N[a, c, q] * d[place[q, a]]
+    return approach

@@ -1,0 +1,122 @@
+"""Splitting (over-relaxed ADMM), each step of which is one product with a matrix that all samples share."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import int64, void
+
+from mic.contact.native.kernel import COUNTS, MATRIX, NUMBER, VECTOR, kernel
+from mic.contact.native.law_equation import EQUATION_POINTER, starting_scale
+from mic.contact.native.linear_step import LARGE
+from mic.contact.native.matrices import TOGETHER, times, times_together
+from mic.contact.native.newton import newton
+
+__all__ = ["solve_by_splitting"]
+
+
+@kernel(void(NUMBER, VECTOR, MATRIX, NUMBER, VECTOR, VECTOR, VECTOR, VECTOR))
+def _split(shift, q, parameters, rho, z, l, r, x):
+    """A step of over-relaxed ADMM, in place, with ``x = (W + ρ I)⁻¹ r``.
+
+    ``x̂ = 1.6 x - 0.6 z``; ``z = P_K(x̂ + l/ρ)``; ``l += ρ (x̂ - z)``, which tends to ``-ŵ``, so that De Saxcé's shift is
+    ``μ‖l_t‖``; ``r = ρ z - l - q - s μ‖l_t‖ n`` with the law's ``shift`` ``s``.
+    """
+    for k in range(len(parameters)):
+        i = 3 * k
+        mu = parameters[k, 0]
+        v0 = 1.6 * x[i] - 0.6 * z[i] + l[i] / rho
+        v1 = 1.6 * x[i + 1] - 0.6 * z[i + 1] + l[i + 1] / rho
+        v2 = 1.6 * x[i + 2] - 0.6 * z[i + 2] + l[i + 2] / rho
+        t = np.sqrt(v1 * v1 + v2 * v2)
+        if mu * t <= -v0:
+            z0, shrink = 0.0, 0.0
+        elif t <= mu * v0:
+            z0, shrink = v0, 1.0
+        else:
+            z0 = (v0 + mu * t) / (1.0 + mu * mu)
+            shrink = mu * z0 / t
+        z[i], z[i + 1], z[i + 2] = z0, shrink * v1, shrink * v2
+        l[i], l[i + 1], l[i + 2] = rho * (v0 - z0), rho * (1.0 - shrink) * v1, rho * (1.0 - shrink) * v2
+        opening = shift * mu * np.sqrt(l[i + 1] * l[i + 1] + l[i + 2] * l[i + 2])
+        r[i] = rho * z0 - l[i] - q[i] - opening
+        r[i + 1] = rho * z[i + 1] - l[i + 1] - q[i + 1]
+        r[i + 2] = rho * z[i + 2] - l[i + 2] - q[i + 2]
+
+
+@kernel(
+    void(
+        EQUATION_POINTER,
+        NUMBER,
+        MATRIX,
+        MATRIX,
+        MATRIX,
+        NUMBER,
+        MATRIX,
+        MATRIX,
+        MATRIX,
+        NUMBER,
+        int64,
+        int64,
+        VECTOR,
+        COUNTS,
+        COUNTS,
+    )
+)
+def solve_by_splitting(
+    equation,
+    shift,
+    W,
+    inverse,
+    resolvent,
+    rho,
+    Q,
+    parameters,
+    Y,
+    tol,
+    steps,
+    rounds,
+    errors,
+    iterations,
+    factorisations,
+):
+    """Every sample of the batch: splitting, then Newton, in rounds with twice the splitting ``steps`` each.
+
+    ``Y`` holds the initial guess and receives the forces; each step of Newton's method factorises a matrix.  Of more
+    than :data:`LARGE` rows some samples take the steps of the splitting together; each remains what it is alone.
+    """
+    m, size = len(parameters), len(W)
+    for first in range(0, len(Q), TOGETHER):
+        own = Q[first : first + TOGETHER]
+        count, left = len(own), len(own)
+        Z, L, X = Y[first : first + count].copy(), np.zeros_like(own), np.empty_like(own)
+        R, best, run = rho * Z - own, np.full(count, np.inf), steps
+        for _ in range(rounds):
+            if size > LARGE:
+                for _ in range(run):
+                    times_together(resolvent, R, X)
+                    for s in range(count):
+                        _split(shift, own[s], parameters, rho, Z[s], L[s], R[s], X[s])
+            else:
+                for s in range(count):
+                    q, z, l, r, x = own[s], Z[s], L[s], R[s], X[s]
+                    for _ in range(run if best[s] > tol else 0):
+                        times(resolvent, r, x)
+                        _split(shift, q, parameters, rho, z, l, r, x)
+            for s in range(count):
+                if best[s] <= tol:
+                    continue
+                q, y, w = own[s], Z[s].copy(), np.empty(size)
+                scale = starting_scale(q)
+                times(W, y, w)
+                w += q
+                error, more = newton(equation, W, inverse, q, parameters, y, w, 1e-12, scale, tol, 15, 0, m)
+                iterations[first + s] += run + more
+                factorisations[first + s] += more
+                if error < best[s]:
+                    best[s] = error
+                    Y[first + s] = y
+                left -= error <= tol
+            if left == 0:
+                break
+            run *= 2
+        errors[first : first + count] = best
