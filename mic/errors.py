@@ -24,6 +24,7 @@ __all__ = [
     "SceneError",
     "Stopped",
     "StorageError",
+    "WorkerLost",
 ]
 
 #: In the paths of this program and of IPython.
@@ -104,6 +105,10 @@ class MissingProvider(MicError, ImportError):
 
 class MissingLibrary(MicError, ImportError):
     """An optional library is needed and not installed; the message gives the command that installs it."""
+
+
+class WorkerLost(MicError, RuntimeError):
+    """The process that did a task has ended without a result."""
 
 
 class Stopped(BaseException):

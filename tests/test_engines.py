@@ -3,20 +3,23 @@
 import os
 import pickle
 import signal
+import socket
 import subprocess
 import sys
 import threading
 import time
-from contextlib import closing
+from contextlib import closing, suppress
 from multiprocessing import active_children
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
-from mic.errors import MissingLibrary, RunError
+from mic.errors import MissingLibrary, RunError, WorkerLost
 from mic.execution import local
 from mic.execution.engine import choose
 from mic.execution.local import Local, WorkerPool
+from mic.execution.mpi import Mpi
 
 
 def number_and_process(task):
@@ -202,3 +205,57 @@ def test_a_dask_cluster_does_every_task_also_of_a_killed_worker_and_raises_error
     assert finished(engine, killed, "abc") == {i: pickle.dumps(x) for i, x in enumerate("abc")} and once.exists()
     with pytest.raises(AttributeError):
         finished(engine, pickle.dumps, ["a", lambda: None])
+
+
+def serve(task):
+    """Do what a task says."""
+    if task == "die":
+        os.kill(os.getpid(), signal.SIGKILL)
+    if task == "hang":
+        time.sleep(60)
+    if task == "fail":
+        raise RunError("in the worker")
+    return task, os.getpid(), open_connections()
+
+
+def open_connections():
+    """Number of network connections of this process."""
+    numbers = set()
+    for descriptor in os.listdir("/proc/self/fd"):
+        with suppress(FileNotFoundError):  # that of this list
+            numbers.add(os.readlink(f"/proc/self/fd/{descriptor}").removeprefix("socket:[").removesuffix("]"))
+    return sum(line.split()[9] in numbers for line in Path("/proc/net/tcp").read_text().splitlines()[1:])
+
+
+def test_a_standing_worker_outlives_its_errors_and_is_replaced_when_it_dies_or_hangs():
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        (worker,) = Local(1).standing(serve)
+        task, process, connections = worker.do("a", 9.0)
+        assert task == "a" and process != os.getpid() and connections == 0 < open_connections(), server
+        with pytest.raises(RunError, match="in the worker"):
+            worker.do("fail", 9.0)
+        assert worker.do("b", 9.0)[1] == process
+        with pytest.raises(WorkerLost, match="the worker process was killed"):
+            worker.do("die", 9.0)
+        second = worker.do("c", 9.0)[1]
+        start = time.monotonic()
+        with pytest.raises(TimeoutError, match="no result after 0.1 s"):
+            worker.do("hang", 0.1)
+        assert worker.do("d", 9.0)[1] not in (process, second) and time.monotonic() - start < 5
+        worker.stop()
+    assert not active_children()
+
+
+def test_ranks_do_not_serve():
+    with pytest.raises(RunError, match="engine mpi: a service has no list of tasks to share"):
+        Mpi(SimpleNamespace(size=2, rank=0)).standing(serve)
+
+
+def test_a_standing_worker_of_a_dask_cluster_returns_results_and_errors():
+    pytest.importorskip("distributed", reason="Dask is not installed")
+    workers = choose("dask").standing(pickle.dumps)
+    assert [worker.do("a", 20.0) for worker in workers] == [pickle.dumps("a")] * len(workers)
+    with pytest.raises(AttributeError):
+        workers[0].do(lambda: None, 20.0)
+    for worker in workers:
+        worker.stop()

@@ -1,7 +1,10 @@
 """Files are written whole or not at all, and read only as what they are."""
 
 import json
+import multiprocessing
 import os
+import resource
+import time
 from pathlib import Path
 
 import numpy as np
@@ -176,3 +179,56 @@ def test_an_error_in_a_group_keeps_all_old_files(tmp_path, monkeypatch):
     with pytest.raises(StorageError, match=r"b\.txt: cannot be written .input/output error"):
         write("a.txt", "b.txt", "c.txt")
     assert [(path.name, path.read_text()) for path in tmp_path.iterdir()] == [("a.txt", "old")]
+
+
+def append_lines(path, letter):
+    for _ in range(50):
+        files.append_text(path, letter * 3000 + "\n")
+
+
+def test_lines_that_several_processes_append_stay_whole_and_a_cut_one_ends(tmp_path):
+    path = tmp_path / "log"
+    path.write_text("cut")
+    context = multiprocessing.get_context("fork")
+    writers = [context.Process(target=append_lines, args=(path, letter)) for letter in "abc"]
+    for writer in writers:
+        writer.start()
+    for writer in writers:
+        writer.join()
+    lines = path.read_text().splitlines()
+    assert lines[0] == "cut" and sorted(lines[1:]) == sorted(letter * 3000 for letter in "abc" for _ in range(50))
+
+
+def append_beyond(path):
+    resource.setrlimit(resource.RLIMIT_FSIZE, (5000, 5000))
+    try:
+        files.append_text(path, "b" * 9000 + "\n")
+    except StorageError:
+        os._exit(7)
+
+
+def test_a_line_for_which_there_is_no_room_leaves_no_part(tmp_path):
+    path = tmp_path / "log"
+    files.append_text(path, "a" * 2000 + "\n")
+    writer = multiprocessing.get_context("fork").Process(target=append_beyond, args=(path,))
+    writer.start()
+    writer.join()
+    assert writer.exitcode == 7 and path.read_text() == "a" * 2000 + "\n"
+
+
+def test_a_process_that_is_forked_while_a_line_is_appended_holds_nobody_up(tmp_path, monkeypatch):
+    """It has the log open, too, until it ends."""
+    path, context, forked = tmp_path / "log", multiprocessing.get_context("fork"), []
+
+    def fork(descriptor):
+        forked.append(context.Process(target=time.sleep, args=(20,)))
+        forked[-1].start()
+
+    with monkeypatch.context() as patch:
+        patch.setattr(files.os, "fsync", fork)
+        files.append_text(path, "a\n")
+    writer = context.Process(target=files.append_text, args=(path, "b\n"))
+    writer.start()
+    writer.join(10)
+    forked[0].kill()
+    assert path.read_text() == "a\nb\n"

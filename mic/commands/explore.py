@@ -14,6 +14,7 @@ from mic.results.run_folder import RunFolder
 from mic.studies.exploration import explore as start_exploration
 from mic.system.disk_cache import cache_folder
 from mic.system.matrix_product import one_thread
+from mic.system.port import check_port
 
 __all__ = ["explore"]
 
@@ -26,7 +27,7 @@ def explore(source, port, browser, keep, shim, force, law):
     """``mic explore``, with the values of its options (:mod:`mic.options`)."""
     try:
         from mic.explorer.page import Page, Samples  # trame is an optional dependency
-        from mic.explorer.server import check_port, serve
+        from mic.explorer.server import serve
         from mic.explorer.shapes import Shapes, shapes_path
     except ModuleNotFoundError as missing:
         if not (missing.name or "").startswith(("trame", "wslink", "aiohttp", "msgpack")):

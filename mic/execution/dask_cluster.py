@@ -8,7 +8,7 @@ from functools import cached_property
 from threading import Lock
 from typing import Any, TypeVar
 
-from mic.errors import MicError, MissingLibrary, RunError
+from mic.errors import MicError, MissingLibrary, RunError, WorkerLost
 from mic.system.cores import available_cores
 from mic.system.matrix_product import one_thread
 
@@ -82,6 +82,36 @@ class Dask:
             if client.cluster is not None:
                 client.cluster.close()
             del self._client
+
+    def standing(self, work: Callable[[Task], Result]) -> list[DaskWorker]:
+        """See :meth:`mic.execution.engine.Engine.standing`."""
+        shared = self._client.scatter(work, broadcast=True, hash=False)
+        return [DaskWorker(self._client, shared) for _ in range(self.workers)]
+
+
+class DaskWorker:
+    """One task at a time on any worker of the cluster, see :class:`mic.execution.engine.StandingWorker`."""
+
+    def __init__(self, client: Any, work: Any) -> None:
+        self._client, self._work = client, work
+
+    def do(self, task: Any, seconds: float) -> Any:
+        """See :meth:`mic.execution.engine.StandingWorker.do`; Dask repeats the tasks of a lost worker."""
+        from distributed.scheduler import KilledWorker
+
+        future = self._client.submit(_run, self._work, task, pure=False)
+        try:
+            return future.result(seconds)
+        except KilledWorker:
+            raise WorkerLost("workers of the cluster have ended with this task, perhaps for lack of memory") from None
+        finally:
+            future.cancel()
+
+    def stop(self) -> None:
+        """Leave the cluster; one that this process started ends."""
+        self._client.close()
+        if self._client.cluster is not None:
+            self._client.cluster.close()
 
 
 _one_at_a_time = Lock()  # workers of a foreign cluster may have several threads

@@ -13,8 +13,8 @@ from mic.system.cores import available_cores
 
 __all__ = ["Engine", "choose", "forked_workers"]
 
-Task = TypeVar("Task")
-Result = TypeVar("Result")
+Task = TypeVar("Task", contravariant=True)
+Result = TypeVar("Result", covariant=True)
 
 
 class Engine(Protocol):
@@ -44,6 +44,30 @@ class Engine(Protocol):
         seconds : float
             Expected duration of all tasks in one process; a short one is worth few workers.
         """
+        ...
+
+    def standing(self, work: Callable[[Task], Result]) -> Sequence[StandingWorker[Task, Result]]:
+        """Workers for a service, whose tasks come one by one; work and tasks as in :meth:`completed`."""
+        ...
+
+
+class StandingWorker(Protocol[Task, Result]):
+    """Does one task at a time."""
+
+    def do(self, task: Task, seconds: float) -> Result:
+        """The result of a task; raises the error of the work.
+
+        Raises
+        ------
+        TimeoutError
+            If it takes longer than that.
+        WorkerLost
+            If the process has ended, which another process replaces.
+        """
+        ...
+
+    def stop(self) -> None:
+        """End the worker, whatever it is doing."""
         ...
 
 

@@ -13,20 +13,23 @@ import os
 import pickle
 import shutil
 import signal
+import socket
 import sys
 import warnings
 from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
+from multiprocessing.connection import Connection, wait
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from threading import Thread
+from threading import Lock, Thread
 from typing import Any, Generic, Self, TypeVar
 
+from mic.errors import WorkerLost
 from mic.system.cores import available_cores
 from mic.system.matrix_product import one_thread
 
-__all__ = ["START_METHOD", "Local", "WorkerPool"]
+__all__ = ["START_METHOD", "Local", "Worker", "WorkerPool"]
 
 Task = TypeVar("Task")
 Result = TypeVar("Result")
@@ -56,6 +59,10 @@ class Local:
                 yield from pool.completed()
         else:
             yield from ((number, work(task)) for number, task in enumerate(tasks))
+
+    def standing(self, work: Callable[[Task], Result]) -> list[Worker[Task, Result]]:
+        """See :meth:`mic.execution.engine.Engine.standing`."""
+        return [Worker(work) for _ in range(self.workers)]
 
 
 class WorkerPool(Generic[Task, Result]):
@@ -129,6 +136,87 @@ class WorkerPool(Generic[Task, Result]):
         """Kill the workers, whatever they are doing, and remove what they have left."""
         self._end()
         self._results.cleanup()
+
+
+class Worker(Generic[Task, Result]):
+    """One process that does tasks as they come, see :class:`mic.execution.engine.StandingWorker`.
+
+    A process that was killed, or took too long, is replaced for the next task.
+
+    Parameters
+    ----------
+    work : callable
+        As for :class:`WorkerPool`; the tasks must be picklable.
+    """
+
+    def __init__(self, work: Callable[[Task], Result]) -> None:
+        self._work = work
+        self._start()
+
+    def _start(self) -> None:
+        context: Any = multiprocessing.get_context(START_METHOD)
+        with _one_starts, warnings.catch_warnings():  # a process started meanwhile would hold this pipe open
+            warnings.simplefilter("ignore", DeprecationWarning)  # as in WorkerPool
+            self._pipe, theirs = context.Pipe()
+            self._process = context.Process(target=_do_tasks, args=(self._work, theirs), daemon=True)
+            self._process.start()
+            theirs.close()
+
+    def do(self, task: Task, seconds: float) -> Result:
+        """See :meth:`mic.execution.engine.StandingWorker.do`."""
+        if not self._process.is_alive():
+            self.stop()
+            self._start()
+        try:
+            self._pipe.send(task)
+            if not wait([self._pipe, self._process.sentinel], seconds):
+                raise TimeoutError(f"no result after {seconds:g} s")
+            succeeded, result = self._pipe.recv()
+        except TimeoutError:
+            self.stop()
+            raise
+        except (EOFError, OSError):
+            self.stop()
+            raise WorkerLost("the worker process was killed, perhaps for lack of memory") from None
+        if not succeeded:
+            raise result
+        return result
+
+    def stop(self) -> None:
+        """See :meth:`mic.execution.engine.StandingWorker.stop`."""
+        self._process.kill()
+        self._process.join()
+        self._pipe.close()
+
+
+_one_starts = Lock()
+
+
+def _do_tasks(work: Callable[[Any], Any], pipe: Connection) -> None:
+    """The life of a :class:`Worker`'s process: it answers each task with whether it succeeded, and result or error."""
+    _initialise(work, (), "")
+    _close_sockets()
+    while True:
+        task = pipe.recv()
+        try:
+            answer = True, one_thread(work)(task)
+        except Exception as problem:
+            answer = False, problem
+        pipe.send(answer)
+
+
+def _close_sockets() -> None:
+    """Close inherited network connections: otherwise a client would not see that this process's parent closes them."""
+    descriptors = Path("/proc/self/fd")
+    for name in list(descriptors.iterdir()) if descriptors.is_dir() else ():
+        try:
+            inherited = socket.socket(fileno=int(name.name))
+        except OSError:
+            continue  # no socket
+        if inherited.family in (socket.AF_INET, socket.AF_INET6):
+            inherited.close()
+        else:
+            inherited.detach()
 
 
 _job: tuple[Callable[[Any], Any], Sequence[Any], str]  # of a worker: work, tasks, and folder of the results

@@ -7,6 +7,7 @@ import time
 from collections.abc import Callable, Generator, Sequence
 from typing import Any, TypeVar
 
+from mic.errors import RunError
 from mic.execution.ranks import wait
 
 __all__ = ["Mpi"]
@@ -56,3 +57,13 @@ class Mpi:
                 else:
                     time.sleep(PAUSE)
         wait(world)  # so that no rank sends results of other tasks before
+
+    def standing(self, work: Callable[[Task], Result]) -> list[Any]:
+        """See :meth:`mic.execution.engine.Engine.standing`.
+
+        Raises
+        ------
+        RunError
+            Always: ranks do the same tasks of the same list.
+        """
+        raise RunError("engine mpi: a service has no list of tasks to share; start it without mpirun")

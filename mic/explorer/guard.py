@@ -21,9 +21,10 @@ from typing import Any, Protocol
 import msgpack
 from aiohttp import web
 
-__all__ = ["HOST", "LARGEST", "Guard", "GuardedPage"]
+from mic.system.port import HOST
 
-HOST = "127.0.0.1"  #: the only address on which the server listens
+__all__ = ["LARGEST", "Guard", "GuardedPage"]
+
 LARGEST = 1_000_000  #: bytes of the largest message that the web socket takes
 LONGEST = 10_000  # entries of the longest list in a message
 SOCKETS = 6  # open web sockets

@@ -5,16 +5,15 @@ from __future__ import annotations
 import asyncio
 import os
 import signal
-import socket
 import threading
 import webbrowser
 from collections.abc import Callable
 
-from mic.errors import RunError
-from mic.explorer.guard import HOST, Guard
+from mic.explorer.guard import Guard
 from mic.explorer.page import Page
+from mic.system.port import HOST
 
-__all__ = ["check_port", "serve"]
+__all__ = ["serve"]
 
 
 def serve(page: Page, port: int, browser: bool = True, ready: Callable[[str], None] = lambda address: None) -> None:
@@ -24,33 +23,13 @@ def serve(page: Page, port: int, browser: bool = True, ready: Callable[[str], No
     ----------
     page : Page
     port : int
-        From :func:`check_port`.
+        From :func:`mic.system.port.check_port`.
     browser : bool
         Whether to open the page in the user's browser.
     ready : callable
         Called with the address when the page can be opened.
     """
     asyncio.run(_serve(page, Guard(port, page), port, browser, ready))
-
-
-def check_port(port: int) -> int:
-    """The given port, or a free one for 0.
-
-    Raises
-    ------
-    RunError
-        If the port is in use or needs administrator rights.
-    """
-    with socket.socket() as test:
-        test.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        try:
-            test.bind((HOST, port))
-        except PermissionError:
-            reason = "needs administrator rights; use one above 1023, or omit --port"
-            raise RunError(f"--port {port}: this port {reason}") from None
-        except OSError:
-            raise RunError(f"--port {port}: this port is in use; use another, or omit --port for a free one") from None
-        return int(test.getsockname()[1])
 
 
 async def _serve(page: Page, guard: Guard, port: int, browser: bool, ready: Callable[[str], None]) -> None:

@@ -29,6 +29,7 @@ import numpy as np
 
 from mic.errors import FormatError, MicError, StorageError
 from mic.system.array_archive import read_archive
+from mic.system.lock import exclusive
 from mic.system.regular_files import open_regular, read_regular
 
 __all__ = [
@@ -280,7 +281,10 @@ def write_text(path: Path, text: str) -> None:
 
 
 def append_text(path: Path, text: str) -> None:
-    """Append text to a file and synchronise it to disk.
+    """Append text to a file and synchronise it to disk; processes that append to one file wait for each other.
+
+    If the last line has no end, because its writer was killed, the text begins on a line of its own. After an error the
+    file is as before.
 
     Raises
     ------
@@ -289,10 +293,17 @@ def append_text(path: Path, text: str) -> None:
     """
     with _storage_error(path):
         path.parent.mkdir(parents=True, exist_ok=True)
-        with open(path, "a", encoding="utf-8", newline="") as file:
-            file.write(text)
-            file.flush()
-            os.fsync(file.fileno())
+        with open(path, "ab+", buffering=0) as file, exclusive(file.fileno()):
+            end = file.seek(0, os.SEEK_END)
+            file.seek(max(end - 1, 0))
+            rest = memoryview((b"" if file.read(1) in (b"", b"\n") else b"\n") + text.encode())
+            try:
+                while rest:
+                    rest = rest[file.write(rest) :]
+                os.fsync(file.fileno())
+            except BaseException:
+                file.truncate(end)
+                raise
 
 
 def save_json(path: Path, format: Format, content: Mapping[str, Any]) -> None:

@@ -26,7 +26,7 @@ if sys.platform == "win32":
 else:
     import fcntl
 
-__all__ = ["LOCK", "locked"]
+__all__ = ["LOCK", "exclusive", "locked"]
 
 LOCK = ".lock"
 BEYOND = 1 << 30  # byte that Windows locks: other processes cannot read it, but the content before it
@@ -104,13 +104,29 @@ def _acquire(folder: Path) -> tuple[int, bool]:
         return descriptor, owner is not None
 
 
-def _flock(descriptor: int) -> bool:
+@contextmanager
+def exclusive(descriptor: int) -> Iterator[None]:
+    """Within this context, no other process or thread is in one with the same file; it is waited for."""
+    _flock(descriptor, wait=True)
+    try:
+        yield
+    finally:  # not by closing the file: a process forked meanwhile has it open, too
+        with suppress(OSError):
+            if sys.platform == "win32":
+                os.lseek(descriptor, BEYOND, os.SEEK_SET)
+                msvcrt.locking(descriptor, msvcrt.LK_UNLCK, 1)
+            else:
+                fcntl.flock(descriptor, fcntl.LOCK_UN)
+
+
+def _flock(descriptor: int, wait: bool = False) -> bool:
+    """Lock an open file; whether no other process holds it. `wait`: until it is free."""
     try:
         if sys.platform == "win32":
             os.lseek(descriptor, BEYOND, os.SEEK_SET)
-            msvcrt.locking(descriptor, msvcrt.LK_NBLCK, 1)
+            msvcrt.locking(descriptor, msvcrt.LK_LOCK if wait else msvcrt.LK_NBLCK, 1)
         else:
-            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            fcntl.flock(descriptor, fcntl.LOCK_EX if wait else fcntl.LOCK_EX | fcntl.LOCK_NB)
     except (BlockingIOError, PermissionError):  # the latter on Windows
         return False
     except OSError:

@@ -64,7 +64,7 @@ class EvaluationLog:
             self._read(path)
 
     def _read(self, path: Path) -> None:
-        damaged, line = 0, b"\n"
+        damaged = 0
         with reading(path, FORMAT), open_regular(path) as file:
             for line in file:
                 record = read_line(line)
@@ -74,8 +74,6 @@ class EvaluationLog:
                     self._known[record["key"]] = arrays
         if damaged:
             _log.warning("%s: %d records are cut short or damaged; they are evaluated again", path, damaged)
-        if not line.endswith(b"\n"):
-            append_text(path, "\n")
 
     def arrays(self, key: str, evaluate: Callable[[], dict[str, np.ndarray]]) -> dict[str, np.ndarray]:
         """Arrays of a key: known ones, or evaluated and appended to the file; they are on disk on return."""
