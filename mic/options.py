@@ -199,6 +199,7 @@ def explain(
 def predict(
     source: Path,
     parts: Path | None = None,
+    scan: Path | None = None,
     watch: Path | None = None,
     log: Path = Path("predictions.csv"),
     adjust: list[str] | None = None,
@@ -212,6 +213,40 @@ def predict(
 
     Each key characteristic is given with the interval that follows from the deviations that were not measured. Rows
     with a deviation beyond six standard deviations are refused. Each prediction is saved before the next row is read.
+    """
+
+
+@_command("serve")
+def serve(
+    source: Path,
+    port: int = 8046,
+    host: str = "127.0.0.1",
+    token: Path = Path("serve.token"),
+    log: Path = Path("assemblies.jsonl"),
+    queue: int = 100,
+    seconds: float = 30.0,
+    engine: str | None = None,
+    adjust: list[str] | None = None,
+    shim: float = 0.5,
+    force: float = 2.0,
+    error: float = 0.0,
+    exact: bool = False,
+    law: Law | None = None,
+):
+    """Serve predictions of individual assemblies over HTTP, for a production line.
+
+    As `mic predict`: measured deviations in; verdict, characteristics, adjustment and certificate out. The service
+    describes itself at /openapi.json. Every request and answer is logged before it takes effect; requests that a kill
+    interrupted are answered at the next start.
+    """
+
+
+@_command("serve")
+def export(source: Path, fmu: Path, shim: float = 0.5, force: float = 2.0, law: Law | None = None):
+    """Export the reduced model as an FMI 3.0 unit for co-simulation.
+
+    Inputs are the deviations, and changes of locators and clamps; outputs are the key characteristics. The unit
+    contains the model; it needs Python with this program where it is used.
     """
 
 

@@ -36,7 +36,7 @@ def test_each_import_of_the_program_is_declared_and_nothing_else_is_always_insta
     always, extras = names(PROJECT["dependencies"]), PROJECT["optional-dependencies"]
     used = imported(ROOT / "mic")
     assert always <= used, "drop what is not imported"
-    optional = names(extras["dask"] + extras["excel"] + extras["explore"] + extras["peers"])
+    optional = names(sum((extras[name] for name in ("dask", "excel", "explore", "fmu", "peers", "serve")), []))
     assert used - always <= optional | BY_RANKS, "declare what is imported"
 
 

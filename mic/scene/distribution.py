@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from scipy.special import ndtr, ndtri
 
-__all__ = ["check_distribution", "quantile"]
+__all__ = ["check_distribution", "normal_scores", "quantile"]
 
 NORMAL = "normal"  # SciPy: "norm"
 LEAST = 1e-6  # probability of the interval of a truncated distribution, at least
@@ -111,3 +111,14 @@ def quantile(item, u: np.ndarray) -> np.ndarray:
     frozen, mean, deviation = _distribution(item)
     low, high = _probabilities(item)
     return item.mean + item.sigma * (frozen.ppf(np.clip(low + u * (high - low), EDGE, 1 - EDGE)) - mean) / deviation
+
+
+def normal_scores(item, x: np.ndarray) -> np.ndarray:
+    """(n,) standard normal numbers ``Φ⁻¹(u)`` whose probabilities u give values (n,) of a deviation by equation (1).
+
+    Values beyond a truncation, or beyond the distribution, have scores of about ±8.
+    """
+    frozen, mean, deviation = _distribution(item)
+    low, high = _probabilities(item)
+    u = (frozen.cdf(mean + deviation * (x - item.mean) / item.sigma) - low) / (high - low)
+    return np.asarray(ndtri(np.clip(u, EDGE, 1 - EDGE)))

@@ -23,6 +23,7 @@ import pandas as pd
 from scipy.special import ndtri
 
 from mic.errors import ArgumentError, SceneError
+from mic.process.evaluation import Evaluation
 from mic.process.model import ReducedModel
 from mic.results.schema import PREDICTIONS
 from mic.statistics.estimates import LEVEL
@@ -63,6 +64,8 @@ class Predictor:
     ----------
     emulator : AssemblyEmulator or None
         The spline; None if every assembly is evaluated.
+    evaluation : Evaluation or None
+        That of the last predicted assembly; None if its prediction comes from the spline.
 
     Raises
     ------
@@ -98,6 +101,7 @@ class Predictor:
         self._sigma = np.array([item.sigma for item in scene.deviations])
         self._lower, self._upper = limits(scene)
         available = adjustments(model, shim, factor, list(adjust)) if adjust else []  # raises before the training
+        self.evaluation: Evaluation | None = None
         self.emulator = None if exact else train_emulator(model, self.law, (), None, cache, progress)
         self._adjustment_search: AdjustmentSearch | None = None
         if available:
@@ -108,13 +112,19 @@ class Predictor:
         slopes = model.sensitivities({}, self.law)
         self._slope = np.nan_to_num(slopes.jacobian[0])  # of the mean assembly
 
-    def predict(self, values: Mapping[str, float]) -> pd.DataFrame:
+    def predict(
+        self, values: Mapping[str, float], covariance: np.ndarray | None = None, unexplained: float = 0.0
+    ) -> pd.DataFrame:
         """Predict one assembly.
 
         Parameters
         ----------
         values : mapping of str to float
             Deviations by name, N or mm; missing ones are unknown.
+        covariance : (p, p) array, optional
+            Of the errors of all deviations, given their measurement; default: no errors.
+        unexplained : float
+            Deviation that the scene's deviations do not describe, mm: a further error of each characteristic.
 
         Returns
         -------
@@ -131,12 +141,16 @@ class Predictor:
         names = self.model.parameters
         given = np.array([name in values for name in names])
         distance = self._distance(x)
+        if covariance is not None:  # a scan taken as it is has no distribution to be compared with
+            distance[(self._sigma == 0.0) & (covariance.diagonal() > 0.0)] = 0.0
         farthest = int(distance.argmax())
         if distance[farthest] > FARTHEST:
             said = f"{names[farthest]} is {distance[farthest]:.3g} σ off its mean"
             return self._table([("", *NOTHING, "refused", "", said)], distance)
         unknown_variance = self._slope**2 @ np.where(given, 0.0, self._sigma) ** 2
-        half = float(ndtri(0.5 + LEVEL / 2)) * np.sqrt(self.error**2 + unknown_variance)
+        if covariance is not None:
+            unknown_variance += np.einsum("kp,pq,kq->k", self._slope, covariance, self._slope, optimize=True)
+        half = float(ndtri(0.5 + LEVEL / 2)) * np.sqrt(self.error**2 + unexplained**2 + unknown_variance)
         y, error, source = self._key_characteristics(x, half)
         if y is None:
             return self._table([("", *NOTHING, "failed", "", "its contact problems could not be solved")], distance)
@@ -163,12 +177,12 @@ class Predictor:
     def _key_characteristics(self, x: np.ndarray, half: np.ndarray) -> tuple[np.ndarray | None, np.ndarray, str]:
         """Key characteristics (k,) of an assembly, or None if they cannot be computed; their errors (k,) in addition to
         the known half widths; ``learnt`` or ``evaluated``."""
-        emulator = self.emulator
+        emulator, self.evaluation = self.emulator, None
         if emulator is not None and self._covers(x):
             y, error = (array[0] for array in emulator(x[None]))
             if (self._verdicts(y - error, half) == self._verdicts(y + error, half)).all():
                 return y, error, "learnt"
-        evaluation = self._process.attempt(x[None])
+        self.evaluation = evaluation = self._process.attempt(x[None])
         return None if evaluation.failed[0] else evaluation.measurements[0], np.zeros(len(self._lower)), "evaluated"
 
     def _verdicts(self, y: np.ndarray, half: np.ndarray) -> np.ndarray:

@@ -1,0 +1,66 @@
+"""Write an FMI 3.0 unit of a reduced model, with the library PythonFMU3.
+
+The unit contains the model and :mod:`mic.deployment.fmi_instance`; where it is imported, Python needs this program.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+from mic.errors import ArgumentError, MissingLibrary
+from mic.process.model import ReducedModel
+from mic.studies.adjustment import adjustments
+from mic.system.files import replacing
+
+__all__ = ["write_unit"]
+
+
+def write_unit(model: ReducedModel, path: Path, law: str, shim: float, factor: float) -> int:
+    """Write the unit of a model; returns the number of its inputs.
+
+    Parameters
+    ----------
+    model : ReducedModel
+    path : Path
+        File of the unit, ``NAME.fmu``.
+    law : str
+        Contact law.
+    shim, factor : float
+        Bounds of the adjustments, as :func:`mic.studies.adjustment.adjustments` takes them.
+
+    Raises
+    ------
+    MissingLibrary
+        If PythonFMU3 is not installed.
+    ArgumentError
+        If the file's name does not end with ``.fmu``, the bounds allow no change, or nothing is measured.
+    StorageError
+        If the file cannot be written.
+    """
+    try:
+        from pythonfmu3 import FmuBuilder
+    except ModuleNotFoundError:
+        needs = "mic export --fmu needs the library pythonfmu3; install it: pip install 'mic-contact[fmu]'"
+        raise MissingLibrary(needs) from None
+    if path.suffix != ".fmu":
+        raise ArgumentError(f"--fmu {path}: the name of a unit ends with .fmu; correct it")
+    if not model.scene.measurements:
+        raise ArgumentError(f"scene {model.scene.name!r} has no measurements: a unit would have no outputs; add some")
+    fixture = model.scene.locators or model.scene.clamps
+    available = adjustments(model, shim, factor) if fixture else []
+    identifier = re.sub(r"\W", "_", path.stem, flags=re.ASCII)
+    identifier = identifier if identifier[:1].isalpha() else f"unit_{identifier}"
+    settings = {"law": law, "shim": shim, "factor": factor, "identifier": identifier}
+    with replacing(path) as temporary, TemporaryDirectory(prefix="mic-") as name:
+        folder = Path(name)
+        model.save(folder / "model.npz")
+        (folder / "unit.json").write_text(json.dumps(settings), encoding="utf-8")
+        script = Path(__file__).with_name("fmi_instance.py")
+        files = [folder / "model.npz", folder / "unit.json"]
+        options = {"canHandleVariableCommunicationStepSize": True}
+        shutil.move(FmuBuilder.build_FMU(script, folder / "unit", files, **options), temporary)
+    return len(model.scene.deviations) + len(available)
