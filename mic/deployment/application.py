@@ -11,7 +11,7 @@ import hmac
 import json
 from collections.abc import AsyncIterator, Callable, Coroutine
 from contextlib import asynccontextmanager
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, Self
 from uuid import uuid4
 
 import numpy as np
@@ -20,11 +20,11 @@ from fastapi.exceptions import RequestValidationError
 from fastapi.responses import JSONResponse, PlainTextResponse, Response
 from fastapi.routing import APIRoute
 from fastapi.security import HTTPAuthorizationCredentials, HTTPBearer
-from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, StringConstraints
+from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, StringConstraints, model_validator
 
 from mic import __version__
 from mic.deployment.service import Busy, Conflict, Service
-from mic.errors import ArgumentError, StorageError
+from mic.errors import ArgumentError, SceneError, StorageError
 from mic.scene.deviation import deviation_unit
 
 __all__ = ["BODY_SECONDS", "LARGEST", "application"]
@@ -45,8 +45,15 @@ class Assembly(BaseModel):
 
     id: Identifier | None = Field(None, description="Serial number. A repeated request gets the same answer.")
     deviations: dict[str, Number] = Field(
-        description="Measured deviations by name, N or mm (`GET /model` lists them); the others are unknown."
+        {}, description="Measured deviations by name, N or mm (`GET /model` lists them); the others are unknown."
     )
+    scan: Identifier | None = Field(None, description="Serial number of scans in the folder `--scans`.")
+
+    @model_validator(mode="after")
+    def _measured(self) -> Self:
+        if not self.deviations and self.scan is None:
+            raise ValueError("give deviations, or a scan")
+        return self
 
 
 class Characteristic(BaseModel):
@@ -90,6 +97,7 @@ class Answer(BaseModel):
     characteristics: list[Characteristic]
     certificate: Certificate
     distance: float | None = Field(description="Largest distance of a deviation from its mean, standard deviations.")
+    messages: list[str] = Field([], description="What the scans say of each part.")
     drift: list[str] = Field(description="Deviations of the latest assemblies that left the scene's distributions.")
     model: str = Field(description="Fingerprint of the model.")
     version: str = Field(description="Version of the program.")
@@ -150,14 +158,15 @@ def application(service: Service, token: str, seconds: float) -> FastAPI:
     async def predict(assembly: Assembly) -> dict[str, Any]:
         """Predict one assembly: verdict, characteristics, adjustment and certificate."""
         name = assembly.id or uuid4().hex
-        asked = asyncio.ensure_future(service.ask(name, {"deviations": assembly.deviations}))
         try:
+            content = await service.content(assembly.deviations, assembly.scan)
+            asked = asyncio.ensure_future(service.ask(name, content))
             answer = await asyncio.wait_for(asyncio.shield(asked), seconds)
         except Busy:
             raise HTTPException(503, "the queue is full; repeat the request", {"Retry-After": "1"}) from None
         except Conflict:
             raise HTTPException(409, f"id {name} belongs to an assembly with other content; give another") from None
-        except ArgumentError as problem:
+        except (ArgumentError, SceneError) as problem:
             raise HTTPException(422, str(problem)) from None
         except StorageError as problem:
             raise HTTPException(507, str(problem)) from None

@@ -57,10 +57,11 @@ class Assembly(Fmi3Slave):
         self.modelName, self.description, self.version = given["identifier"], scene.name, __version__
         self.time = 0.0
         # Names, units and bounds of the inputs, in the order of the process's deviations.
-        self._inputs = [
-            (item.name, deviation_unit(item, scene), *(item.mean + end * item.sigma for end in (-FARTHEST, FARTHEST)))
-            for item in scene.deviations
-        ] + [(item.name, item.unit, item.low, item.high) for item in available]
+        self._inputs: list[tuple[str, str, float, float]] = []
+        for source in scene.deviations:
+            bounds = source.mean - FARTHEST * source.sigma, source.mean + FARTHEST * source.sigma
+            self._inputs.append((source.name, deviation_unit(source, scene), *bounds))
+        self._inputs += [(item.name, item.unit, item.low, item.high) for item in available]
         self._x = np.array([item.mean for item in varied.scene.deviations])
         self._y: np.ndarray | None = None
         self._register([item.name for item in scene.measurements])

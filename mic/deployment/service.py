@@ -10,6 +10,8 @@ import asyncio
 import time
 from collections import Counter, deque
 from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -22,9 +24,10 @@ from mic.process.process import TOLERANCE
 from mic.results.run_identity import identity
 from mic.studies.drift import drifts
 from mic.studies.prediction import Predictor
+from mic.studies.scan import ScannedAssembly, ScanReader, checksum, scan_files
 from mic.system.arguments import did_you_mean, numbers_by_name
 
-__all__ = ["Busy", "Conflict", "Service", "predict_assembly"]
+__all__ = ["Busy", "Conflict", "ScanFolder", "Service", "predict_assembly"]
 
 ATTEMPTS = 2  # evaluations of an assembly whose workers are killed
 TIMES = 1000  # latest answers whose times are summarised
@@ -39,15 +42,63 @@ class Conflict(Exception):
     """The identifier belongs to an assembly with other content."""
 
 
-def predict_assembly(predictor: Predictor, content: Content) -> dict[str, Any]:
-    """The answer for one assembly, JSON-ready: verdict, characteristics, advice and certificate.
+@dataclass(frozen=True)
+class ScanFolder:
+    """Scans of assemblies in a folder, into which a scanner writes.
+
+    Attributes
+    ----------
+    reader : ScanReader
+    folder : Path
+    """
+
+    reader: ScanReader
+    folder: Path
+
+    def content(self, serial: str) -> dict[str, Any]:
+        """What a request logs of the scans of a serial number: the number, and a checksum of the files.
+
+        Raises
+        ------
+        ArgumentError
+            If there are none.
+        """
+        return {"scan": serial, "checksum": checksum(self._files(serial))}
+
+    def read(self, content: Content) -> ScannedAssembly:
+        """The deviations from the scans of a request; raises as :meth:`mic.studies.scan.ScanReader.read`."""
+        return self.reader.read(self._files(content["scan"]), content["scan"])
+
+    def _files(self, serial: str) -> dict[str, Path]:
+        found = scan_files(self.folder, self.reader.model.scene)[0].get(serial)
+        if not found:
+            raise ArgumentError(f"scan: the folder of the scans has none of {serial}; give its serial number")
+        return found
+
+
+def predict_assembly(predictor: Predictor, content: Content, scans: ScanFolder | None = None) -> dict[str, Any]:
+    """The answer for one assembly, JSON-ready: verdict, characteristics, adjustments and certificate.
 
     Parameters
     ----------
     predictor : Predictor
     content : Content
+    scans : ScanFolder, optional
+        For contents with a scan. Stated deviations replace those of the scan.
+
+    Raises
+    ------
+    SceneError
+        If a scan cannot be used.
     """
-    found = predictor.predict(content["deviations"])
+    values, covariance, unexplained, messages = dict(content["deviations"]), None, 0.0, []
+    if scans is not None and "scan" in content:
+        scanned = scans.read(content)
+        stated = [predictor.model.parameters.index(name) for name in values]
+        values, covariance, unexplained = scanned.values | values, scanned.covariance.copy(), scanned.error
+        covariance[stated], covariance[:, stated] = 0.0, 0.0
+        messages = list(scanned.messages)
+    found = predictor.predict(values, covariance, unexplained)
     *rows, whole = found.to_dict("records")
     limits = {item.name: (item.lower, item.upper) for item in predictor.model.scene.measurements}
     certificate: dict[str, Any] = {"method": rows[0]["way"] if rows else "none"}
@@ -80,7 +131,8 @@ def predict_assembly(predictor: Predictor, content: Content) -> dict[str, Any]:
         ],
         "certificate": certificate,
         "distance": _finite(whole["far"]),
-        "deviations": dict(content["deviations"]),
+        "messages": messages,
+        "deviations": values,
     }
 
 
@@ -91,11 +143,11 @@ def _finite(value: float) -> float | None:
 class _Work:
     """:func:`predict_assembly` with its predictor, for worker processes; some systems receive it pickled."""
 
-    def __init__(self, predictor: Predictor):
-        self._predictor = predictor
+    def __init__(self, predictor: Predictor, scans: ScanFolder | None):
+        self._predictor, self._scans = predictor, scans
 
     def __call__(self, content: Content) -> dict[str, Any]:
-        return predict_assembly(self._predictor, content)
+        return predict_assembly(self._predictor, content, self._scans)
 
 
 class Service:
@@ -116,6 +168,7 @@ class Service:
     work : callable, optional
         Called with the content of an assembly in a worker process; returns the answer. Default:
         :func:`predict_assembly`.
+    scans : ScanFolder, optional
 
     Attributes
     ----------
@@ -139,8 +192,9 @@ class Service:
         queue: int,
         seconds: float,
         work: Callable[[Content], dict[str, Any]] | None = None,
+        scans: ScanFolder | None = None,
     ):
-        self.model, self.seconds, self.limit = predictor.model, seconds, queue
+        self.model, self.seconds, self.limit, self._scans = predictor.model, seconds, queue, scans
         fingerprint = identity(self.model, 0)[:12]
         self.description = {"model": fingerprint, "version": __version__, "law": predictor.law, **settings}
         self.log = log(self.description)
@@ -150,7 +204,7 @@ class Service:
         self.storage_problem = ""
         if work is None:
             predict_assembly(predictor, {"deviations": {}})  # loads compiled code, which forked workers inherit
-        self._workers = engine.standing(work or _Work(predictor))
+        self._workers = engine.standing(work or _Work(predictor, scans))
         self._queue: asyncio.Queue[tuple[str, float]] = asyncio.Queue()
         self._open: dict[str, tuple[Content, asyncio.Future[dict[str, Any]]]] = {}
         self._tasks: list[asyncio.Task[None]] = []
@@ -191,6 +245,20 @@ class Service:
         for worker in self._workers:
             worker.stop()
         await asyncio.gather(*self._tasks, return_exceptions=True)
+
+    async def content(self, deviations: dict[str, float], scan: str | None) -> Content:
+        """What a request states, with a checksum of the scans of its serial number.
+
+        Raises
+        ------
+        ArgumentError
+            If there are no such scans.
+        """
+        if scan is None:
+            return {"deviations": deviations}
+        if self._scans is None:
+            raise ArgumentError("scan: the service has no scans; start it with --scans FOLDER")
+        return {"deviations": deviations, **await asyncio.to_thread(self._scans.content, scan)}
 
     async def ask(self, name: str, content: Content) -> dict[str, Any]:
         """The answer for an assembly; a repeated request gets the logged answer.
@@ -290,5 +358,6 @@ class Service:
             "characteristics": [],
             "certificate": {"method": "none"},
             "distance": None,
+            "messages": [],
             "deviations": dict(content["deviations"]),
         }
