@@ -144,7 +144,7 @@ def main() -> None:
                 name, before, tried = ("", "", tried + 1) if seed else (path.name, _before(path.name), tried + 1)
                 start = time.process_time()
                 try:
-                    found = ContactSolver(one.S, one.mu).solve(one.b[0])
+                    found = ContactSolver(one.S, one.mu, work=1e5).solve(one.b[0])
                 except ValueError as refused:
                     console.print(f"{path.name}: {refused}", soft_wrap=True)
                     break

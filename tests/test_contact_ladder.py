@@ -19,6 +19,7 @@ from mic.contact.native.law_equation import starting_scale
 from mic.contact.native.newton import newton
 from mic.contact.native.solver import NativeSolver
 from mic.contact.states import STATES, ContactState, classify
+from mic.results.run_identity import differences, inputs
 from verification.contact_problems import box_stack, compliant, manufactured, slip_dominated
 
 MIC = Path(mic.__file__).parent
@@ -36,13 +37,12 @@ def test_an_added_law_needs_only_its_registration(monkeypatch):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("law", [ASSOCIATED, LAWS["pressure-dependent"]], ids=lambda law: law.name)
-def test_every_patient_rung_solves_its_law_and_counts_its_factorisations(law, monkeypatch):
+def test_every_patient_rung_solves_its_law_and_counts_its_factorisations(law):
     """Each rung starts from zero and reaches the residual of the requested law, not of Coulomb's."""
-    monkeypatch.setattr(ladder, "BUDGET", 1e6)
     problem = slip_dominated(6, 1, np.random.default_rng(8), condition=1e2)
     pieces = table([(0.1, 0.5), (0.2, 0.4), (0.4, 0.3), (1.0, 0.25)])
     friction = Friction(np.full(6, 0.27), np.broadcast_to(pieces, (6, *pieces.shape)).copy())
-    backend = BACKENDS["native"](problem.S, friction, law, 1e-10, 1, 3)
+    backend = BACKENDS["native"](problem.S, friction, law, 1e-10, 1, 3, 1e6)
     best, factorised = {}, 0
     for force, iterations, factorisations, rung in backend.attempts(problem.b[0], np.zeros(18)):
         residual = certify(problem.S, problem.b[0], friction, force, law).residual
@@ -155,10 +155,9 @@ def test_a_solution_names_the_rung_that_found_it():
 
 
 @pytest.mark.parametrize("law", LAWS.values(), ids=lambda law: law.name)
-def test_the_rungs_of_a_law_are_those_that_are_tried(law, monkeypatch):
-    monkeypatch.setattr(ladder, "BUDGET", 1e6)
+def test_the_rungs_of_a_law_are_those_that_are_tried(law):
     S = compliant(4, np.random.default_rng(2))
-    backend = NativeSolver(S, np.full(4, 0.3), law, 1e-10, 1, 3)
+    backend = NativeSolver(S, np.full(4, 0.3), law, 1e-10, 1, 3, 1e6)
     climbed = dict.fromkeys(rung for *_, rung in backend.attempts(-np.ones(12), np.zeros(12)))
     batch = [rung.name for rung in ladder.BATCH if rung.applies(law)]
     assert ladder.rungs(law) == batch + list(climbed)
@@ -194,3 +193,14 @@ def test_batch_rungs_count_sweeps_and_factorisations(law, passes):
     first = found.rung == ("sweeps" if law == "coulomb" else "active set")
     assert first.sum() >= 10 and (found.factorisations[first] > 0).all()
     assert (found.iterations[first] - found.factorisations[first] == passes).all()
+
+
+def test_the_work_of_a_scene_reaches_the_solver(lap_model, monkeypatch):
+    works, native = set(), BACKENDS["native"]
+    monkeypatch.setitem(BACKENDS, "native", lambda *known: works.add(known[-1]) or native(*known))
+    scene = lap_model.scene
+    settings = scene.monte_carlo.model_copy(update={"solver_work": 7})
+    changed = lap_model.varied(scene.model_copy(update={"monte_carlo": settings}))
+    assert not changed.evaluate({}).failed.any() and works == {7}
+    (line,) = differences(inputs(lap_model, 1), inputs(changed, 1))
+    assert "work of the contact solver" in line and "2000" in line and "7" in line

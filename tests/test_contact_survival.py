@@ -248,17 +248,31 @@ def test_many_sticking_contacts_do_not_depend_on_their_batch():
         np.testing.assert_array_equal(solver.solve(problem.b[some]).force, found.force[some])
 
 
-def test_a_sample_ends_within_its_budget(monkeypatch):
+def test_a_sample_ends_within_its_work():
     S = np.kron([[1.0, -1.0], [-1.0, 1.0]], np.eye(3))
-    native = NativeSolver(S, np.full(2, 0.27), COULOMB, 1e-10, 1, 3)
     hopeless, nothing = np.tile([-1.0, 0.1, 0.0], 2), np.zeros(6)
     counts = []
-    for factorisations in (5.0, 50.0, 500.0):
-        monkeypatch.setattr(ladder, "BUDGET", factorisations / 501.0)
-        found = [(sweeps - steps) / 2 + steps for _, sweeps, steps, _ in native.attempts(hopeless, nothing)]
-        assert factorisations <= sum(found) and sum(found[:-1]) <= factorisations
+    for work in (5.0, 50.0, 500.0):
+        native = NativeSolver(S, np.full(2, 0.27), COULOMB, 1e-10, 1, 3, work)
+        found = [max(1.0, (both - steps) / 2 + steps) for _, both, steps, _ in native.attempts(hopeless, nothing)]
+        assert work <= sum(found) and sum(found[:-1]) <= work
         counts.append(len(found))
     assert 1 <= counts[0] < counts[1] < counts[2]
+
+
+def test_a_sample_that_needs_more_work_than_stated_is_not_converged():
+    heap = rock_heap(12, np.random.default_rng(2)).problem(0.6, np.random.default_rng(2), 0.2)
+    enough, less = (ContactSolver(heap.S, 0.6, work=work).solve(heap.b[0]) for work in (ladder.WORK, 0))
+    assert enough.status is Status.CONVERGED and less.status is Status.NOT_CONVERGED
+    assert less.factorisations < enough.factorisations < ladder.WORK and "solver_work" in less.status.advice
+
+
+@pytest.mark.parametrize("law", [law for law in LAWS if LAWS[law].frictional])
+def test_a_motion_that_slip_must_open_is_proven_to_be_infeasible(law):
+    """No force moves the contact along d, which lies on the cone; under the associated law slip opens contacts."""
+    d = np.array([1.0, -0.3, 0.0])
+    solution = solve(np.eye(3) - np.outer(d, d) / (d @ d), [-0.1, 1.0, 0.0], 0.3, law)
+    assert (solution.status is Status.INFEASIBLE) == (law == "associated")
 
 
 def test_uncoupled_groups_of_contacts_are_solved_separately():

@@ -11,6 +11,7 @@ import typer
 
 from mic.commands.invocation import ConsoleProgress, choose_law, first_rank_only, with_options
 from mic.commands.output import CommandConsole
+from mic.contact.solution import advice_on
 from mic.errors import RunError, Stopped
 from mic.execution.ranks import communicator, on_first
 from mic.report.background_pictures import BackgroundPictures
@@ -141,7 +142,7 @@ def _report(console, outcome, progress):
     _print_zones(console, laws, "rms_tangential", "RMS tangential displacement, mm")
     _print_zones(console, laws, "rms_slip", "RMS slip under load, mm")
     for name, law in laws.items():
-        _print_validity(console, name, law)
+        _print_validity(console, name, law, outcome.failures(name))
     found = verdict(outcome)
     console.say_each(found.sentences if found else ())
     console.say_files(**written)
@@ -174,12 +175,14 @@ def _print_zones(console, laws, motion, title):
         console.table(title + note, ("zone", *(f"{law}: mean / 6σ" for law in shown)), rows)
 
 
-def _print_validity(console, name, law):
+def _print_validity(console, name, law, failures):
     """Residual, failed samples, error of the load path, incomplete assemblies and penetration under one law."""
     console.say(
         f"{name}: largest residual {number(law['worst_residual'], 2)}, {law['failed']} samples failed, "
         f"{law['rescued']} solved with fixed increments{_path_error(law)}"
     )
+    for status, found in failures.groupby("status", sort=False):
+        console.say(f"  {status}: {found['sample'].nunique()} of them. {advice_on(str(status))}", style="yellow")
     if law["not_built"]:
         console.say(f"  not built: {law['not_built']} of {law['samples']} samples", style="yellow")
     for row in law["limits"]:

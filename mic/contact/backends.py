@@ -124,19 +124,19 @@ class Backend(Protocol):
         """Whether it is proven that no force can prevent penetration of the contacts of sample ``b`` (d m,)."""
 
 
-def _native(S, friction, law, tol, threads, dimension):
+def _native(S, friction, law, tol, threads, dimension, work):
     from mic.contact.native.solver import NativeSolver  # compiles, or reads the cache, when it is imported
 
-    return NativeSolver(S, friction, law, tol, threads, dimension)
+    return NativeSolver(S, friction, law, tol, threads, dimension, work)
 
 
-def _programme(optimiser, S, friction, law, tol, threads, dimension):
+def _programme(optimiser, S, friction, law, tol, threads, dimension, work):
     return ConeProgramme(S, friction.coefficient, law, optimiser, dimension)
 
 
-#: Backends by name: functions of the checked ``(S, friction, law, tol, threads, dimension)`` of
+#: Backends by name: functions of the checked ``(S, friction, law, tol, threads, dimension, work)`` of
 #: :class:`mic.contact.ContactSolver`.
-BACKENDS: dict[str, Callable[[np.ndarray, Friction, Law, float, int, int], Backend]] = {
+BACKENDS: dict[str, Callable[[np.ndarray, Friction, Law, float, int, int, float], Backend]] = {
     "native": _native,
     **{name: partial(_programme, name) for name in OPTIMISERS},
 }

@@ -2,7 +2,7 @@
 
 Each sample starts on the first rung that applies to its law and ends at the first whose force is accurate enough.  The
 rungs of :data:`BATCH` are cheap and solve all samples together; those of :data:`PATIENT` solve one remaining sample at
-a time, until :data:`BUDGET` is used up.  ``ladder.toml`` lists them.
+a time, until the work that a sample may take is used up.  ``ladder.toml`` lists them.
 """
 
 from __future__ import annotations
@@ -16,14 +16,15 @@ from typing import Any
 
 from mic.contact.laws import Law
 
-__all__ = ["APART", "BATCH", "BUDGET", "MARGIN", "PATIENT", "SPLITTING", "Rung", "rungs"]
+__all__ = ["APART", "BATCH", "MARGIN", "PATIENT", "SPLITTING", "WORK", "Rung", "rungs"]
 
 #: Fraction of the tolerance that the compiled kernels solve to, because their residual and the certificate weight
 #: contacts differently.
 MARGIN = 1e-2
-#: The patient rungs may spend ``BUDGET (1 + 1000/m)`` factorisations of ``W`` on one sample, about 2 s for 100 contacts
-#: and 100 s for 600.
-BUDGET = 500.0
+#: Default of the work that the patient rungs may spend on one sample. The unit is a factorisation over the closed
+#: contacts; as many Gauss-Seidel sweeps as there are contacts count as one. Hard problems that have a solution take up
+#: to half of it.
+WORK = 2000
 #: A connected component of contacts is solved once its own residual is below this fraction of the tolerance.
 APART = 0.1
 #: Groups of laws, as ``ladder.toml`` names them.

@@ -10,7 +10,7 @@ import numpy as np
 from mic.contact.certificate import Certificate
 from mic.contact.contact_residual import RESOLVED
 
-__all__ = ["ContactSolution", "Status"]
+__all__ = ["ContactSolution", "Status", "advice_on"]
 
 
 class Status(str, Enum):  # noqa: UP042  (StrEnum would change how a status prints)
@@ -30,9 +30,9 @@ class Status(str, Enum):  # noqa: UP042  (StrEnum would change how a status prin
 _ADVICE = {
     Status.CONVERGED: "The force satisfies the contact law to the requested tolerance.",
     Status.NOT_CONVERGED: (
-        "No force was found that satisfies the law to the tolerance, so exclude this sample from statistics: check its "
-        "residual, increase tol if that is accurate enough, and otherwise look for supports or gaps that cannot "
-        "balance the load."
+        "No force that satisfies the law to the tolerance was found within the solver's work (solver_work in "
+        "[monte_carlo]), so exclude this sample from statistics: check its residual, increase tol if that is accurate "
+        "enough, and otherwise look for supports or gaps that cannot balance the load."
     ),
     Status.INFEASIBLE: (
         "No admissible force balances this load, because contacts overlap that no force can separate: "
@@ -43,6 +43,12 @@ _ADVICE = {
         "1e60: rescale the problem, then solve again."
     ),
 }
+
+
+def advice_on(status: str) -> str:
+    """One sentence for the user on the status of a failed sample, which may be an error message."""
+    known = {str(own.value): own.advice for own in Status}
+    return known.get(status, "The computation failed at this sample; look for implausibly large deviations.")
 
 
 @dataclass(frozen=True)

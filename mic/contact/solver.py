@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from mic.contact import ladder
 from mic.contact.backends import BACKENDS
 from mic.contact.certificate import contact_stiffness, in_units, measure, residual, series_compliance
 from mic.contact.contact_residual import RESOLVED, as_contacts, contact_residuals
@@ -18,6 +19,7 @@ from mic.contact.path import Followed, Path, PathSolution, follow, with_samples
 from mic.contact.refinement import refined
 from mic.contact.solution import ContactSolution, Status
 from mic.contact.units import RANGE, out_of_range, unit
+from mic.system.arguments import number
 from mic.system.matrix_product import one_thread
 
 __all__ = ["ContactSolver", "solve"]
@@ -69,6 +71,8 @@ class ContactSolver:
     certify_each : bool
         Whether each contact is also certified on its own scale, see :mod:`mic.contact.contact_residual`. Without it, a
         sample of few contacts takes up to a third less time.
+    work : float
+        Largest work of the fallback methods for one sample, see :data:`mic.contact.ladder.WORK`.
 
     Attributes
     ----------
@@ -96,6 +100,7 @@ class ContactSolver:
         dimension: int = 3,
         semidefinite: bool = False,
         certify_each: bool = True,
+        work: float = ladder.WORK,
     ):
         self.law = find(law)
         if backend not in BACKENDS:
@@ -110,6 +115,7 @@ class ContactSolver:
             raise ValueError(f"tol must be a positive number; got {tol!r}")
         if not (isinstance(threads, (int, np.integer)) and threads >= 1):
             raise ValueError(f"threads must be a positive integer; got {threads!r}")
+        number("work", work, least=0.0)
         self.dimension, self.tol, self.certify_each = dimension, float(tol), bool(certify_each)
         self.S = _checked_compliance(S, dimension, semidefinite)
         self.contacts = len(self.S) // dimension
@@ -119,9 +125,9 @@ class ContactSolver:
         self._stiffness = contact_stiffness(self._sliding, self.law, dimension)
         # S is semidefinite: its largest entry lies on the diagonal.
         self._rigid, self._scaled = not self.S.any(), bool(out_of_range(self.S.diagonal()))
-        settings = {"backend": backend, "threads": int(threads), "dimension": dimension, "certify_each": certify_each}
-        self._settings: dict[str, Any] = settings
-        self.backend = BACKENDS[backend](self._sliding, friction, self.law, self.tol, int(threads), dimension)
+        self._settings: dict[str, Any] = {"backend": backend, "threads": int(threads), "dimension": dimension}
+        self._settings |= {"certify_each": certify_each, "work": work}
+        self.backend = BACKENDS[backend](self._sliding, friction, self.law, self.tol, int(threads), dimension, work)
 
     def _set_friction(self, mu: float | np.ndarray | Friction) -> Friction:
         """Store the checked friction and the parameters of the law."""

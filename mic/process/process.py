@@ -151,6 +151,7 @@ class Process:
             "tol": tol if solver_name == "native" else max(tol, PAPER_TOLERANCE),
             "threads": threads,
             "dimension": contacts.dimension,
+            "work": model.scene.monte_carlo.solver_work,
         }
         if plans is None:
             plans = model.plans if limited else plan_stages(model.scene, model.weld_size, limited)

@@ -6,7 +6,7 @@ from os import PathLike
 from pathlib import Path
 from typing import Any
 
-from mic.contact.solution import Status
+from mic.contact.solution import advice_on
 from mic.process.description import alignments
 from mic.report import driver_sentences
 from mic.report.background_pictures import BackgroundPictures
@@ -28,8 +28,6 @@ from mic.system.files import replacing, write_text
 __all__ = ["write_report"]
 
 LISTED_CONTRIBUTORS = 6
-ADVICE = {status.value: status.advice for status in Status}
-FAILED = "The computation failed at this sample; look for implausibly large deviations."
 
 
 def write_report(
@@ -164,7 +162,7 @@ def _validity(outcome: Outcome) -> list[dict[str, Any]]:
                 "valid": len(outcome.sample_numbers(law)) if run else 0,
                 "residual": outcome.worst_residual(law) if run else float("nan"),
                 "short": short,
-                "reasons": [(status, ADVICE.get(str(status), FAILED), _records(found)) for status, found in failures],
+                "reasons": [(status, advice_on(str(status)), _records(found)) for status, found in failures],
             }
         )
     return rows

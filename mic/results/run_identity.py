@@ -28,6 +28,7 @@ _LABELS = {
     "program": "version of the program",
     "design": "design of the samples, or the samples themselves",
     "dimension": "contact rows per pair",
+    "solver_work": "work of the contact solver for a sample",
     "path_floor": "smallest path error that is controlled",
 }
 
@@ -49,6 +50,7 @@ def inputs(model, seed: int) -> dict[str, Any]:
         "seed": seed,
         "design": scene.monte_carlo.design if given is None else fingerprint(given),
         "backend": scene.monte_carlo.backend,
+        "solver_work": scene.monte_carlo.solver_work,
         "tolerance": TOLERANCE,
         "path_floor": LEAST_MOTION * scene.path.tolerance,
         "fields": scene.report.fields,

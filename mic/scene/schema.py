@@ -150,6 +150,9 @@ class MonteCarlo(Table):
     backend: Literal["native", "paper"] = "native"
     """`paper`: OSQP for (12) and ECOS for (13) through CVXPY, as in the paper"""
 
+    solver_work: Annotated[Count, Field(ge=0)] = 2000
+    """most factorisations that the contact solver spends on a hard sample at a load before it reports failure"""
+
     @model_validator(mode="after")
     def _drawn_or_given(self):
         given = "table" if self.table is not None else "values"

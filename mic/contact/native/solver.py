@@ -48,6 +48,8 @@ class NativeSolver:
         Certificate to reach.
     threads : int
     dimension : {3, 1}
+    work : float
+        Largest work of the patient rungs for one sample, see :data:`mic.contact.ladder.WORK`.
 
     Attributes
     ----------
@@ -56,8 +58,8 @@ class NativeSolver:
         ``D``, the scaled force's unit.
     """
 
-    def __init__(self, S: np.ndarray, friction, law: Law, tol: float, threads: int, dimension: int):
-        self.tol, self.threads = tol, threads
+    def __init__(self, S, friction, law: Law, tol: float, threads: int, dimension: int, work: float = ladder.WORK):
+        self.tol, self.threads, self.work = tol, threads, work
         # Without friction the normal rows are all there is to solve.
         self._stride = 1 if law.frictional else dimension
         self._size = 3 if law.frictional else 1
@@ -193,12 +195,11 @@ class NativeSolver:
         return self.problem.error(self._scaled(b), force[:: self._stride] / self.scaling)
 
     def _climb(self, b, force):
-        """The patient rungs, each starting from the best force so far, until the budget is spent."""
+        """The patient rungs, each starting from the best force so far, until the work is spent."""
         if self._still():
             return
         search = patience.Search(self.problem, self._scaled(b), force[:: self._stride] / self.scaling)
-        m = len(self.problem.parameters)
-        budget = ladder.BUDGET * (1.0 + 1000.0 / m)
+        m, work = len(self.problem.parameters), 0.0
         for rung in ladder.PATIENT:
             if not rung.applies(self.problem.law):
                 continue
@@ -207,8 +208,8 @@ class NativeSolver:
                 candidate = np.zeros_like(b)
                 candidate[:: self._stride] = y * self.scaling
                 yield candidate, sweeps + factorisations, factorisations, rung.name
-                budget -= sweeps / m + factorisations
-                if budget < 0.0:
+                work += max(1.0, sweeps / m + factorisations)
+                if work > self.work:
                     return
 
     def follow(self, b0: np.ndarray, b1: np.ndarray, force: np.ndarray, anchor: np.ndarray, path: Path) -> Leg:
@@ -307,7 +308,10 @@ class NativeSolver:
 
     def infeasible(self, b: np.ndarray) -> bool:
         """See :meth:`mic.contact.backends.Backend.infeasible`."""
-        return infeasible(self.problem.W, self._scaled(b), self._size)
+        law = self.problem.law
+        fixed = law.frictional and not law.varies
+        dilatancy = (1.0 - law.shift) * self.problem.friction if fixed else None
+        return infeasible(self.problem.W, self._scaled(b), self._size, dilatancy)
 
     def _scaled(self, b):
         return b[:: self._stride] * self.scaling
