@@ -9,21 +9,24 @@ from pathlib import Path
 import pandas as pd
 from rich.progress import Progress, TextColumn
 
-from mic.commands.invocation import first_rank_only, open_model
+from mic.commands.invocation import choose_law, first_rank_only, open_model
+from mic.commands.output import CommandConsole
 from mic.errors import FormatError, SceneError, Stopped
 from mic.process.description import alignments
 from mic.report.style import percent
 from mic.results.run_identity import identity
 from mic.results.schema import PREDICTIONS
+from mic.scene import load_scene
 from mic.scene.measured_report import read_measured_report
 from mic.studies.emulator_training import tolerance
 from mic.studies.prediction import Predictor
+from mic.studies.scan import ScanReader, checksum, scan_files
 from mic.system.console import plain
 from mic.system.disk_cache import cache_folder
 from mic.system.files import Format, append_text, reading, write_text
 from mic.system.regular_files import read_regular
 
-__all__ = ["PredictionLog", "predict"]
+__all__ = ["PredictionLog", "predict", "train_predictor"]
 
 WATCHED = (".csv", ".txt", ".tsv", ".xlsx", ".dfq", ".dfx")  # files of measured parts
 PAUSE = 0.2  # s between two looks into a watched folder
@@ -31,19 +34,25 @@ STYLES = {"accepted": "green", "rejected": "red", "open": "yellow", "refused": "
 
 
 @first_rank_only
-def predict(source, parts, watch, log, adjust, shim, force, error, exact, law):
+def predict(source, parts, scan, watch, log, law, **options):
     """``mic predict``, with the values of its options (:mod:`mic.options`)."""
-    if (parts is None) == (watch is None):
-        raise SceneError("predict: give either --parts FILE with measured parts, or --watch FOLDER for such files")
-    if watch is not None and not watch.is_dir():
-        raise SceneError(f"--watch {watch}: there is no such folder; create it, or give another")
-    console, model, _, law, _ = open_model(source, law)
-    console.say_each(alignments(model.scene))
-    predictions = PredictionLog(log, identity(model, 0)[:12])
-    if parts is not None:
-        read_measured_report(parts, model.parameters, "deviation")  # reports errors before the training
+    if (parts is not None) + (scan is not None or watch is not None) != 1:
+        raise SceneError(
+            "predict: give either --parts FILE with measured parts, or --scan FOLDER with scans, or --watch FOLDER"
+        )
+    for option, folder in (("scan", scan), ("watch", watch)):
+        if folder is not None and not folder.is_dir():
+            raise SceneError(f"--{option} {folder}: there is no such folder; create it, or give another")
     try:
-        predictor = _predictor(console, model, law, adjust or (), shim, force, error, exact)
+        if scan is not None:
+            _predict_scans(CommandConsole(), source, scan, watch, log, law, options)
+            return
+        console, model, _, law, _ = open_model(source, law)
+        console.say_each(alignments(model.scene))
+        predictions = PredictionLog(log, identity(model, 0)[:12])
+        if parts is not None:
+            read_measured_report(parts, model.parameters, "deviation")  # reports errors before the training
+        predictor = train_predictor(console, model, law, **options)
     except ValueError as problem:
         raise SceneError(f"predict: {problem}") from None
     if parts is not None:
@@ -54,6 +63,79 @@ def predict(source, parts, watch, log, adjust, shim, force, error, exact, law):
         _watch_folder(console, predictor, predictions, watch)
     except (KeyboardInterrupt, Stopped):
         console.say(f"Stopped: {log} contains {predictions.count} assemblies.")
+
+
+def _predict_scans(console, source: Path, folder: Path, watch: Path | None, log: Path, law, options) -> None:
+    """Predict the assemblies whose parts were scanned into a folder, or are scanned while it is watched."""
+    if watch is not None and watch.resolve() != folder.resolve():
+        raise SceneError(f"--watch {watch}: with --scan it is the folder of the scans; give {folder}")
+    if source.suffix == ".npz" or (source / "run.json").is_file():
+        raise SceneError(f"{source}: --scan needs the meshes of the parts; give the scene")
+    scene = load_scene(source)
+    files, others = scan_files(folder, scene)
+    usual = " or ".join(f"{scene.parts[0].name}{mark}SERIAL.stl" for mark in "-/")
+    if others:
+        console.say(f"Ignored, since their names begin with no part: {', '.join(others)}. Call them {usual}.")
+    if not files and watch is None:
+        raise SceneError(f"--scan {folder}: there are no scans; name each by part and serial number, {usual}")
+    reader = ScanReader(scene, cache_folder(), console.say_step)
+    console.say_each(alignments(reader.model.scene))
+    if reader.free:
+        console.say(f"Shapes as scanned, since the scene has no source of their deviation: {', '.join(reader.free)}.")
+        options = options | {"exact": True}
+    predictions = PredictionLog(log, identity(reader.model, 0)[:12])
+    predictor = train_predictor(console, reader.model, choose_law(reader.model, law), **options)
+    if watch is None:
+        failed = [_predict_scan(console, reader, predictor, predictions, folder, *item) for item in files.items()]
+        if any(failed):
+            raise SceneError(f"--scan {folder}: {sum(failed)} of {len(failed)} assemblies could not be predicted")
+        return
+    console.say(f"Watching {folder} for scans. Press Ctrl-C to stop.")
+    try:
+        _watch_scans(console, reader, predictor, predictions, folder)
+    except (KeyboardInterrupt, Stopped):
+        console.say(f"Stopped: {log} contains {predictions.count} assemblies.")
+
+
+def _watch_scans(console, reader: ScanReader, predictor: Predictor, predictions: PredictionLog, folder: Path) -> None:
+    """Predict each assembly when all of its parts are scanned, until interrupted."""
+    scene = reader.model.scene
+    needed = {one.part for one in scene.scans} or {part.name for part in scene.parts}
+    seen: dict[str, dict] = {}
+    done: dict[str, dict] = {}
+    while True:
+        for serial, files in scan_files(folder, scene)[0].items():
+            versions = {part: _version(path) for part, path in files.items()}
+            if needed <= files.keys() and seen.get(serial) == versions != done.get(serial):
+                done[serial] = versions
+                _predict_scan(console, reader, predictor, predictions, folder, serial, files)
+            seen[serial] = versions
+        time.sleep(PAUSE)
+
+
+def _predict_scan(
+    console, reader: ScanReader, predictor: Predictor, predictions: PredictionLog, folder: Path, serial: str, files
+) -> bool:
+    """Predict a scanned assembly unless it is in the log; whether its scans are invalid."""
+    name = f"{folder / serial} {checksum(files):08x}"
+    if (name, 0) in predictions:
+        return False
+    start = time.perf_counter()
+    try:
+        scanned = reader.read(files, serial)
+    except SceneError as problem:  # an invalid scan does not stop the others
+        console.say(problem, style="red")
+        return True
+    console.say_each(scanned.messages)
+    missing = [part.name for part in reader.model.scene.parts if part.name not in files]
+    if missing:
+        console.say(f"Not scanned, and taken as unknown or nominal: {', '.join(missing)} of {serial or folder.name}.")
+    found = predictor.predict(scanned.values, scanned.covariance, scanned.error)
+    table = predictions.path.with_name(f"{predictions.path.stem}-scans.csv")
+    append_text(table, scanned.registrations.to_csv(index=False, header=not table.is_file()))
+    predictions.add(found, Path(name), 0)
+    _say_prediction(console, found, serial or folder.name, 1e3 * (time.perf_counter() - start))
+    return False
 
 
 def _watch_folder(console, predictor: Predictor, predictions: PredictionLog, folder: Path) -> None:
@@ -73,12 +155,12 @@ def _watch_folder(console, predictor: Predictor, predictions: PredictionLog, fol
         time.sleep(PAUSE)
 
 
-def _predictor(console, model, law, adjust, shim, factor, error, exact) -> Predictor:
+def train_predictor(console, model, law, adjust, shim, force, error, exact) -> Predictor:
     """Train a predictor; print the error of its emulator."""
     with Progress(TextColumn("{task.description}"), TextColumn("{task.completed:.0f}"), console=console) as progress:
         task = progress.add_task("training evaluations", total=None, visible=False)
         advance = lambda count: progress.update(task, advance=count, visible=True)
-        predictor = Predictor(model, law, adjust, shim, factor, error, exact, cache_folder(), advance)
+        predictor = Predictor(model, law, adjust or (), shim, force, error, exact, cache_folder(), advance)
     emulator = predictor.emulator
     if emulator is not None:
         share = emulator.error_bound / tolerance(model.scene, emulator.h)
@@ -113,22 +195,27 @@ def _predict_file(console, predictor: Predictor, predictions: PredictionLog, pat
         found = predictor.predict(values)
         milliseconds = 1e3 * (time.perf_counter() - start)
         predictions.add(found, path, row)
-        assembly = found.iloc[-1]
-        not_accepted = [
-            f"{item['measurement']} {item['value']:+.4g} mm"
-            for item in found.iloc[:-1].to_dict("records")
-            if item["verdict"] != "accepted"
-        ]
-        line = f"{path.name} {piece}: {assembly['verdict']}"
-        line += f" ({', '.join(not_accepted)})" if not_accepted else ""
-        line += f"; {assembly['said']}" if assembly["said"] else ""
-        method = ", evaluated" if assembly["way"] == "evaluated" else ""
-        console.print(
-            f"{plain(line)}   [dim]{milliseconds:.1f} ms{method}[/]",
-            style=STYLES[assembly["verdict"]],
-            highlight=False,
-            soft_wrap=True,
-        )
+        _say_prediction(console, found, f"{path.name} {piece}", milliseconds)
+
+
+def _say_prediction(console, found: pd.DataFrame, label: str, milliseconds: float) -> None:
+    """Print the prediction of an assembly."""
+    assembly = found.iloc[-1]
+    not_accepted = [
+        f"{item['measurement']} {item['value']:+.4g} mm"
+        for item in found.iloc[:-1].to_dict("records")
+        if item["verdict"] != "accepted"
+    ]
+    line = f"{label}: {assembly['verdict']}"
+    line += f" ({', '.join(not_accepted)})" if not_accepted else ""
+    line += f"; {assembly['said']}" if assembly["said"] else ""
+    method = ", evaluated" if assembly["way"] == "evaluated" else ""
+    console.print(
+        f"{plain(line)}   [dim]{milliseconds:.1f} ms{method}[/]",
+        style=STYLES[assembly["verdict"]],
+        highlight=False,
+        soft_wrap=True,
+    )
 
 
 class PredictionLog:

@@ -23,7 +23,17 @@ from mic.scene.table_columns import Columns
 from mic.scene.table_file import TableFile, TableSettings, parse_table
 from mic.system.foreign_files import reading
 
-__all__ = ["FACING", "Cloud", "Deviations", "Fit", "deviations", "read_clouds", "sheet_normals", "spread"]
+__all__ = [
+    "FACING",
+    "Cloud",
+    "Deviations",
+    "Fit",
+    "deviations",
+    "read_clouds",
+    "refuse_unit",
+    "sheet_normals",
+    "spread",
+]
 
 TEXT = (".csv", ".txt", ".xyz", ".asc", ".tsv", ".xlsx")
 AXES = ("x", "y", "z")
@@ -32,6 +42,7 @@ ACTUAL = ("actual_x", "actual_y", "actual_z")
 COLUMNS = Columns.of_file(
     ("name", "node", *AXES, *ACTUAL, "deviation", "serial", "i", "j", "k", "nominal", "lower", "upper", "tolerance")
 )
+LONG, HEAD = 1_000_000, 60_000  # bytes of a table that is read quickly, and of the rows that show its dialect
 FITS = 50  # iterations of the best fit, each with new nearest points
 CONVERGED = 1e-9  # of the part's size: motion below which the best fit has converged
 EXCLUDED = 0.05  # largest share of excluded points
@@ -128,6 +139,9 @@ def read_clouds(
     """
     if path.suffix.lower() in TEXT:
         with reading(path, "file of measured points", folder):
+            points = _many_points(path, unit)
+            if points is not None:
+                return {"": Cloud(points, None)}
             return _clouds(parse_table(path, COLUMNS, TableSettings(unit=unit), AXES), surface, deck)
     if path.suffix.lower() not in READERS:
         raise FormatError(
@@ -138,6 +152,41 @@ def read_clouds(
     if not len(points):
         raise FormatError(f"{path}: the file has no points; export the measured points")
     return {"": Cloud(_finite(path, points, AXES), None)}
+
+
+def _many_points(path: Path, unit: str) -> np.ndarray | None:
+    """(n, 3) points of a long table of numbers alone, mm; None if it is short, or has anything else.
+
+    The dialect is that of its first rows.
+    """
+    if path.suffix.lower() == ".xlsx" or path.stat().st_size < LONG:
+        return None
+    head = parse_table(path, COLUMNS, TableSettings(unit=unit), AXES, HEAD)
+    keys = head.key_of
+    axes = ACTUAL if all(axis in keys for axis in ACTUAL) else AXES
+    if head.decimal_mark is None or not all(axis in keys for axis in axes) or {"deviation", "serial", "name"} & {*keys}:
+        return None
+    if axes == AXES and len(head.header.headers) > len(keys):
+        return None  # further columns may be deviations
+    import pandas as pd  # most scenes have no long table
+
+    columns = [keys[axis] for axis in axes]
+    dialect: dict = {"sep": r"\s+"} if head.separator.isspace() and head.separator != "\t" else {"sep": head.separator}
+    try:
+        frame = pd.read_csv(
+            path,
+            header=None,
+            skiprows=head.rows[0][0] - 1,
+            decimal=head.decimal_mark,
+            float_precision="round_trip",
+            **dialect,
+        )
+        points = frame[columns].to_numpy(dtype=float) * [head.factor(axis) for axis in axes]
+    except (ValueError, KeyError):  # the cells that are no numbers are named by the thorough reader
+        return None
+    first = np.column_stack([_numbers(head, axis) for axis in axes])
+    same = np.array_equal(points[: len(first)], first)
+    return points if same and np.isfinite(points).all() else None
 
 
 def _clouds(table: TableFile, surface: Surface, deck: Deck | None) -> dict[str, Cloud]:
@@ -231,7 +280,7 @@ def deviations(
     FormatError
         If more than one point in twenty is excluded: wrong part or unit.
     """
-    _refuse_unit(path, cloud.points, surface, unit)
+    refuse_unit(path, cloud.points, surface, unit)
     if cloud.deviation is not None:
         foot, n = sheet_normals(surface, cloud.points)
         near = np.linalg.norm(foot - cloud.points, axis=1) <= within
@@ -278,7 +327,7 @@ def _on_measured_face(surface: Surface, foot: np.ndarray, off: np.ndarray) -> np
     return away >= np.abs(off)[about].max(axis=1)
 
 
-def _refuse_unit(path: Path, points: np.ndarray, surface: Surface, unit: str) -> None:
+def refuse_unit(path: Path, points: np.ndarray, surface: Surface, unit: str) -> None:
     """Refuse a cloud whose size differs from the part so much that any best fit would be meaningless."""
     remedy = _unit_remedy(points, surface, unit)
     if remedy and abs(np.log(surface.diameter / _span(points))) > np.log(IMPLAUSIBLE):

@@ -22,7 +22,7 @@ __all__ = ["FORMAT", "differences", "identity", "inputs", "installed_version", "
 
 FORMAT = 3  # increased whenever the same inputs give other numbers, or blocks of another format
 #: Tables of the scene without effect on the numbers; the values of a `setting` are in the other tables.
-_IGNORED = {"name", "description", "setting", "monte_carlo", "report", "optimise"}
+_IGNORED = {"name", "description", "setting", "monte_carlo", "report", "optimise", "scans"}
 _PROGRAM_KEYS = ("program", "format")
 _LABELS = {
     "program": "version of the program",

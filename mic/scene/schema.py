@@ -18,6 +18,7 @@ from mic.scene.measurement import Measurement
 from mic.scene.optimisation import Optimisation
 from mic.scene.part import Part
 from mic.scene.process import FollowedPath, Stage
+from mic.scene.scan import Scan
 from mic.scene.settings import SETTINGS, fill_in
 from mic.scene.tables import expand_tables
 from mic.scene.weld import Weld
@@ -193,6 +194,7 @@ class Scene(Table):
     correlations: list[Correlation] = []
     measurements: list[Measurement] = []
     frames: list[Frame] = []
+    scans: list[Scan] = []
     path: FollowedPath = FollowedPath()
     monte_carlo: MonteCarlo = MonteCarlo()
     report: Report = Report()

@@ -115,14 +115,14 @@ class TableFile:
             If the decimal mark or the unit is not certain.
         """
         texts = self.texts(key)
-        if self._only_mark and self.factor(key) == 1:  # many points
-            values = [_float(text.replace(self._only_mark, ".")) for text in texts]
+        if self.decimal_mark and self.factor(key) == 1:  # many points
+            values = [_float(text.replace(self.decimal_mark, ".")) for text in texts]
             if all(value == value or not text for value, text in zip(values, texts)):
                 return values
         return [self.number(key, text) for text in texts]
 
     @cached_property
-    def _only_mark(self) -> str | None:
+    def decimal_mark(self) -> str | None:
         """The decimal mark of all numbers, if each shows it at most once and none the other mark; None if not."""
         texts = {self.key_of[key] for key in self.columns.texts & self.key_of.keys()}
         cells = [cell for _, row in self.rows for i, cell in enumerate(row) if i not in texts]
@@ -226,7 +226,11 @@ def open_table(
 
 
 def parse_table(
-    path: Path, columns: Columns, settings: TableSettings | None = None, default: Sequence[str] = ()
+    path: Path,
+    columns: Columns,
+    settings: TableSettings | None = None,
+    default: Sequence[str] = (),
+    most: int | None = None,
 ) -> TableFile:
     """A table of the user.
 
@@ -237,6 +241,8 @@ def parse_table(
     settings : TableSettings, optional
     default : sequence of str
         Keys of the columns of a file without a header, if it has as many, all of numbers.
+    most : int, optional
+        Only the whole lines within so many bytes are read.
 
     Raises
     ------
@@ -244,7 +250,7 @@ def parse_table(
         If the file is no table, or can be read in several ways; the sentence names the line of the scene that decides.
     """
     settings = settings or TableSettings()
-    content = path.read_bytes()
+    content = path.read_bytes() if most is None else _read_lines(path, most)
     if is_workbook(content):
         return _of_workbook(path, columns, settings, default)
     if settings.sheet is not None:
@@ -256,6 +262,12 @@ def parse_table(
     mark = max(named or found, key=lambda one: one.score).separator
     rows = next(rows for own, rows in _splittings(text) if own == mark)
     return _arranged(rows, columns, settings, default, mark).table(columns)
+
+
+def _read_lines(path: Path, most: int) -> bytes:
+    """The whole lines within so many bytes of a file."""
+    with path.open("rb") as file:
+        return file.read(most).rpartition(b"\n")[0]
 
 
 @dataclass(frozen=True)
