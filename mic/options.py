@@ -226,6 +226,7 @@ def serve(
     queue: int = 100,
     seconds: float = 30.0,
     engine: str | None = None,
+    scans: Path | None = None,
     adjust: list[str] | None = None,
     shim: float = 0.5,
     force: float = 2.0,
@@ -235,9 +236,9 @@ def serve(
 ):
     """Serve predictions of individual assemblies over HTTP, for a production line.
 
-    As `mic predict`: measured deviations in; verdict, characteristics, adjustment and certificate out. The service
-    describes itself at /openapi.json. Every request and answer is logged before it takes effect; requests that a kill
-    interrupted are answered at the next start.
+    As `mic predict`: measured deviations or scans in; verdict, characteristics, adjustment and certificate out. The
+    service describes itself at /openapi.json. Every request and answer is logged before it takes effect; requests that
+    a kill interrupted are answered at the next start.
     """
 
 

@@ -1,32 +1,40 @@
 """The service of assemblies: answers, refusals, its log and its workers; drift of what comes in."""
 
 import asyncio
+import http.client
 import json
+import multiprocessing
 import os
 import signal
+import socket
 import sys
 import time
+from contextlib import suppress
 from functools import partial
+from types import SimpleNamespace
 
 import numpy as np
+import pandas as pd
 import pytest
 from support.requests_of_applications import request, running
 from support.springs import PULL, dragged
 from typer.testing import CliRunner
 
 from mic.deployment import application as interface
-from mic.deployment import assembly_log
+from mic.deployment import assembly_log, server
 from mic.deployment.application import LARGEST, application
 from mic.deployment.assembly_log import AssemblyLog
 from mic.deployment.server import read_token
-from mic.deployment.service import Service, predict_assembly
-from mic.errors import FormatError, StorageError
+from mic.deployment.service import ScanFolder, Service, predict_assembly
+from mic.errors import ArgumentError, FormatError, SceneError, StorageError
 from mic.execution.local import Local
 from mic.options import app as commands
 from mic.statistics.draw import draw
 from mic.studies.drift import drifts
 from mic.studies.prediction import Predictor
+from mic.studies.scan import ScannedAssembly
 from mic.system.files import read_line
+from mic.system.port import HOST, check_port
 
 TOKEN = "a token of these tests".replace(" ", "-")
 GOOD = {"id": "car-1", "deviations": {"P": 0.9}}
@@ -133,6 +141,29 @@ def test_malformed_requests_are_refused_in_one_sentence_and_leave_no_trace(make,
     assert len(records(tmp_path / "log.jsonl")) == 2
 
 
+def test_a_scan_becomes_deviations_and_stated_ones_replace_its_own(predictor, tmp_path):
+    """The reader finds what its file says, with a variance of 1e-4."""
+
+    def read(files, serial):
+        value = float(files["b"].read_text())
+        return ScannedAssembly({"P": value, "D": PULL}, 1e-4 * np.eye(2), 0.0, pd.DataFrame(), (f"seen: {serial}",))
+
+    (tmp_path / "b-7.csv").write_text("0.9")
+    scans = ScanFolder(SimpleNamespace(model=predictor.model, read=read), tmp_path)
+    content = {"deviations": {}, **scans.content("7")}
+    found = predict_assembly(predictor, content, scans)
+    assert found["deviations"] == {"P": 0.9, "D": PULL} and found["messages"] == ["seen: 7"]
+    width = [one["high"] - one["low"] for one in found["characteristics"]]
+    stated = predict_assembly(predictor, content | {"deviations": {"D": PULL + 0.01}}, scans)
+    assert stated["deviations"] == {"P": 0.9, "D": PULL + 0.01}
+    assert width[1] > 0.03 and stated["characteristics"][1]["high"] == stated["characteristics"][1]["low"]
+    (tmp_path / "b-7.csv").write_text("0.8")
+    with pytest.raises(SceneError, match="the files of 7 have changed since the request"):
+        predict_assembly(predictor, content, scans)
+    with pytest.raises(ArgumentError, match="the folder of the scans has none of 8"):
+        scans.content("8")
+
+
 def test_every_path_but_the_health_needs_the_token(make):
     app, _ = make(answer_of)
     paths = [("POST", "/assemblies"), ("GET", "/assemblies/car-1"), ("GET", "/model"), ("GET", "/metrics")]
@@ -222,7 +253,9 @@ def test_requests_that_a_kill_interrupted_are_answered_at_the_next_start(make, p
     asyncio.run(killed.stop())
     with path.open("ab") as file:
         file.write(b'{"event": "request", "id": "car-3"')  # killed while it wrote
-    other, _ = make(answer_of, settings={"error": 1.0})
+    _, other = make(answer_of, settings={"error": 1.0})
+    assert not other.log.known  # other settings give other answers
+    asyncio.run(other.stop())
     app, service = make()
     assert service.log.pending == ["car-0", "car-2"] and service.log.damaged == 1
 
@@ -268,6 +301,53 @@ def test_nothing_is_answered_that_cannot_be_logged(make, monkeypatch, tmp_path):
     assert held[0] is False and held[1][0] == 503
     assert answered[0] == health[0] == 200
     assert [record["event"] for record in records(tmp_path / "log.jsonl")] == ["request", "answer"]
+
+
+def test_clients_that_send_no_request_do_not_keep_others_out(predictor, tmp_path, monkeypatch):
+    """Each of them sends a line of a header now and then."""
+    monkeypatch.setattr(server, "IDLE", 0.4)
+    monkeypatch.setattr(server, "CONNECTIONS", 4)
+    port = check_port(0)
+
+    def run():
+        log = partial(AssemblyLog, tmp_path / "log.jsonl")
+        server.serve(Service(predictor, log, Local(1), {}, 5, 5.0, answer_of), TOKEN, HOST, port, 5.0)
+
+    def status():
+        try:
+            connection = http.client.HTTPConnection(HOST, port, timeout=10)
+            connection.request("GET", "/health")
+            return connection.getresponse().status
+        except OSError:
+            return 0
+        finally:
+            connection.close()
+
+    process = multiprocessing.get_context("fork").Process(target=run)
+    process.start()
+    wait_for(lambda: status() == 200)
+    idle = [socket.create_connection((HOST, port)) for _ in range(4)]
+    for one in idle:
+        one.sendall(b"POST /assemblies HTTP/1.1\r\n")
+    wait_for(lambda: status() == 503)
+
+    def patient():
+        for one in idle:
+            with suppress(OSError):
+                one.sendall(b"a: b\r\n")
+        return status() == 200
+
+    wait_for(patient)
+    process.terminate()
+    process.join(20)
+    assert process.exitcode is not None
+
+
+def wait_for(condition, seconds=20.0):
+    until = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < until, "this has not come"
+        time.sleep(0.02)
 
 
 def test_another_file_is_not_taken_for_a_log(tmp_path):
@@ -317,6 +397,18 @@ def test_drift_of_mean_and_spread_is_reported_soon_and_without_false_alarms():
     (found,) = drifts(scene, spread)
     assert "the standard deviation of the last 40 assemblies is" in found and "times the scene's" in found
     assert drifts(scene, [{"D": PULL}] * 5) == []
+
+
+def test_predictions_of_a_file_report_its_drift(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    model = dragged()
+    model.save(tmp_path / "model.npz")
+    item = model.scene.deviations[0]
+    rows = [f"{item.mean + 2.5 * item.sigma + 0.01 * item.sigma * (n % 7 - 3)}" for n in range(20)]
+    (tmp_path / "parts.csv").write_text("\n".join([item.name, *rows]) + "\n")
+    result = CliRunner().invoke(commands, ["predict", "model.npz", "--parts", "parts.csv", "--exact"])
+    assert result.exit_code == 0, result.exception
+    assert f"drift: {item.name}: the mean of the last 20 assemblies is" in result.output
 
 
 def test_the_service_reports_drift_after_a_restart(make, predictor):

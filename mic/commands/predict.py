@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import csv
 import time
+from collections import deque
+from collections.abc import Mapping
 from pathlib import Path
 
 import pandas as pd
@@ -18,6 +20,7 @@ from mic.results.run_identity import identity
 from mic.results.schema import PREDICTIONS
 from mic.scene import load_scene
 from mic.scene.measured_report import read_measured_report
+from mic.studies.drift import WINDOWS, drifts
 from mic.studies.emulator_training import tolerance
 from mic.studies.prediction import Predictor
 from mic.studies.scan import ScanReader, checksum, scan_files
@@ -26,7 +29,7 @@ from mic.system.disk_cache import cache_folder
 from mic.system.files import Format, append_text, reading, write_text
 from mic.system.regular_files import read_regular
 
-__all__ = ["PredictionLog", "predict", "train_predictor"]
+__all__ = ["PredictionLog", "predict", "scan_predictor", "scene_with_meshes", "train_predictor"]
 
 WATCHED = (".csv", ".txt", ".tsv", ".xlsx", ".dfq", ".dfx")  # files of measured parts
 PAUSE = 0.2  # s between two looks into a watched folder
@@ -69,22 +72,15 @@ def _predict_scans(console, source: Path, folder: Path, watch: Path | None, log:
     """Predict the assemblies whose parts were scanned into a folder, or are scanned while it is watched."""
     if watch is not None and watch.resolve() != folder.resolve():
         raise SceneError(f"--watch {watch}: with --scan it is the folder of the scans; give {folder}")
-    if source.suffix == ".npz" or (source / "run.json").is_file():
-        raise SceneError(f"{source}: --scan needs the meshes of the parts; give the scene")
-    scene = load_scene(source)
+    scene = scene_with_meshes(source)
     files, others = scan_files(folder, scene)
     usual = " or ".join(f"{scene.parts[0].name}{mark}SERIAL.stl" for mark in "-/")
     if others:
         console.say(f"Ignored, since their names begin with no part: {', '.join(others)}. Call them {usual}.")
     if not files and watch is None:
         raise SceneError(f"--scan {folder}: there are no scans; name each by part and serial number, {usual}")
-    reader = ScanReader(scene, cache_folder(), console.say_step)
-    console.say_each(alignments(reader.model.scene))
-    if reader.free:
-        console.say(f"Shapes as scanned, since the scene has no source of their deviation: {', '.join(reader.free)}.")
-        options = options | {"exact": True}
+    reader, predictor = scan_predictor(console, scene, law, options)
     predictions = PredictionLog(log, identity(reader.model, 0)[:12])
-    predictor = train_predictor(console, reader.model, choose_law(reader.model, law), **options)
     if watch is None:
         failed = [_predict_scan(console, reader, predictor, predictions, folder, *item) for item in files.items()]
         if any(failed):
@@ -95,6 +91,23 @@ def _predict_scans(console, source: Path, folder: Path, watch: Path | None, log:
         _watch_scans(console, reader, predictor, predictions, folder)
     except (KeyboardInterrupt, Stopped):
         console.say(f"Stopped: {log} contains {predictions.count} assemblies.")
+
+
+def scene_with_meshes(source: Path):
+    """The scene of a file or folder; models and results, which have no meshes, are refused."""
+    if source.suffix == ".npz" or (source / "run.json").is_file():
+        raise SceneError(f"{source}: scans need the meshes of the parts; give the scene")
+    return load_scene(source)
+
+
+def scan_predictor(console, scene, law, options) -> tuple[ScanReader, Predictor]:
+    """A reader of scans of a scene's parts, and a predictor for its assemblies with the options of predictions."""
+    reader = ScanReader(scene, cache_folder(), console.say_step)
+    console.say_each(alignments(reader.model.scene))
+    if reader.free:
+        console.say(f"Shapes as scanned, since the scene has no source of their deviation: {', '.join(reader.free)}.")
+        options = options | {"exact": True}
+    return reader, train_predictor(console, reader.model, choose_law(reader.model, law), **options)
 
 
 def _watch_scans(console, reader: ScanReader, predictor: Predictor, predictions: PredictionLog, folder: Path) -> None:
@@ -195,7 +208,13 @@ def _predict_file(console, predictor: Predictor, predictions: PredictionLog, pat
         found = predictor.predict(values)
         milliseconds = 1e3 * (time.perf_counter() - start)
         predictions.add(found, path, row)
+        predictions.recent.append(values)
         _say_prediction(console, found, f"{path.name} {piece}", milliseconds)
+    for sentence in drifts(predictor.model.scene, list(predictions.recent)):
+        name = sentence.split(":")[0]
+        if name not in predictions.drifted:
+            console.warn("drift", sentence)
+            predictions.drifted.add(name)
 
 
 def _say_prediction(console, found: pd.DataFrame, label: str, milliseconds: float) -> None:
@@ -227,6 +246,13 @@ class PredictionLog:
     model : str
         Checksum of the model, written into every row.
 
+    Attributes
+    ----------
+    recent : deque of mapping of str to float
+        Deviations of the last assemblies of this call.
+    drifted : set of str
+        Deviations whose drift was printed.
+
     Raises
     ------
     FormatError
@@ -235,6 +261,8 @@ class PredictionLog:
 
     def __init__(self, path: Path, model: str):
         self.path, self.model = path, model
+        self.recent: deque[Mapping[str, float]] = deque(maxlen=max(WINDOWS))
+        self.drifted: set[str] = set()
         self._known: set[tuple[str, int]] = set()
         if path.is_file() and path.stat().st_size:
             self._read()

@@ -5,7 +5,8 @@ from __future__ import annotations
 from functools import partial
 
 from mic.commands.invocation import first_rank_only, open_model
-from mic.commands.predict import train_predictor
+from mic.commands.output import CommandConsole
+from mic.commands.predict import scan_predictor, scene_with_meshes, train_predictor
 from mic.errors import MissingLibrary, SceneError, Stopped
 from mic.execution.engine import choose
 from mic.system.port import check_port
@@ -14,7 +15,7 @@ __all__ = ["export", "serve"]
 
 
 @first_rank_only
-def serve(source, port, host, token, log, queue, seconds, engine, **prediction):
+def serve(source, port, host, token, log, queue, seconds, engine, scans, **prediction):
     """``mic serve``, with the values of its options (:mod:`mic.options`)."""
     try:
         from mic.deployment.server import read_token  # FastAPI is an optional dependency
@@ -25,16 +26,24 @@ def serve(source, port, host, token, log, queue, seconds, engine, **prediction):
         needs = "mic serve needs the libraries fastapi and uvicorn; install them: pip install 'mic-contact[serve]'"
         raise MissingLibrary(needs) from None
     from mic.deployment.assembly_log import AssemblyLog
-    from mic.deployment.service import Service
+    from mic.deployment.service import ScanFolder, Service
 
+    if scans is not None and not scans.is_dir():
+        raise SceneError(f"--scans {scans}: there is no such folder; create it, or give another")
     port, secret, workers = check_port(port, host), read_token(token), choose(engine or "local")
-    console, model, _, law, _ = open_model(source, prediction.pop("law"))
-    settings = {key: list(value) if key == "adjust" and value else value for key, value in prediction.items()}
+    law, folder = prediction.pop("law"), None
+    settings = {key: list(value) if isinstance(value, tuple) else value for key, value in prediction.items()}
     try:
-        predictor = train_predictor(console, model, law, **prediction)
+        if scans is not None:
+            console = CommandConsole()
+            reader, predictor = scan_predictor(console, scene_with_meshes(source), law, prediction)
+            folder = ScanFolder(reader, scans)
+        else:
+            console, model, _, law, _ = open_model(source, law)
+            predictor = train_predictor(console, model, law, **prediction)
     except ValueError as problem:
         raise SceneError(f"serve: {problem}") from None
-    service = Service(predictor, partial(AssemblyLog, log), workers, settings, queue, seconds)
+    service = Service(predictor, partial(AssemblyLog, log), workers, settings, queue, seconds, scans=folder)
     if service.log.damaged:
         console.warn("warning", f"{log}: {service.log.damaged} lines are cut short or altered; they are ignored")
     if service.log.pending:
@@ -51,8 +60,9 @@ def serve(source, port, host, token, log, queue, seconds, engine, **prediction):
 @first_rank_only
 def export(source, fmu, shim, force, law):
     """``mic export``, with the values of its options (:mod:`mic.options`)."""
-    from mic.deployment.fmi_unit import write_unit
+    from mic.deployment.fmi_unit import check_unit, write_unit
 
+    check_unit(fmu)
     console, model, _, law, _ = open_model(source, law)
     try:
         count = write_unit(model, fmu, law, shim, force)

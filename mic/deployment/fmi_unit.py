@@ -16,7 +16,26 @@ from mic.process.model import ReducedModel
 from mic.studies.adjustment import adjustments
 from mic.system.files import replacing
 
-__all__ = ["write_unit"]
+__all__ = ["check_unit", "write_unit"]
+
+
+def check_unit(path: Path) -> None:
+    """Raise an error unless a unit can be written to a file.
+
+    Raises
+    ------
+    MissingLibrary
+        If PythonFMU3 is not installed.
+    ArgumentError
+        If the file's name does not end with ``.fmu``.
+    """
+    try:
+        import pythonfmu3  # noqa: F401
+    except ModuleNotFoundError:
+        needs = "mic export --fmu needs the library pythonfmu3; install it: pip install 'mic-contact[fmu]'"
+        raise MissingLibrary(needs) from None
+    if path.suffix != ".fmu":
+        raise ArgumentError(f"--fmu {path}: the name of a unit ends with .fmu; correct it")
 
 
 def write_unit(model: ReducedModel, path: Path, law: str, shim: float, factor: float) -> int:
@@ -35,19 +54,15 @@ def write_unit(model: ReducedModel, path: Path, law: str, shim: float, factor: f
     Raises
     ------
     MissingLibrary
-        If PythonFMU3 is not installed.
+        As :func:`check_unit`.
     ArgumentError
-        If the file's name does not end with ``.fmu``, the bounds allow no change, or nothing is measured.
+        As there, and if the bounds allow no change, or nothing is measured.
     StorageError
         If the file cannot be written.
     """
-    try:
-        from pythonfmu3 import FmuBuilder
-    except ModuleNotFoundError:
-        needs = "mic export --fmu needs the library pythonfmu3; install it: pip install 'mic-contact[fmu]'"
-        raise MissingLibrary(needs) from None
-    if path.suffix != ".fmu":
-        raise ArgumentError(f"--fmu {path}: the name of a unit ends with .fmu; correct it")
+    check_unit(path)
+    from pythonfmu3 import FmuBuilder  # an optional dependency
+
     if not model.scene.measurements:
         raise ArgumentError(f"scene {model.scene.name!r} has no measurements: a unit would have no outputs; add some")
     fixture = model.scene.locators or model.scene.clamps

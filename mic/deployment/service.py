@@ -18,7 +18,7 @@ import numpy as np
 
 from mic import __version__
 from mic.deployment.assembly_log import AssemblyLog, Content
-from mic.errors import ArgumentError, MicError, StorageError, WorkerLost
+from mic.errors import ArgumentError, MicError, SceneError, StorageError, WorkerLost
 from mic.execution.engine import Engine, StandingWorker
 from mic.process.process import TOLERANCE
 from mic.results.run_identity import identity
@@ -66,8 +66,18 @@ class ScanFolder:
         return {"scan": serial, "checksum": checksum(self._files(serial))}
 
     def read(self, content: Content) -> ScannedAssembly:
-        """The deviations from the scans of a request; raises as :meth:`mic.studies.scan.ScanReader.read`."""
-        return self.reader.read(self._files(content["scan"]), content["scan"])
+        """The deviations from the scans of a request.
+
+        Raises
+        ------
+        SceneError
+            As :meth:`mic.studies.scan.ScanReader.read`, and if the files are not those of the request.
+        """
+        serial = content["scan"]
+        files = self._files(serial)
+        if checksum(files) != content["checksum"]:
+            raise SceneError(f"scan: the files of {serial} have changed since the request; repeat it with another id")
+        return self.reader.read(files, serial)
 
     def _files(self, serial: str) -> dict[str, Path]:
         found = scan_files(self.folder, self.reader.model.scene)[0].get(serial)
