@@ -358,6 +358,17 @@ def test_another_file_is_not_taken_for_a_log(tmp_path):
     assert path.read_text() == "file,row\nparts.csv,2\n"
 
 
+def test_the_command_does_not_touch_a_file_that_is_no_log(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    path = tmp_path / "model.npz"
+    dragged().save(path)
+    content = path.read_bytes()
+    result = CliRunner().invoke(commands, ["serve", "model.npz", "--log", "model.npz", "--port", "0"])
+    assert "this is no log of assemblies" in str(result.exception) and path.read_bytes() == content
+    result = CliRunner().invoke(commands, ["serve", "model.npz", "--log", ".", "--port", "0"])
+    assert "is a directory" in str(result.exception)
+
+
 def test_the_token_is_made_once_and_a_short_one_is_refused(tmp_path):
     path = tmp_path / "token"
     token = read_token(path)

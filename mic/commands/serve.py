@@ -9,6 +9,7 @@ from mic.commands.output import CommandConsole
 from mic.commands.predict import scan_predictor, scene_with_meshes, train_predictor
 from mic.errors import MissingLibrary, SceneError, Stopped
 from mic.execution.engine import choose
+from mic.system.files import append_text
 from mic.system.port import check_port
 
 __all__ = ["export", "serve"]
@@ -31,6 +32,8 @@ def serve(source, port, host, token, log, queue, seconds, engine, scans, **predi
     if scans is not None and not scans.is_dir():
         raise SceneError(f"--scans {scans}: there is no such folder; create it, or give another")
     port, secret, workers = check_port(port, host), read_token(token), choose(engine or "local")
+    AssemblyLog(log, {})  # raises before the training, as does the next line
+    append_text(log, "")
     law, folder = prediction.pop("law"), None
     settings = {key: list(value) if isinstance(value, tuple) else value for key, value in prediction.items()}
     try:

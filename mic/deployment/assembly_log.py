@@ -78,7 +78,7 @@ class AssemblyLog:
     damaged: int = 0
 
     def __post_init__(self) -> None:
-        if self.path.exists():
+        if self.path.is_file():
             self._read()
 
     @property
