@@ -46,6 +46,7 @@ Start with:  mic init --example lap_joint  then  mic check lap_joint  and  mic r
 
 #: Values of the options; the contact laws and the scene define them.
 Law = Enum("Law", {name: name for name in LAWS}, type=str)  # type: ignore[misc]
+Objective = Enum("Objective", {name: name for name in ("yield", "rms", "cpk", "cost")}, type=str)  # type: ignore[misc]
 Backend = Enum("Backend", {name: name for name in ("native", "paper")}, type=str)  # type: ignore[misc]
 
 
@@ -205,6 +206,9 @@ def predict(
     adjust: list[str] | None = None,
     shim: float = 0.5,
     force: float = 2.0,
+    objective: Objective | None = None,
+    step: float | None = None,
+    most: int | None = None,
     error: float = 0.0,
     exact: bool = False,
     law: Law | None = None,
@@ -230,6 +234,9 @@ def serve(
     adjust: list[str] | None = None,
     shim: float = 0.5,
     force: float = 2.0,
+    objective: Objective | None = None,
+    step: float | None = None,
+    most: int | None = None,
     error: float = 0.0,
     exact: bool = False,
     law: Law | None = None,

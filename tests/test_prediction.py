@@ -16,10 +16,9 @@ from mic.errors import FormatError, SceneError
 from mic.options import app
 from mic.results.schema import PREDICTIONS
 from mic.scene.measured_report import read_measured_report
-from mic.studies.adjustment import Adjustment, adjustments, with_adjustments
+from mic.studies.adjustment import adjustments, with_adjustments
 from mic.studies.emulator_training import FINE, train_emulator
 from mic.studies.prediction import Predictor
-from mic.studies.smallest_adjustment import AdjustmentSearch
 
 SIGMA = 0.1
 
@@ -72,7 +71,7 @@ def test_the_smallest_sufficient_adjustment_is_found(exact):
     model = limited(0.036, 9.0)
     bad = {"P": 0.96 + 0.0451, "D": PULL}
     found = row(Predictor(model, adjust=["bl2", "tl1"], shim=0.4, exact=exact).predict(bad), "")
-    assert found["verdict"] == "rejected" and found["way"] == ("evaluated" if exact else "learnt")
+    assert found["verdict"] == "rejected" and found["way"] == "evaluated"
     assert found["said"].startswith("locators.bl2 by -0.046 mm: within all limits by 0.033")
     little = row(Predictor(model, adjust=["bl2"], shim=0.04, exact=exact).predict(bad), "")
     assert little["said"] == "locators.bl2 by -0.04 mm: still 0.191 µm beyond a limit"
@@ -80,31 +79,6 @@ def test_the_smallest_sufficient_adjustment_is_found(exact):
     assert idle["said"].startswith("no adjustment helps")
     with pytest.raises(ValueError, match="neither a locator nor a clamp"):
         Predictor(model, adjust=["nothing"], exact=True)
-
-
-@pytest.mark.parametrize(
-    ("told", "said"),
-    [  # M is at most 0.05, 0.01 is what the answers err by, 0.06 without an adjustment
-        (lambda l, f: -0.1 * l - 0.001 * f, "locators.l by +0.2 mm"),  # 40 % of 0.5 mm; 20 N are 40 % of 50: first
-        (lambda l, f: -0.1 * l - 0.0011 * f, "clamps.F.force by +19 N"),
-        (lambda l, f: -0.09 * l + 0.002 * f, "clamps.F.force by -10 N"),
-        (lambda l, f: np.where(l < 0.3, -0.1 * l, 0.0), "locators.l by +0.2 mm"),  # worse again farther off
-    ],
-)
-def test_the_sufficient_adjustment_with_the_least_share_of_its_range_is_chosen(model, told, said):
-    some = [
-        Adjustment("locators.l", "locator", ("bl2",), 0.0, -0.5, 0.5),
-        Adjustment("clamps.F.force", "clamp", ("T",), 50.0, -25.0, 50.0),
-    ]
-
-    def planted(x):
-        """In place of what was learnt: what two adjustments change of M."""
-        return np.column_stack([told(*x[:, -2:].T), np.zeros(len(x))]), np.tile([0.01, 0.0], (len(x), 1))
-
-    found = AdjustmentSearch(model, "coulomb", some, planted).propose(
-        np.array([0.8, PULL]), np.array([0.06, PULL]), np.zeros(2), np.zeros(2), covered=True
-    )
-    assert str(found).startswith(said) and not found.evaluated and found.beyond <= 0
 
 
 def touching(low, high):
@@ -170,8 +144,7 @@ def test_a_cached_emulator_belongs_to_one_question(model, tmp_path):
     again = train_emulator(model, "coulomb", cache=tmp_path, progress=asked.append)
     assert len(asked) == 1 and np.array_equal(first.x, again.x) and np.array_equal(first.error_bound, again.error_bound)
     train_emulator(model, "frictionless", cache=tmp_path, progress=asked.append)
-    train_emulator(model, "coulomb", adjustments(model, names=["bl2"]), first, tmp_path, asked.append)
-    assert len(asked) >= 3
+    assert len(asked) >= 2
 
 
 def test_a_deviation_that_does_not_vary_and_one_that_bends_are_both_learnt():

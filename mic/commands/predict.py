@@ -20,6 +20,7 @@ from mic.results.run_identity import identity
 from mic.results.schema import PREDICTIONS
 from mic.scene import load_scene
 from mic.scene.measured_report import read_measured_report
+from mic.studies.adjustable import Adjustable
 from mic.studies.drift import WINDOWS, drifts
 from mic.studies.emulator_training import tolerance
 from mic.studies.prediction import Predictor
@@ -168,12 +169,13 @@ def _watch_folder(console, predictor: Predictor, predictions: PredictionLog, fol
         time.sleep(PAUSE)
 
 
-def train_predictor(console, model, law, adjust, shim, force, error, exact) -> Predictor:
+def train_predictor(console, model, law, adjust, shim, force, error, exact, **goal) -> Predictor:
     """Train a predictor; print the error of its emulator."""
     with Progress(TextColumn("{task.description}"), TextColumn("{task.completed:.0f}"), console=console) as progress:
         task = progress.add_task("training evaluations", total=None, visible=False)
         advance = lambda count: progress.update(task, advance=count, visible=True)
-        predictor = Predictor(model, law, adjust or (), shim, force, error, exact, cache_folder(), advance)
+        request = Adjustable(adjust or (), shim, force, **goal)
+        predictor = Predictor(model, law, request, error=error, exact=exact, cache=cache_folder(), progress=advance)
     emulator = predictor.emulator
     if emulator is not None:
         share = emulator.error_bound / tolerance(model.scene, emulator.h)

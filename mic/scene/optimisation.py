@@ -8,7 +8,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, Field, model_validator
 
-from mic.scene.keys import FileName, FiniteFloat, Name, NonNegative, Positive, Table, Vector
+from mic.scene.keys import Count, FileName, FiniteFloat, Name, NonNegative, Positive, Table, Vector
 from mic.scene.stages import CLOSING, unknown
 
 __all__ = [
@@ -52,6 +52,9 @@ class ForceChoice(Table):
     cost: NonNegative = 0.0
     """per N of change, for the objective `cost`"""
 
+    step: Positive | None = None
+    """N; changes are multiples of it. Default: a power of ten, at most a hundredth of the range"""
+
 
 class ShimChoice(Table):
     """Locators, or clamps with a stroke, that may move along their direction, all by the same distance."""
@@ -64,6 +67,9 @@ class ShimChoice(Table):
 
     cost: NonNegative = 0.0
     """per mm of change, for the objective `cost`"""
+
+    step: Positive | None = None
+    """thickness of a shim, mm; changes are multiples of it. Default: as for forces"""
 
     @model_validator(mode="after")
     def _around_zero(self):
@@ -156,6 +162,9 @@ class Optimisation(Table):
 
     places: list[PlaceChoice] = []
     """items whose point may change"""
+
+    most: Annotated[Count, Field(ge=1)] | None = None
+    """largest number of adjustments of one assembly that `mic predict --adjust scene` proposes. Default: all"""
 
     matching: list[Matching] = []
     """measured parts to be matched, at least two kinds"""

@@ -54,6 +54,8 @@ class Adjustment:
         Stated position, mm, or force, N.
     low, high : float
         Bounds of its change, in the same unit.
+    increment : float, optional
+        The smallest change; default: the power of ten below a fiftieth of the largest.
     """
 
     name: str
@@ -62,6 +64,7 @@ class Adjustment:
     now: float
     low: float
     high: float
+    increment: float | None = None
 
     @property
     def unit(self) -> str:
@@ -76,17 +79,12 @@ class Adjustment:
     @property
     def step(self) -> float:
         """The smallest change."""
-        return 10.0 ** math.floor(math.log10(self.size / STEPS))
+        return self.increment or 10.0 ** math.floor(math.log10(self.size / STEPS))
 
     def settable(self, change: float) -> float:
         """The change rounded up to whole steps, within the bounds."""
         count = math.ceil(abs(change) / self.step - 1e-9) if abs(change) > 1e-3 * self.size else 0
         return float(np.clip(math.copysign(count, change) * self.step, self.low, self.high))
-
-    def settings(self, start: float, end: float) -> np.ndarray:
-        """(n,) changes that can be set between `start` and the larger `end` of the same sign, the smallest first."""
-        count = np.arange(max(math.ceil(abs(start) / self.step - 1e-9), 1), math.ceil(abs(end) / self.step - 1e-9) + 1)
-        return np.clip(np.copysign(count, end) * self.step, self.low, self.high)
 
 
 def adjustments(

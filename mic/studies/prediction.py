@@ -1,4 +1,4 @@
-"""Predict individual assemblies from measured parts, and the smallest adjustment that helps.
+"""Predict individual assemblies from measured parts, and the joint adjustment that each needs.
 
 A part list gives values of some of the scene's deviations. The others have their mean values; their contribution to the
 uncertainty follows from the derivatives about the mean assembly, ``σ² = Σ_j (∂h/∂x_j σ_j)²``. With e the error of the
@@ -9,8 +9,9 @@ Predictions come from a spline between assemblies that were evaluated beforehand
 The bound of 95 % of its errors is part of the interval. The assembly itself is evaluated if that error could change a
 verdict, or if the assembly lies beyond the range of the training.
 
-The proposed adjustment is the smallest, relative to its allowed range, that brings the interval of every characteristic
-within its limits; if there is none, the one with the smallest excess (:mod:`mic.studies.smallest_adjustment`).
+The proposed adjustments are found and evaluated together (:mod:`mic.studies.joint_adjustment`). With the objective
+``yield`` they are the smallest, relative to their ranges, that bring the interval of every characteristic within its
+limits, and only assemblies that are not accepted are adjusted.
 """
 
 from __future__ import annotations
@@ -27,10 +28,11 @@ from mic.process.evaluation import Evaluation
 from mic.process.model import ReducedModel
 from mic.results.schema import PREDICTIONS
 from mic.statistics.estimates import LEVEL
-from mic.studies.adjustment import FACTOR, SHIM, adjustments
+from mic.studies.adjustable import Adjustable
+from mic.studies.adjustment import FACTOR, SHIM
 from mic.studies.emulator_training import train_emulator
+from mic.studies.joint_adjustment import JointAdjustment, ProposedAdjustment
 from mic.studies.samples import Progress, limits
-from mic.studies.smallest_adjustment import AdjustmentSearch
 from mic.system.arguments import checked, numbers_by_name
 
 __all__ = ["FARTHEST", "Predictor", "predict"]
@@ -47,8 +49,9 @@ class Predictor:
     model : ReducedModel
     law : str, optional
         Contact law; default: the first of the scene's report.
-    adjust : sequence of str
-        Locators and clamps that may be adjusted (:mod:`mic.studies.adjustment`); none by default.
+    adjust : sequence of str, or Adjustable
+        Locators and clamps that may be adjusted, ``all`` or ``scene``, or these with objective, step and largest number
+        (:class:`mic.studies.adjustable.Adjustable`); none by default.
     shim, factor : float
         Largest adjustments: a shift, mm, and a factor on a force.
     error : float
@@ -79,7 +82,7 @@ class Predictor:
         self,
         model: ReducedModel,
         law: str | None = None,
-        adjust: Sequence[str] = (),
+        adjust: Sequence[str] | Adjustable = (),
         shim: float = SHIM,
         factor: float = FACTOR,
         error: float = 0.0,
@@ -100,15 +103,13 @@ class Predictor:
         self._mean = np.array([item.mean for item in scene.deviations])
         self._sigma = np.array([item.sigma for item in scene.deviations])
         self._lower, self._upper = limits(scene)
-        available = adjustments(model, shim, factor, list(adjust)) if adjust else []  # raises before the training
+        request = adjust if isinstance(adjust, Adjustable) else Adjustable(adjust, shim, factor)
+        if request.names:
+            request.of(model)  # raises before the training
         self.evaluation: Evaluation | None = None
-        self.emulator = None if exact else train_emulator(model, self.law, (), None, cache, progress)
-        self._adjustment_search: AdjustmentSearch | None = None
-        if available:
-            effects = None
-            if self.emulator is not None:
-                effects = train_emulator(model, self.law, available, self.emulator, cache, progress)
-            self._adjustment_search = AdjustmentSearch(model, self.law, available, effects)
+        self.proposal: ProposedAdjustment | None = None
+        self.emulator = None if exact else train_emulator(model, self.law, cache, progress)
+        self._adjustment = JointAdjustment(model, self.law, request, progress) if request.names else None
         slopes = model.sensitivities({}, self.law)
         self._slope = np.nan_to_num(slopes.jacobian[0])  # of the mean assembly
 
@@ -156,9 +157,13 @@ class Predictor:
             return self._table([("", *NOTHING, "failed", "", "its contact problems could not be solved")], distance)
         width = np.hypot(half, error)
         verdict, proposal, assembly_source = self._verdicts(y, width), "", source
-        if self._adjustment_search is not None and (verdict != "accepted").any():
-            adjustment = self._adjustment_search.propose(x, y, half, error, self._covers(x))
-            proposal, assembly_source = str(adjustment), "evaluated" if adjustment.evaluated else source
+        adjusts = self._adjustment is not None and (self._adjustment.always or bool((verdict != "accepted").any()))
+        self.proposal = None
+        if self._adjustment is not None and adjusts:
+            noise = np.zeros(len(x)) if covariance is None else np.sqrt(covariance.diagonal())
+            noise = np.where(given | (self._sigma == 0), noise, np.inf)
+            self.proposal = self._adjustment.propose(x, half, noise)
+            proposal, assembly_source = str(self.proposal), "evaluated"
         worst = "rejected" if "rejected" in verdict else "open" if "open" in verdict else "accepted"
         items = [item.name for item in self.model.scene.measurements]
         rows = [(*row, source, "") for row in zip(items, y, y - width, y + width, verdict)]
@@ -202,7 +207,7 @@ def predict(
     model: ReducedModel,
     parts: pd.DataFrame | Sequence[Mapping[str, float]],
     law: str | None = None,
-    adjust: Sequence[str] = (),
+    adjust: Sequence[str] | Adjustable = (),
     shim: float = SHIM,
     factor: float = FACTOR,
     error: float = 0.0,

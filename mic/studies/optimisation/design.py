@@ -187,14 +187,15 @@ def _force(scene, choice) -> Adjustment:
     targets = tuple(clamp.name for name in choice.clamps for clamp in jaws(scene, name))
     now = next(clamp.force for clamp in scene.clamps if clamp.name == targets[0])
     low, high = choice.between
-    return Adjustment(f"clamps.{'+'.join(targets)}.force", "clamp", targets, now, low - now, high - now)
+    return Adjustment(f"clamps.{'+'.join(targets)}.force", "clamp", targets, now, low - now, high - now, choice.step)
 
 
 def _shim(scene, choice) -> Adjustment:
     kind = "clamp" if hasattr(locator_or_clamp(scene, choice.of[0]), "stroke") else "locator"
     now = locator_or_clamp(scene, choice.of[0]).stroke if kind == "clamp" and len(choice.of) == 1 else 0.0
     name = f"{kind}s.{'+'.join(choice.of)}" + ".stroke" * (kind == "clamp")
-    return Adjustment(name, kind, tuple(choice.of), now, *choice.between)
+    low, high = choice.between
+    return Adjustment(name, kind, tuple(choice.of), now, low, high, choice.step)
 
 
 def _groups(scene, choice) -> tuple[tuple[str, ...], ...]:
@@ -221,6 +222,9 @@ def _with_orders(scene: Scene, orders: dict[str, Sequenced]) -> Scene:
 
 
 def _round_change(setting: Adjustment, change: float) -> float:
-    """The nearest change that can be set; the step is at most a hundredth of the range."""
+    """The nearest change that can be set; the step is at most a hundredth of the range, or as stated."""
+    if setting.increment:
+        low, high = (np.trunc(end / setting.increment + np.sign(end) * 1e-9) for end in (setting.low, setting.high))
+        return float(np.clip(np.round(change / setting.increment), low, high) * setting.increment)
     step = 10.0 ** np.floor(np.log10((setting.high - setting.low) / 100.0))
     return float(np.clip(np.round((setting.now + change) / step) * step - setting.now, setting.low, setting.high))
