@@ -30,7 +30,9 @@ from scipy.spatial.distance import cdist
 
 from mic.contact.compliance_columns import Columns
 from mic.contact.friction import Friction
-from mic.contact.laws import FRICTIONLESS, Law
+from mic.contact.ladder import MARGIN
+from mic.contact.large_increment import end_forces, forces_without_friction
+from mic.contact.laws import Law
 from mic.contact.path import Followed, Increments, Leg, Path, PathSolution, Trace, end_state, from_solution
 from mic.contact.path_record import PathRecord, record_array
 from mic.contact.solution import Status
@@ -50,6 +52,7 @@ MAX_ROUNDS = 40  # in which a working set grows
 MAX_INITIAL = 300  # contacts of an initial working set that is not screened
 MAX_PREPARED = 1500  # contacts of the solver that all samples share: some 0.3 GB
 MAX_RECORDED = 2000  # contacts, over all samples, whose steps are recorded at a time: 0.2 MB of address space each
+ROUGH = 1e-5  # error of Newton's method, relative, while many contacts join
 FAR = 1e9  # mm: a gap that never closes
 MANY_CANDIDATES = 1000  # candidates above which screening ignores friction, to be cheaper than a sample
 
@@ -151,7 +154,7 @@ class WorkingSetSolver:
         self._solvers: dict[bytes, ContactSolver] = {}
         self._prepared_set = self._neighbourhood.copy()
         self._prepared: ContactSolver | None = None  # see _prepare
-        self._frictionless: ContactSolver | None = None  # see _solved_frictionless
+        self._normal: np.ndarray | None = None  # see _solved_frictionless
         self._factorised: Landing | None = None  # see _uses_newton
 
     def with_friction(self, friction: Friction) -> WorkingSetSolver:
@@ -190,8 +193,10 @@ class WorkingSetSolver:
         force = np.where(np.repeat(self._allowed, self._d), force, 0.0)
         single = isinstance(path, Increments) and path.count == 1 and b.shape[1] == 2
         stepwise = (single if self.law.frictional else self._d == 3) and not path.recorded  # only the end matters
-        large = self._screening or self._start.sum() > MAX_INITIAL
-        if not stepwise or large or not self._native:
+        large = self._start.sum() > MAX_INITIAL
+        if single and stepwise and large and self.law.frictional and self._native and not self._screening:
+            return self._solve_large_increment(b, force, anchor)
+        if not stepwise or large or self._screening or not self._native:
             before = force.copy() if self._screening else force  # screening modifies it
             found = self._solve_growing(b, before, anchor, path)
             if self._screening:
@@ -237,13 +242,56 @@ class WorkingSetSolver:
             for sample, depth in zip(todo, depths[grows]):
                 working[sample, self._joining(depth, False)] = True
             guess, near = leg.force, True
-        found = self._open(n, m)
         if solver is None:
-            return replace(found, converged=solved)
+            return replace(self._open(n, m), converged=solved)
         rows, taken = np.repeat(self._prepared_set, d), np.repeat(working, d, axis=1)
         moved = np.where(taken, u - end, 0.0)[:, rows]
         residual, converged, status = solver.check_convergence(leg.b[:, rows], leg.force[:, rows], moved)
-        converged &= solved
+        return self._increment(leg, u, force, anchor, working, residual, converged & solved, status)
+
+    def _solve_large_increment(self, b, force, anchor) -> PathSolution:
+        """Like :meth:`_solve_increment` with friction, sample by sample, for many contacts.
+
+        Newton's method ends at the error `ROUGH` until no candidate joins, then at that of the solver.
+        """
+        n, m, d = len(b), len(self._start), self._d
+        leg, u = Leg.start(n, m), b[:, -1].copy()
+        working = self._allowed & _loaded(force.reshape(n, m, d)[:, :, 0])
+        pressing = self._solved_frictionless(self._start, b, force, anchor).force
+        working[:, self._start] |= pressing[:, ::d] > 0.0
+        guess, target = force.copy(), b[:, -1].reshape(n, m, d).copy()
+        guess[:, np.flatnonzero(self._start) * d] = pressing[:, ::d]
+        target[:, :, 1:] -= anchor
+        residual, converged, status = np.zeros(n), np.zeros(n, dtype=bool), np.full(n, Status.NOT_CONVERGED, object)
+        for k in range(n):
+            one, solver, tol = np.array([k]), None, ROUGH
+            for round_ in range(2 * MAX_ROUNDS):
+                if solver is None:
+                    solver, rows = self._new_solver(working[k]), np.repeat(working[k], d)
+                known = solver.backend, target[k].ravel()[rows], guess[k, rows]
+                guess[k, rows], steps = end_forces(*known, round_ > 0, max(tol, MARGIN * solver.tol))
+                leg.factorisations[k] += steps
+                u[k] = self._S.under(guess[one])[0] + b[k, -1]
+                depth = self._penetration(u[one], anchor[one], None, working[one])[0]
+                if (depth > PENETRATION).any():
+                    working[k, self._joining(depth, True)] = True
+                    solver = None
+                elif tol == 0.0:
+                    break
+                else:
+                    tol = 0.0
+            else:
+                continue
+            solver.backend.step(np.flatnonzero(working[k]), one, b, force, anchor, working, guess, True, leg)
+            u[k] = self._S.under(leg.force[one])[0] + b[k, -1]
+            known = (values[one][:, rows] for values in (leg.b, leg.force, u - b[:, -1]))
+            residual[one], converged[one], status[one] = solver.check_convergence(*known)
+        return self._increment(leg, u, force, anchor, working, residual, converged & ~leg.given_up, status)
+
+    def _increment(self, leg: Leg, u, force, anchor, working, residual, converged, status) -> PathSolution:
+        """The solution of one increment, from its leg, the displacements u (n, d m) of all candidates at its end, and
+        the forces before it."""
+        n, m, d = *working.shape, self._d
         self.carried |= _loaded(leg.force[converged].reshape(-1, m, d)[:, :, 0]).any(axis=0)
         sliders = self.law.compliance(self._friction)[:, None] * leg.force.reshape(n, m, d)[:, :, 1:]
         stands = u.reshape(n, m, d)[:, :, 1:] + sliders
@@ -257,7 +305,7 @@ class WorkingSetSolver:
             if self.law.frictional:
                 trace = trace.with_slip(stands - anchor, before, now)
         return replace(
-            found,
+            self._open(n, m),
             force=leg.force,
             displacement=u,
             anchor=stands,
@@ -389,17 +437,14 @@ class WorkingSetSolver:
         return solver.follow(b[:, :, rows], force[:, rows], anchor[:, own], path)
 
     def _solved_frictionless(self, own, b, force, anchor) -> PathSolution:
-        """Like :meth:`_solved`, at the last load without friction; anchors are unchanged."""
-        rows = np.flatnonzero(own) * self._d
-        solver, first = self._frictionless, (own == self._start).all()
-        if solver is None or not first:
-            settings = self._settings | {"dimension": 1, "backend": "native"}
-            solver = ContactSolver(self._S.block(rows), 0.0, law=FRICTIONLESS, **settings)
-            self._frictionless = solver if first else self._frictionless  # every batch starts with this set
-        solution = end_state(solver, b[:, -1, rows], force[:, rows])
-        pressing = np.zeros((len(b), len(rows), self._d))
-        pressing[:, :, 0] = solution.force
-        return replace(solution, force=pressing.reshape(len(b), -1), anchor=anchor[:, own])
+        """Like :meth:`_solved`, at the last load without friction and not certified; anchors are unchanged."""
+        rows, first = np.flatnonzero(own) * self._d, (own == self._start).all()
+        S = self._normal if self._normal is not None and first else self._S.block(rows)
+        self._normal = S if first else self._normal  # every sample starts with this set
+        found = self._open(len(b), len(rows))
+        for sample, pressing in enumerate(found.force):
+            pressing[:: self._d] = forces_without_friction(S, b[sample, -1, rows], force[sample, rows])
+        return replace(found, anchor=anchor[:, own])
 
     def _prepare(self, joining: np.ndarray) -> None:
         """Prepare a solver for all candidates `joining` (m,) of any sample, which serves every working set among them;

@@ -136,6 +136,11 @@ class Surface:
         return self.points[self.triangles]
 
     @cached_property
+    def box(self) -> np.ndarray:
+        """(2, 3) least and greatest coordinates of the vertices, mm."""
+        return np.stack([self.points.min(axis=0), self.points.max(axis=0)])
+
+    @cached_property
     def edge_lengths(self) -> np.ndarray:
         """(k, 3) lengths of the edges opposite to each vertex, mm."""
         c = self.corners

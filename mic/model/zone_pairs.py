@@ -106,6 +106,9 @@ def _projected_point(item, zone, bodies, stacked) -> np.ndarray | None:
     name, farthest = stacked.get(item.part, ("", 0.0))
     if not name or not item.radius:
         return None
+    box = bodies[name].surface.box
+    if np.linalg.norm(np.maximum(0.0, np.maximum(box[0] - point, point - box[1]))) > item.radius + farthest:
+        return None  # too far, however it is projected
     direction = np.array(item.direction) / np.linalg.norm(item.direction)
     steps = [bodies[body].surface.project(point).point[0] - point for body in (name, *zone.parts)]
     axial = [step @ direction for step in steps]
