@@ -6,7 +6,7 @@
 >>> model.evaluate({"F1": 20.0}).measurements                   # doctest: +SKIP
 >>> model.evaluate(model.sample(100), friction=0.1).to_frame()  # doctest: +SKIP
 
-Each command is a function of the same name here, from a scene or model to tables and figures as data:
+Each command but ``mic serve`` is a function of the same name here, from a scene or model to tables and figures as data:
 ``mic.explain(model, measured, gauge)`` is ``mic explain``. ``mic report`` is :func:`mic.report.write_report`;
 ``mic.report.pictures`` draws the results of these functions (:mod:`mic.report.study_pictures`). Longer computations
 show a bar in notebooks; ``progress=False`` hides it.
@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from mic import examples, report
     from mic.build import check, reduce
     from mic.contact.states import ContactState
+    from mic.deployment.fmi_unit import write_unit as export
     from mic.process.model import ReducedModel
     from mic.runs import read_run, run
     from mic.scene import Scene, load_scene
@@ -62,6 +63,7 @@ __all__ = [
     "examples",
     "explain",
     "explore",
+    "export",
     "friction",
     "init",
     "load_scene",
@@ -91,6 +93,7 @@ _PUBLIC = {
     "contributors": ("mic.studies.contributors", "contributors"),
     "explain": ("mic.studies.explanation", "explain"),
     "explore": ("mic.studies.exploration", "explore"),
+    "export": ("mic.deployment.fmi_unit", "write_unit"),
     "friction": ("mic.studies.friction", "friction_effects"),
     "init": ("mic.wizard", "write_scene"),
     "load_scene": ("mic.scene", "load_scene"),

@@ -10,8 +10,11 @@ from mic.options import app
 ELSEWHERE = {"report": "write_report"}  # where a room has the name: what of it does what the command does
 
 
+SERVICES = {"serve"}  # run until they are stopped
+
+
 def commands():
-    return {one.name or one.callback.__name__ for one in app.registered_commands}
+    return {one.name or one.callback.__name__ for one in app.registered_commands} - SERVICES
 
 
 def test_commands_and_public_functions_correspond():

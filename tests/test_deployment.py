@@ -17,7 +17,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from support.requests_of_applications import request, running
-from support.springs import PULL, dragged
+from support.springs import PULL, at_face, dragged
 from typer.testing import CliRunner
 
 from mic.deployment import application as interface
@@ -30,6 +30,8 @@ from mic.errors import ArgumentError, FormatError, SceneError, StorageError
 from mic.execution.local import Local
 from mic.options import app as commands
 from mic.statistics.draw import draw
+from mic.studies.adjustable import Adjustable
+from mic.studies.adjustment import with_adjustments
 from mic.studies.drift import drifts
 from mic.studies.prediction import Predictor
 from mic.studies.scan import ScannedAssembly
@@ -100,6 +102,27 @@ def test_an_answer_is_the_prediction_and_the_log_has_it_with_model_and_version(m
     assert logged[1]["answer"]["verdict"] == first[1]["verdict"]
     for record in (*(one["service"] for one in logged), first[1]):
         assert (record["model"], record["version"]) == (service.description["model"], service.description["version"])
+
+
+def test_adjustments_are_given_one_by_one_with_the_values_that_they_lead_to():
+    limits = (("b", "M", 0.0, 0.036), ("t", "N", PULL - 9, PULL + 9))
+    model = dragged(measurements=[at_face(part, (1, 0, 0), name=n, lower=a, upper=b) for part, n, a, b in limits])
+    predictor = Predictor(model, None, Adjustable(["bl2", "tl1"], shim=0.4), exact=True)
+    found = predict_assembly(predictor, {"deviations": {"P": 0.96 + 0.0451, "D": PULL}})
+    assert found["verdict"] == "rejected" and found["adjustments"]
+    assert {(one["name"], one["unit"]) for one in found["adjustments"]} <= {
+        ("locators.bl2", "mm"),
+        ("locators.tl1", "mm"),
+    }
+    first = found["characteristics"][0]
+    assert first["value"] > 0.036 >= first["adjusted"]
+    assert found["certificate"]["adjusted_residual"] <= found["certificate"]["tolerance"]
+    changes = {one["name"]: one["change"] for one in found["adjustments"]}
+    varied, names = with_adjustments(model, list(predictor.proposal.changes))
+    x = {"P": 0.96 + 0.0451, "D": PULL} | dict(zip(names, changes.values()))
+    assert varied.evaluate(x).measurements[0][0] == pytest.approx(first["adjusted"], abs=1e-9)
+    rest = {"id": "1", "drift": [], "model": "", "version": "", "seconds": 0.0}
+    assert interface.Answer.model_validate(found | rest).adjustments[0].change == found["adjustments"][0]["change"]
 
 
 BAD = [

@@ -13,7 +13,8 @@ from tempfile import TemporaryDirectory
 
 from mic.errors import ArgumentError, MissingLibrary
 from mic.process.model import ReducedModel
-from mic.studies.adjustment import adjustments
+from mic.studies.adjustment import FACTOR, SHIM, adjustments
+from mic.system.arguments import checked
 from mic.system.files import replacing
 
 __all__ = ["check_unit", "write_unit"]
@@ -38,16 +39,19 @@ def check_unit(path: Path) -> None:
         raise ArgumentError(f"--fmu {path}: the name of a unit ends with .fmu; correct it")
 
 
-def write_unit(model: ReducedModel, path: Path, law: str, shim: float, factor: float) -> int:
-    """Write the unit of a model; returns the number of its inputs.
+@checked
+def write_unit(
+    model: ReducedModel, path: Path, law: str | None = None, shim: float = SHIM, factor: float = FACTOR
+) -> int:
+    """Write the FMI 3.0 unit of a model; returns the number of its inputs.
 
     Parameters
     ----------
     model : ReducedModel
     path : Path
         File of the unit, ``NAME.fmu``.
-    law : str
-        Contact law.
+    law : str, optional
+        Contact law; default: the first of the scene's report.
     shim, factor : float
         Bounds of the adjustments, as :func:`mic.studies.adjustment.adjustments` takes them.
 
@@ -60,6 +64,7 @@ def write_unit(model: ReducedModel, path: Path, law: str, shim: float, factor: f
     StorageError
         If the file cannot be written.
     """
+    path = Path(path)
     check_unit(path)
     from pythonfmu3 import FmuBuilder  # an optional dependency
 
@@ -69,7 +74,7 @@ def write_unit(model: ReducedModel, path: Path, law: str, shim: float, factor: f
     available = adjustments(model, shim, factor) if fixture else []
     identifier = re.sub(r"\W", "_", path.stem, flags=re.ASCII)
     identifier = identifier if identifier[:1].isalpha() else f"unit_{identifier}"
-    settings = {"law": law, "shim": shim, "factor": factor, "identifier": identifier}
+    settings = {"law": law or model.scene.report.laws[0], "shim": shim, "factor": factor, "identifier": identifier}
     with replacing(path) as temporary, TemporaryDirectory(prefix="mic-") as name:
         folder = Path(name)
         model.save(folder / "model.npz")

@@ -118,10 +118,10 @@ def predict_assembly(predictor: Predictor, content: Content, scans: ScanFolder |
         certificate |= {"residual": max(residuals, default=0.0), "tolerance": TOLERANCE}
     elif rows and emulator is not None:
         certificate |= {"error_bound": dict(zip(limits, emulator.error_bound.tolist()))}
-    proposal = getattr(predictor, "proposal", None)
-    if proposal is not None and proposal.changes:
-        certificate |= {"adjusted_residual": proposal.residual}
-    adjusted = dict(zip(limits, proposal.after.tolist())) if proposal is not None and proposal.changes else {}
+    proposal, adjusted = predictor.proposal if rows else None, {}
+    if proposal is not None and (proposal.changes or proposal.order):
+        certificate |= {"adjusted_residual": float(proposal.residual)}
+        adjusted = dict(zip(limits, proposal.after.tolist()))
     return {
         "verdict": whole["verdict"],
         "reason": whole["said"],
