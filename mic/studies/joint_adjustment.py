@@ -168,6 +168,8 @@ class JointAdjustment:
     allowed : AllowedAdjustments
     common : (a,) array
         Changes of the common optimum.
+    goal : NearTarget
+        Objective of assemblies with ``rms`` and ``cpk``, else of the common optimum.
     """
 
     def __init__(
@@ -202,12 +204,12 @@ class JointAdjustment:
     def _find_common(self) -> None:
         """Find the common optimum, the target, the correction of the cheap model there, and the best orders."""
         still, weight = np.zeros(len(self._size)), self.allowed.weight / self._half
-        self._goal = NearTarget(self._middle, weight, still, self._size)
+        self.goal = NearTarget(self._middle, weight, still, self._size)
         share = 1 - RESERVE if self.always else 1.0
         cheap = _CheapModel(self._cheap, self._names, self._mean[None], np.zeros(len(self._middle)))
         process = self._exact[0]
         bounds = self._buildable(still, share * self._low, share * self._high)
-        search = _Search(self._goal, self.allowed.settings, bounds, self.allowed.most, process)
+        search = _Search(self.goal, self.allowed.settings, bounds, self.allowed.most, process)
         cheap.correct(still, search.evaluate(self._mean, still))
         stream = np.random.default_rng(0)
         starts = [still, *(stream.uniform(*bounds) for _ in range(STARTS - 1))]
@@ -219,13 +221,13 @@ class JointAdjustment:
             room = self._half - np.abs(target - self._middle)
             weight = self.allowed.weight / np.maximum(room, LEAST_ROOM * self._half)
         if self.always:
-            self._goal = NearTarget(target, weight, self.common, self._size)
+            self.goal = NearTarget(target, weight, self.common, self._size)
         self._orders = [0]
         if len(self._exact) > 1:
             found = [evaluate(process, self._mean[None], self.common[None]) for process in self._exact]
             y, unfit = (np.concatenate(parts) for parts in zip(*found))
             self._progress(len(y))
-            merit = self._goal.merit(y, np.tile(self.common, (len(y), 1))) + UNFIT * unfit[:, 0]
+            merit = self.goal.merit(y, np.tile(self.common, (len(y), 1))) + UNFIT * unfit[:, 0]
             others = 1 + np.argsort(merit[1:], kind="stable")
             self._orders += others[: FEW_ORDERS - 1].tolist()
 
@@ -262,7 +264,7 @@ class JointAdjustment:
         """
         points = self._points(x, np.zeros(len(x)) if noise is None else noise)
         bounded = WithinLimits(self._lower, self._upper, self._half, self.allowed.cost, interval)
-        goal: Goal = self._goal if self.always else bounded
+        goal: Goal = self.goal if self.always else bounded
         still = np.zeros(len(self._size))
         search = _Search(goal, self.allowed.settings, (self._low, self._high), self.allowed.most, self._exact[0])
         before = search.evaluate(points[0], still)
@@ -304,7 +306,7 @@ class JointAdjustment:
         before, changes, after = found
         still, nominal = np.zeros_like(changes), isinstance(goal, NearTarget)
         if nominal:  # the distance from the middle of the limits counts too
-            middle = replace(self._goal, target=self._middle)
+            middle = replace(self.goal, target=self._middle)
             if middle.merit(after[None, None], changes) > middle.merit(before[None, None], still):
                 return False
         elif self.allowed.objective == "cost":
