@@ -47,15 +47,15 @@ def predict(source, parts, scan, watch, log, law, **options):
     for option, folder in (("scan", scan), ("watch", watch)):
         if folder is not None and not folder.is_dir():
             raise SceneError(f"--{option} {folder}: there is no such folder; create it, or give another")
+    if scan is not None:
+        _predict_scans(CommandConsole(), source, scan, watch, log, law, options)
+        return
+    console, model, _, law, _ = open_model(source, law)
+    console.say_each(alignments(model.scene))
+    predictions = PredictionLog(log, identity(model, 0)[:12])
+    if parts is not None:
+        read_measured_report(parts, model.parameters, "deviation")  # reports errors before the training
     try:
-        if scan is not None:
-            _predict_scans(CommandConsole(), source, scan, watch, log, law, options)
-            return
-        console, model, _, law, _ = open_model(source, law)
-        console.say_each(alignments(model.scene))
-        predictions = PredictionLog(log, identity(model, 0)[:12])
-        if parts is not None:
-            read_measured_report(parts, model.parameters, "deviation")  # reports errors before the training
         predictor = train_predictor(console, model, law, **options)
     except ValueError as problem:
         raise SceneError(f"predict: {problem}") from None
@@ -137,7 +137,7 @@ def _predict_scan(
     start = time.perf_counter()
     try:
         scanned = reader.read(files, serial)
-    except SceneError as problem:  # an invalid scan does not stop the others
+    except (FormatError, SceneError) as problem:  # an invalid scan does not stop the others
         console.say(problem, style="red")
         return True
     console.say_each(scanned.messages)

@@ -33,6 +33,7 @@ __all__ = [
     "refuse_unit",
     "sheet_normals",
     "spread",
+    "unit_remedy",
 ]
 
 TEXT = (".csv", ".txt", ".xyz", ".asc", ".tsv", ".xlsx")
@@ -329,7 +330,7 @@ def _on_measured_face(surface: Surface, foot: np.ndarray, off: np.ndarray) -> np
 
 def refuse_unit(path: Path, points: np.ndarray, surface: Surface, unit: str) -> None:
     """Refuse a cloud whose size differs from the part so much that any best fit would be meaningless."""
-    remedy = _unit_remedy(points, surface, unit)
+    remedy = unit_remedy(points, surface, unit)
     if remedy and abs(np.log(surface.diameter / _span(points))) > np.log(IMPLAUSIBLE):
         raise FormatError(f"{path}: the points cannot be those of the part: {remedy}")
 
@@ -342,7 +343,7 @@ def _refuse_excluded(path: Path, near, points, foot, within: float, surface: Sur
     usual = "correct the part, the unit or the datum of the points, or raise within"
     raise FormatError(
         f"{path}: {int((~near).sum())} of {len(near)} points lie more than {within:g} mm from the part (median "
-        f"{typical:.3g} mm): {_unit_remedy(points, surface, unit) or usual}"
+        f"{typical:.3g} mm): {unit_remedy(points, surface, unit) or usual}"
     )
 
 
@@ -351,7 +352,7 @@ def _span(points: np.ndarray) -> float:
     return float(np.linalg.norm(np.ptp(points, axis=0)))
 
 
-def _unit_remedy(points: np.ndarray, surface: Surface, unit: str) -> str | None:
+def unit_remedy(points: np.ndarray, surface: Surface, unit: str) -> str | None:
     """Remedy that names another unit, in which the points would be as large as the part; None if there is none."""
     span, size = _span(points), surface.diameter
     if span == 0.0:

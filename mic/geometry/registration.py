@@ -43,7 +43,7 @@ from mic.geometry.measured_points import spread
 from mic.geometry.surface import Surface
 from mic.geometry.triangles import rotation
 
-__all__ = ["Pose", "Registration", "Shapes", "distance", "place", "register"]
+__all__ = ["Pose", "Registration", "Shapes", "coverage", "distance", "place", "register"]
 
 USED = 30_000  # points that are used: shapes have some hundred unknowns
 COARSE = 400  # points of a trial placement
@@ -344,9 +344,11 @@ def place(points: np.ndarray, surface: Surface) -> Pose:
     rng = np.random.default_rng(1)
     few = points if len(points) <= COARSE else points[rng.choice(len(points), COARSE, replace=False)]
     given, off = _best_fit(few, surface, Pose(np.eye(3), np.zeros(3)), PLACED)
-    if off < max(ROUGH * surface.diameter, LEAST_ROUGH):
+    if off < max(ROUGH * surface.diameter, LEAST_ROUGH) and given.degrees < UNLIKE:
         return given
     trials = [(given, off), *(_best_fit(few, surface, start, TRIALS) for start in _turned(points, surface))]
+    best, least = min(trials, key=lambda trial: trial[1])
+    trials += [_best_fit(few, surface, start, TRIALS) for start in _turned(best(points), surface, best)]
     best, least = min(trials, key=lambda trial: trial[1])
     alike = [pose for pose, other in trials if other < ALIKE * least]
     if any(_angle(pose.turn @ best.turn.T) > UNLIKE for pose in alike):
@@ -363,6 +365,13 @@ def distance(points: np.ndarray, surface: Surface) -> float:
     return float(far[: max(1, 4 * len(far) // 5)].mean())
 
 
+def coverage(points: np.ndarray, shapes: Shapes) -> float:
+    """Share of a part's cells with placed points (n, 3)."""
+    found = shapes.surface.project(points)
+    count = np.bincount(shapes.cell[found.triangle[found.distance <= np.median(found.distance) * CUT]])
+    return float((count >= max(3.0, FULL * float(np.median(count)))).sum() / (shapes.cell.max() + 1))
+
+
 def _best_fit(points: np.ndarray, surface: Surface, pose: Pose, steps: int) -> tuple[Pose, float]:
     """The best fit of points from a start, and their mean distance."""
     for _ in range(steps):
@@ -376,14 +385,17 @@ def _best_fit(points: np.ndarray, surface: Surface, pose: Pose, steps: int) -> t
     return pose, distance(pose(points), surface)
 
 
-def _turned(points: np.ndarray, surface: Surface) -> list[Pose]:
-    """Placements with the principal axes of the points (n, 3) on those of the surface."""
-    middle = np.median(points, axis=0)
-    near = np.linalg.norm(points - middle, axis=1)
-    points = points[near <= 3 * np.median(near)]
-    centre, own = points.mean(axis=0), np.linalg.eigh(np.cov(points.T))[1]
+def _turned(points: np.ndarray, surface: Surface, after: Pose | None = None) -> list[Pose]:
+    """Placements with the principal axes of the points (n, 3) on those of the surface, in every sense and order that
+    the moments allow; or, after a placement, with those of the surface on themselves."""
     at = surface.corners.mean(axis=1)
     moments, axes = np.linalg.eigh(np.cov(at.T, aweights=surface.areas))
+    if after is None:
+        near = np.linalg.norm(points - np.median(points, axis=0), axis=1)
+        inner = points[near <= 3 * np.median(near)]
+        centre, own, after = inner.mean(axis=0), np.linalg.eigh(np.cov(inner.T))[1], Pose(np.eye(3), np.zeros(3))
+    else:
+        centre, own = surface.centroid, axes
     found = []
     for order in permutations(range(3)):
         swapped = [i for i in range(3) if order[i] != i]
@@ -393,7 +405,7 @@ def _turned(points: np.ndarray, surface: Surface) -> list[Pose]:
             turn = axes[:, list(order)] * np.array(signs) @ own.T
             if np.linalg.det(turn) < 0:
                 turn = axes[:, list(order)] * -np.array(signs) @ own.T
-            found.append(Pose(turn, surface.centroid - turn @ centre))
+            found.append(after.then(turn, surface.centroid - turn @ centre))
     return found
 
 

@@ -32,9 +32,9 @@ from mic.compliance.fields import displacement_field
 from mic.compliance.functional import Functionals
 from mic.compliance.part import Part
 from mic.errors import FormatError, SceneError
-from mic.geometry.measured_points import TEXT, read_clouds, refuse_unit, sheet_normals, spread
+from mic.geometry.measured_points import TEXT, read_clouds, refuse_unit, sheet_normals, spread, unit_remedy
 from mic.geometry.readers import READERS
-from mic.geometry.registration import Registration, Shapes, distance, place, register
+from mic.geometry.registration import Registration, Shapes, coverage, distance, place, register
 from mic.model.assembly import Assembly, assemble
 from mic.model.sources.gravity import EARTH, TONNES
 from mic.process.model import ReducedModel
@@ -52,7 +52,10 @@ SPREAD = 0.5  # points per square of their spacing, approximately
 WITHIN = 5.0  # mm from a part to its supports
 FARTHEST, FARTHEST_SHARE = 2.5, 0.01  # largest mean distance from the fitted part, mm, and relative to its diameter
 SUSPECT = 0.003  # mean distance, relative to the diameter, from which the scan may be of another part
-FEWEST_COVERED = 0.2  # least share of the part's surface with points
+FEWEST_COVERED, USUALLY_COVERED = 0.3, 0.7  # least share of the part with points, and below which others are tried
+MORE = 1.3  # ratio of the shares of another part and of the part that tells that it is the other
+SMALL = 1e-9  # relative to the largest compliance
+LEAST = 0.1  # mm: mean distance of a good fit
 BETTER = 0.5  # ratio of mean distances of another part, or of the mirrored scan, that tells which it is
 FREE = "scan"  # name of the force at point k of a part: scan-PART-k
 
@@ -151,7 +154,8 @@ class ScanReader:
         if part.name in self.free:
             rows = [self.assembly.labels["force"].index(deviations[j].name) for j in own]
             C = self.assembly.rows["force"][rows] @ model.shape[:, own]
-            shapes = Shapes(part.surface, fields, np.zeros(fields.shape[:2]), mean, 0.5 * (C + C.T), False)
+            C = 0.5 * (C + C.T) + SMALL * C.max() * np.eye(len(C))  # a force on a locator bends nothing
+            shapes = Shapes(part.surface, fields, np.zeros(fields.shape[:2]), mean, C, False)
         else:
             varies = sigma > 0
             offset = fields[:, :, ~varies] @ mean[~varies]
@@ -214,27 +218,31 @@ class ScanReader:
         return found, float(np.sqrt(((shape * normals).sum(axis=1) ** 2).mean()))
 
     def _refuse_other(self, path: Path, own: _ScannedPart, found: Registration, points: np.ndarray) -> None:
-        """Refuse a scan that does not fit its part."""
+        """Refuse a scan that does not fit its part, or fits another one better."""
         surface, name = own.part.surface, own.part.name
-        if found.distance < SUSPECT * surface.diameter and found.covered >= FEWEST_COVERED:
+        fits = found.distance < SUSPECT * surface.diameter
+        if fits and found.covered >= USUALLY_COVERED:
             return
         few = points[:: max(1, len(points) // 2000)]
-        mirrored = few * np.array([-1.0, 1.0, 1.0])
-        others = {f"part {other!r}": (few, one.part.surface) for other, one in self._parts.items() if other != name}
-        for what, (cloud, sheet) in {"its mirror image": (mirrored, surface), **others}.items():
+        trials = {"its mirror image": (few * np.array([-1.0, 1.0, 1.0]), own.shapes)}
+        trials |= {f"part {other!r}": (few, one.shapes) for other, one in self._parts.items() if other != name}
+        for what, (cloud, shapes) in trials.items():
             try:
-                there = distance(place(cloud, sheet)(cloud), sheet)
+                placed = place(cloud, shapes.surface)(cloud)
             except FormatError:
                 continue
-            if there < BETTER * found.distance:
+            there, covered = distance(placed, shapes.surface), coverage(placed, shapes)
+            more = there < 2 * max(found.distance, LEAST) and covered > MORE * coverage(found.pose(few), own.shapes)
+            if not fits and there < BETTER * found.distance or fits and more and "mirror" not in what:
                 raise FormatError(
-                    f"{path}: the points fit {what} better than part {name!r} (mean distance {there:.2g} mm, not "
-                    f"{found.distance:.2g} mm); give the scan of the part"
+                    f"{path}: the points fit {what} better than part {name!r}, of which they cover "
+                    f"{100 * found.covered:.0f} % at a mean distance of {found.distance:.2g} mm; give the part's scan"
                 )
         if found.distance > min(FARTHEST, FARTHEST_SHARE * surface.diameter) or found.covered < FEWEST_COVERED:
+            usual = "correct the part or the unit of the file (scans.unit), or scan more of it"
             raise FormatError(
                 f"{path}: the points lie {found.distance:.2g} mm off part {name!r} on average, and cover "
-                f"{100 * found.covered:.0f} % of it; correct the part, or the unit of the file (scans.unit)"
+                f"{100 * found.covered:.0f} % of it; {unit_remedy(points, surface, own.scan.unit) or usual}"
             )
 
 
