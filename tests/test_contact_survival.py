@@ -11,8 +11,8 @@ from scipy.linalg import block_diag
 
 from mic.contact import ContactSolver, Status, certify, ladder, solve
 from mic.contact.laws import ASSOCIATED, COULOMB, LAWS
-from mic.contact.native import patience
 from mic.contact.native.linear_step import LARGE, linear_step
+from mic.contact.native.proximal_points import proximal_points
 from mic.contact.native.solver import NativeSolver
 from mic.contact.states import OPEN, STICK
 from verification.contact_problems import (
@@ -308,10 +308,10 @@ def test_each_group_of_contacts_starts_from_the_solutions_of_the_others():
 def test_unsolved_proximal_steps_are_rejected():
     problem = box_stack(5).problem(0.4, np.random.default_rng(1), 0.1)
     native = NativeSolver(problem.S, problem.mu, COULOMB, 1e-10, 1, 3)
-    start, method = 0.1 * np.abs(np.random.default_rng(2).standard_normal(60)), patience.METHODS["proximal points"]
-    rung = next(rung for rung in ladder.PATIENT if rung.name == "proximal points")
+    start = 0.1 * np.abs(np.random.default_rng(2).standard_normal(60))
+    rung = ladder.PROXIMAL
     never = replace(rung, settings=rung.settings | {"first": (), "tol": 1e-300})
     for changed, stays in ((never, True), (replace(rung, settings=rung.settings | {"first": ()}), False)):
-        search = patience.Search(native.problem, problem.b[0] * native.scaling, start)
-        forces = [y for y, *_ in itertools.islice(method(search, changed), 8)]
+        known = native.problem, changed, problem.b[0] * native.scaling, start
+        forces = [y for y, *_ in itertools.islice(proximal_points(*known), 8)]
         assert all(np.array_equal(y, start) for y in forces) == stays

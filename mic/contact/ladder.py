@@ -1,7 +1,7 @@
 """The ladder: the solution methods in their order, with their settings and the laws that they apply to.
 
 Each sample starts on the first rung that applies to its law and ends at the first whose force is accurate enough.  The
-rungs of :data:`BATCH` are cheap and solve all samples together; those of :data:`PATIENT` solve one remaining sample at
+rungs of :data:`BATCH` are cheap and solve all samples together; :data:`PROXIMAL` solves one remaining sample at
 a time, until the work that a sample may take is used up.  ``ladder.toml`` lists them.
 """
 
@@ -16,12 +16,12 @@ from typing import Any
 
 from mic.contact.laws import Law
 
-__all__ = ["APART", "BATCH", "MARGIN", "PATIENT", "SPLITTING", "WORK", "Rung", "rungs"]
+__all__ = ["APART", "BATCH", "MARGIN", "PROXIMAL", "SPLITTING", "WORK", "Rung", "rungs"]
 
 #: Fraction of the tolerance that the compiled kernels solve to, because their residual and the certificate weight
 #: contacts differently.
 MARGIN = 1e-2
-#: Default of the work that the patient rungs may spend on one sample. The unit is a factorisation over the closed
+#: Default of the work of the fallback for one sample. The unit is a factorisation over the closed
 #: contacts; as many Gauss-Seidel sweeps as there are contacts count as one. Hard problems that have a solution take up
 #: to half of it.
 WORK = 2000
@@ -31,7 +31,6 @@ APART = 0.1
 LAWS: dict[str, Callable[[Law], bool]] = {
     "all": lambda law: True,
     "solved by Gauss-Seidel": attrgetter("gauss_seidel"),
-    "with a coefficient that varies": attrgetter("varies"),
     "with friction, not solved by Gauss-Seidel": lambda law: law.frictional and not law.gauss_seidel,
     "without friction": lambda law: not law.frictional,
 }
@@ -69,12 +68,12 @@ class Rung:
 _TABLES = tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))
 #: Methods for all samples together.
 BATCH = tuple(Rung(**table) for table in _TABLES["batch"])
-#: Fallbacks for single samples.
-PATIENT = tuple(Rung(**table) for table in _TABLES["patient"])
+#: Fallback for single samples.
+PROXIMAL = Rung(**_TABLES["proximal"])
 #: The other splitting rung shares its largest condition number.
 SPLITTING = next(rung for rung in BATCH if rung.name == "splitting")
 
 
 def rungs(law: Law) -> list[str]:
     """Names of the rungs that apply to a law, in order."""
-    return [rung.name for rung in BATCH + PATIENT if rung.applies(law)]
+    return [rung.name for rung in (*BATCH, PROXIMAL) if rung.applies(law)]

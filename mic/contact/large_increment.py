@@ -92,8 +92,7 @@ def end_forces(
     if problem.law.gauss_seidel and not near:
         times(W, y, w)
         w += q
-        every = np.empty(0, np.int64)
-        gauss_seidel(W, every, every, problem.factors, parameters, y, w, np.zeros(m), SWEEPS, 1e-15)
+        gauss_seidel(W, problem.factors, parameters, y, w, np.zeros(m), SWEEPS, 1e-15)
     scale, least, best, steps = starting_scale(q), np.inf, y, 0
     while True:
         times(W, y, w)

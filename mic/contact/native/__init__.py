@@ -1,4 +1,4 @@
-"""The native backend: compiled kernels, the cheap rungs, the patient rungs."""
+"""The native backend: compiled kernels, the rungs of the ladder, path following."""
 
 from mic.system.compilation import announce_compilation
 

@@ -41,7 +41,7 @@ from mic.contact.native.gauss_seidel import gauss_seidel
 from mic.contact.native.kernel import BLOCKS, COUNTS, MATRIX, NUMBER, VECTOR, kernel
 from mic.contact.native.law_equation import EQUATION_POINTER, derivative, force_scale, starting_scale
 from mic.contact.native.matrices import block, system, times
-from mic.contact.native.newton import newton
+from mic.contact.native.newton import Coupling, NewtonSettings, newton
 from mic.contact.states import OPEN, SLIP, STICK
 
 __all__ = ["follower"]
@@ -631,8 +631,7 @@ def _compile(digest):
     def sweep(W, P, parameters, y, w, q, slip, sweeps):
         """Gauss-Seidel's sweeps from (y, w), and ``w = W y + q`` without the rounding that they leave."""
         digest  # noqa: B018
-        every = np.empty(0, np.int64)
-        gauss_seidel(W, every, every, P, parameters, y, w, slip, sweeps, 1e-15)
+        gauss_seidel(W, P, parameters, y, w, slip, sweeps, 1e-15)
         times(W, y, w)
         w += q
 
@@ -934,7 +933,14 @@ def _compile(digest):
                 return 1, own, inverse
         run, halvings = sweeps, 0 if sweeps > 0 else 20
         for call in range(calls + 1):
-            error, steps = newton(equation, W, none, q, parameters, y, w, 1e-12, scale, tol, PATIENCE, halvings, m)
+            error, steps = newton(
+                equation,
+                Coupling(W, none, parameters),
+                q,
+                y,
+                w,
+                NewtonSettings(1e-12, scale, tol, float(m), PATIENCE, halvings),
+            )
             counts[FACTORISATIONS] += steps
             if error <= tol:
                 return 1, own, inverse
@@ -965,7 +971,12 @@ def _compile(digest):
         moved += q
         none, m = np.empty((0, 0)), len(parameters)
         error, steps = newton(
-            equation, W, none, q, parameters, found, moved, 1e-12, starting_scale(q), tol, PATIENCE, 0, m
+            equation,
+            Coupling(W, none, parameters),
+            q,
+            found,
+            moved,
+            NewtonSettings(1e-12, starting_scale(q), tol, float(m), PATIENCE, 0),
         )
         counts[FACTORISATIONS] += steps
         if error > tol:

@@ -2,22 +2,28 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 from numba import int64, void
 
-from mic.contact.native.kernel import COUNTS, MATRIX, NUMBER, VECTOR, kernel
+from mic.contact.ladder import Rung
+from mic.contact.native.batch import BATCH, Batch
+from mic.contact.native.kernel import MATRIX, NUMBER, kernel
 from mic.contact.native.law_equation import force_scale, relative
 from mic.contact.native.linear_step import solve_dense
+from mic.contact.native.problem import ScaledProblem
 
-__all__ = ["solve_frictionless"]
+__all__ = ["active_set", "solve_frictionless"]
 
 
-@kernel(void(MATRIX, MATRIX, MATRIX, NUMBER, int64, VECTOR, COUNTS, COUNTS))
-def solve_frictionless(W, Q, Y, tol, rounds, errors, iterations, factorisations):
+@kernel(void(MATRIX, BATCH, NUMBER, int64))
+def solve_frictionless(W, batch, tol, rounds):
     """Every sample of the batch, ``0 <= y ⊥ W y + q >= 0``: projected Gauss-Seidel, then Newton on the active set.
 
-    ``W`` (m, m) holds the normal rows only.  ``Y`` holds the initial guess and receives the forces.
+    ``W`` (m, m) holds the normal rows only.
     """
+    Q, Y, errors, iterations, factorisations = batch
     m = len(W)
     active = np.empty(m, np.int64)
     for s in range(len(Q)):
@@ -76,3 +82,8 @@ def solve_frictionless(W, Q, Y, tol, rounds, errors, iterations, factorisations)
             sweeps *= 2
         errors[s] = best
         iterations[s] += total
+
+
+def active_set(problem: ScaledProblem, rung: Rung, tol: float) -> Callable[[Batch], None]:
+    """The method prepared for one problem."""
+    return lambda batch: solve_frictionless(problem.W, batch, tol, rung["rounds"])

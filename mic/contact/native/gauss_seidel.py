@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numba import int64, types
 
-from mic.contact.native.kernel import COUNTS, MATRIX, NUMBER, VECTOR, kernel
+from mic.contact.native.kernel import MATRIX, NUMBER, VECTOR, kernel
 
 __all__ = ["gauss_seidel", "local_factors"]
 
@@ -120,16 +120,11 @@ def _coulomb_contact(P, mu, qn, q1, q2, slip):
     return yn, c * x - s * y, s * x + c * y, lam
 
 
-@kernel(types.Tuple((int64, NUMBER))(MATRIX, COUNTS, COUNTS, MATRIX, MATRIX, VECTOR, VECTOR, VECTOR, int64, NUMBER))
-def gauss_seidel(W, starts, places, P, parameters, y, w, slip, sweeps, tol):
+@kernel(types.Tuple((int64, NUMBER))(MATRIX, MATRIX, MATRIX, VECTOR, VECTOR, VECTOR, int64, NUMBER))
+def gauss_seidel(W, P, parameters, y, w, slip, sweeps, tol):
     """Block Gauss-Seidel for Coulomb's law: solve contact after contact exactly, updating ``w = W y + q`` in place.
 
     Stops when a sweep changes ``y`` by less than ``tol`` relative to its norm.
-
-    Parameters
-    ----------
-    starts, places : (m + 1,) and (n,) int array
-        Contact k moves the contacts ``places[starts[k] : starts[k + 1]]``; where both are empty, all.
 
     Returns
     -------
@@ -152,13 +147,8 @@ def gauss_seidel(W, starts, places, P, parameters, y, w, slip, sweeps, tol):
             d0, d1, d2 = z0 - y0, z1 - y1, z2 - y2
             if d0 != 0.0 or d1 != 0.0 or d2 != 0.0:
                 row0, row1, row2 = W[i], W[i + 1], W[i + 2]
-                if len(starts) == 0:
-                    for j in range(len(w)):
-                        w[j] += row0[j] * d0 + row1[j] * d1 + row2[j] * d2
-                else:
-                    for p in range(starts[k], starts[k + 1]):
-                        for j in range(3 * places[p], 3 * places[p] + 3):
-                            w[j] += row0[j] * d0 + row1[j] * d1 + row2[j] * d2
+                for j in range(len(w)):
+                    w[j] += row0[j] * d0 + row1[j] * d1 + row2[j] * d2
                 y[i], y[i + 1], y[i + 2] = z0, z1, z2
             change += d0 * d0 + d1 * d1 + d2 * d2
             size += z0 * z0 + z1 * z1 + z2 * z2

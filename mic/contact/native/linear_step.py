@@ -2,13 +2,39 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
-from numba import boolean, int64, void
+from numba import boolean, int64, typeof, types, void
 
 from mic.contact.native.kernel import BLOCKS, COUNTS, MATRIX, NUMBER, VECTOR, kernel
 from mic.contact.states import SLIP
 
 __all__ = ["LARGE", "linear_step", "solve_dense"]
+
+
+class Unknowns(NamedTuple):
+    """Unknowns of a linear problem.
+
+    Attributes
+    ----------
+    contacts, some : (k,) int array
+        The contacts, and how many unknowns each has, 2 or 3.
+    place : (3, k) int array
+        Rows of the system.
+    M, N : (k, 3, 3) array
+        Columns: combinations of its equations, and directions of its unknowns.
+    """
+
+    contacts: np.ndarray
+    some: np.ndarray
+    place: np.ndarray
+    M: np.ndarray
+    N: np.ndarray
+
+
+_NONE = np.empty(0, np.int64), np.empty(0, np.int64), np.empty((3, 0), np.int64), *np.empty((2, 0, 3, 3))
+UNKNOWNS = typeof(Unknowns(*_NONE))
 
 #: Relative to a contact's own matrix: what is less is rounding.
 RANK = 1e-10
@@ -45,7 +71,7 @@ def _across(l0, l1, l2, N, a):
 
 
 @kernel(int64(BLOCKS, BLOCKS, VECTOR, int64, BLOCKS, BLOCKS, int64, VECTOR))
-def _unknowns(A, B, phi, k, M, N, a, x):
+def _slider(A, B, phi, k, M, N, a, x):
     """How many unknowns ``A x + B p = -Φ`` of the contact k leaves where p hangs on others, 2 or 3.
 
     A slider's B has rank 2: with l perpendicular to its columns ``l·A x = -l·Φ``, whatever p is.  Then its entries of
@@ -133,56 +159,54 @@ def _approached(columns, r, d):
     return False
 
 
-@kernel(boolean(MATRIX, BLOCKS, BLOCKS, VECTOR, COUNTS, int64, VECTOR, NUMBER, boolean, VECTOR))
-def linear_step(W, A, B, phi, state, known, z, damping, approach, x):
-    """Solve ``A_k x_k + B_k (W x)_k = -Φ_k`` for all contacts, given that ``x = -z`` where ``state`` is ``known``.
-
-    Fills ``x``.  Contacts that slide have two unknowns, others three: the matrix has the first ones of all contacts,
-    then the second ones, then the third, so that what is computed for one of them is computed for all in a row.  More
-    than :data:`LARGE` unknowns are approached, which no factorisation takes where the contacts are about as stiff as
-    what couples them; returned is ``approach``, False once that was in vain.
-    """
-    m = len(state)
-    unknown = np.flatnonzero(state != known)
-    count = len(unknown)
-    for i in range(len(x)):
-        x[i] = -z[i] if state[i // 3] == known else 0.0
-    if count == 0:
-        return approach
+@kernel(UNKNOWNS(BLOCKS, BLOCKS, VECTOR, COUNTS, COUNTS, VECTOR))
+def _unknowns(A, B, phi, state, contacts, x):
+    """The unknowns of these contacts; for sliders ``x`` receives what obeys the equation that W is not in."""
+    count = len(contacts)
     M, N, some = np.zeros((count, 3, 3)), np.zeros((count, 3, 3)), np.full(count, 3)
-    threes = 0
+    place, last = np.empty((3, count), np.int64), 2 * count
     for a in range(count):
-        k = unknown[a]
-        if state[k] == SLIP:
-            some[a] = _unknowns(A, B, phi, k, M, N, a, x)
+        if state[contacts[a]] == SLIP:
+            some[a] = _slider(A, B, phi, contacts[a], M, N, a, x)
+        place[0, a], place[1, a], place[2, a] = a, count + a, -1
         if some[a] == 3:
             for c in range(3):
                 M[a, c, c] = N[a, c, c] = 1.0
-        threes += some[a] == 3
-    own, size = np.empty((3, 3 * count)), 2 * count + threes
-    product = np.zeros(3 * count)  # W x, as far as it is known
-    for k in range(m):
+            place[2, a] = last
+            last += 1
+    return Unknowns(contacts, some, place, M, N)
+
+
+@kernel(VECTOR(MATRIX, COUNTS, int64, COUNTS, VECTOR))
+def _known_response(W, state, known, contacts, x):
+    """``W x`` at the unknown contacts, as far as ``x`` is known: all n, then t1, then t2."""
+    count = len(contacts)
+    line, product = np.empty(3 * count), np.zeros(3 * count)
+    for k in range(len(state)):
         for i in range(3 * k, 3 * k + 3):
             if x[i] != 0.0 and state[k] == known:
                 for b in range(count):
                     for c in range(3):
-                        product[c * count + b] += W[i, 3 * unknown[b] + c] * x[i]
+                        product[c * count + b] += W[i, 3 * contacts[b] + c] * x[i]
     for a in range(3 * count):
-        i = 3 * unknown[a // 3] + a % 3
-        value, line = x[i], own[0]
+        i = 3 * contacts[a // 3] + a % 3
+        value = x[i]
         if value != 0.0:
-            _apart(W[i], unknown, line)
+            _apart(W[i], contacts, line)
             for j in range(3 * count):
                 product[j] += line[j] * value
-    place, last = np.empty((3, count), np.int64), 2 * count  # of each contact's unknowns
-    r, rest = np.empty(size), np.empty(3)
-    C, D = np.zeros((3, 3, count)), np.zeros((3, 3, count))  # Mᵀ B and Mᵀ A N: unknown, column, contact
+    return product
+
+
+@kernel(types.Tuple((VECTOR, BLOCKS, BLOCKS))(BLOCKS, BLOCKS, VECTOR, UNKNOWNS, VECTOR, VECTOR))
+def _projected(A, B, phi, unknowns, x, product):
+    """Right-hand side, ``Mᵀ B`` and ``Mᵀ A N``: unknown, column, contact."""
+    contacts, some, place, M, N = unknowns
+    count = len(contacts)
+    r, rest = np.empty(2 * count + np.sum(some == 3)), np.empty(3)
+    C, D = np.zeros((3, 3, count)), np.zeros((3, 3, count))
     for a in range(count):
-        k, i = unknown[a], 3 * unknown[a]
-        place[0, a], place[1, a], place[2, a] = a, count + a, -1
-        if some[a] == 3:
-            place[2, a] = last
-            last += 1
+        k, i = contacts[a], 3 * contacts[a]
         for c in range(3):
             rest[c] = -phi[i + c]
             for j in range(3):
@@ -195,11 +219,19 @@ def linear_step(W, A, B, phi, state, known, z, damping, approach, x):
                 MA = m0 * A[k, 0, c] + m1 * A[k, 1, c] + m2 * A[k, 2, c]
                 for q in range(some[a]):
                     D[p, q, a] += MA * N[a, c, q]
-    columns, line = np.empty((size, size)), np.empty(3 * count)
+    return r, C, D
+
+
+@kernel(MATRIX(MATRIX, UNKNOWNS, BLOCKS, BLOCKS, NUMBER, int64))
+def _columns(W, unknowns, C, D, damping, size):
+    """Columns of ``Mᵀ (A + B W) N``, with ``damping`` on the diagonal of W."""
+    contacts, some, place, _, N = unknowns
+    count = len(contacts)
+    own, columns, line = np.empty((3, 3 * count)), np.empty((size, size)), np.empty(3 * count)
     line0, line1, line2 = line[:count], line[count : 2 * count], line[2 * count :]
     for a in range(count):
         for c in range(3):
-            _apart(W[3 * unknown[a] + c], unknown, own[c])
+            _apart(W[3 * contacts[a] + c], contacts, own[c])
             own[c, c * count + a] += damping
         W0, W1, W2 = own[0], own[1], own[2]
         for q in range(some[a]):
@@ -211,19 +243,39 @@ def linear_step(W, A, B, phi, state, known, z, damping, approach, x):
                 row, C0, C1, C2 = target[p * count : (p + 1) * count], C[p, 0], C[p, 1], C[p, 2]
                 for b in range(count):
                     row[b] = C0[b] * line0[b] + C1[b] * line1[b] + C2[b] * line2[b]
-            if threes > 0:
+            if size > 2 * count:
                 for b in range(count):
                     if some[b] == 3:
                         target[place[2, b]] = C[2, 0, b] * line0[b] + C[2, 1, b] * line1[b] + C[2, 2, b] * line2[b]
             for p in range(some[a]):
                 target[place[p, a]] += D[p, q, a]
-    d = np.empty(size)
-    large = approach and size > LARGE
+    return columns
+
+
+@kernel(boolean(MATRIX, BLOCKS, BLOCKS, VECTOR, COUNTS, int64, VECTOR, NUMBER, boolean, VECTOR))
+def linear_step(W, A, B, phi, state, known, z, damping, approach, x):
+    """Solve ``A_k x_k + B_k (W x)_k = -Φ_k`` for all contacts, given that ``x = -z`` where ``state`` is ``known``.
+
+    Fills ``x``.  Contacts that slide have two unknowns, others three: the matrix has the first ones of all contacts,
+    then the second ones, then the third, so that what is computed for one of them is computed for all in a row.  More
+    than :data:`LARGE` unknowns are solved by GMRES, which no factorisation takes where the contacts are about as stiff
+    as what couples them; returned is ``approach``, False once that was in vain.
+    """
+    contacts = np.flatnonzero(state != known)
+    for i in range(len(x)):
+        x[i] = -z[i] if state[i // 3] == known else 0.0
+    if len(contacts) == 0:
+        return approach
+    unknowns = _unknowns(A, B, phi, state, contacts, x)
+    product = _known_response(W, state, known, contacts, x)
+    r, C, D = _projected(A, B, phi, unknowns, x, product)
+    columns, d = _columns(W, unknowns, C, D, damping, len(r)), np.empty(len(r))
+    large = approach and len(r) > LARGE
     approach = approach and (not large or _approached(columns, r, d))
     if not large or not approach:
         d = solve_dense(columns, r)
-    for a in range(count):
-        for q in range(some[a]):
+    for a in range(len(contacts)):
+        for q in range(unknowns.some[a]):
             for c in range(3):
-                x[3 * unknown[a] + c] += N[a, c, q] * d[place[q, a]]
+                x[3 * contacts[a] + c] += unknowns.N[a, c, q] * d[unknowns.place[q, a]]
     return approach

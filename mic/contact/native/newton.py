@@ -2,39 +2,70 @@
 
 from __future__ import annotations
 
-import numpy as np
-from numba import int64, types
+from typing import NamedTuple
 
-from mic.contact.native.kernel import MATRIX, NUMBER, VECTOR, kernel
+import numpy as np
+from numba import int64, typeof, types
+
+from mic.contact.native.kernel import NUMBER, VECTOR, kernel
 from mic.contact.native.law_equation import EQUATION_POINTER, derivative, force_scale, merit, relative
 from mic.contact.native.linear_step import linear_step
 from mic.contact.native.matrices import times
 from mic.contact.states import OPEN, STICK
 
-__all__ = ["newton"]
+__all__ = ["COUPLING", "NO_INVERSE", "Coupling", "NewtonSettings", "newton"]
 
 #: Steps without a gain before Newton's method is given up.
 PATIENT = 6
 
 
-@kernel(
-    types.Tuple((NUMBER, int64))(
-        EQUATION_POINTER,
-        MATRIX,
-        MATRIX,
-        VECTOR,
-        MATRIX,
-        VECTOR,
-        VECTOR,
-        NUMBER,
-        NUMBER,
-        NUMBER,
-        int64,
-        int64,
-        NUMBER,
-    )
-)
-def newton(equation, W, inverse, q, parameters, y, w, damping, scale, tol, steps, halvings, crowd):
+class Coupling(NamedTuple):
+    """How the contacts move each other, and the parameters of their law.
+
+    Attributes
+    ----------
+    W : (3m, 3m) array
+    inverse : (3m, 3m) array
+        ``W⁻¹``, or an empty array.
+    parameters : (m, p) array
+    """
+
+    W: np.ndarray
+    inverse: np.ndarray
+    parameters: np.ndarray
+
+
+class NewtonSettings(NamedTuple):
+    """Settings of :func:`newton`.
+
+    Attributes
+    ----------
+    damping : float
+        Added to the diagonal of W in the derivative.
+    scale : float
+        Smallest force that errors are relative to.
+    tol : float
+    crowd : float
+        Newton gives up before a step for the forces of more contacts than this.
+    steps, halvings : int
+        Steps, and how often each may be halved.
+    """
+
+    damping: float
+    scale: float
+    tol: float
+    crowd: float
+    steps: int
+    halvings: int
+
+
+NO_INVERSE = np.empty((0, 0))
+COUPLING = typeof(Coupling(*np.empty((3, 0, 0))))
+NEWTON_SETTINGS = typeof(NewtonSettings(0.0, 0.0, 0.0, 0.0, 0, 0))
+
+
+@kernel(types.Tuple((NUMBER, int64))(EQUATION_POINTER, COUPLING, VECTOR, VECTOR, VECTOR, NEWTON_SETTINGS))
+def newton(equation, coupling, q, y, w, settings):
     """Semismooth Newton on ``Φ(y, W y + q) = 0``; ``y`` and ``w`` end at the best point found.
 
     Each step solves ``A dy + B dw = -Φ``, ``dw = W dy``, for few of the unknowns, because ``dy = -y`` where a contact
@@ -48,18 +79,13 @@ def newton(equation, W, inverse, q, parameters, y, w, damping, scale, tol, steps
     for a step or two while states change, and then falls to zero where a search along the line would get stuck; after
     :data:`PATIENT` steps without a gain the search ends.
 
-    Parameters
-    ----------
-    inverse : (3m, 3m) array
-        ``W⁻¹``, or an empty array.
-    crowd : float
-        Newton gives up before a step for the forces of more contacts than this.
-
     Returns
     -------
     float, int
         ``‖Φ‖ / max(scale, (yᵀ W y)^{1/2})`` and the steps taken.
     """
+    W, inverse, parameters = coupling
+    damping, scale, tol, crowd, steps, halvings = settings
     m, n = len(parameters), len(q)
     phi, trial_phi = np.empty(n), np.empty(n)
     A, B = np.empty((m, 3, 3)), np.empty((m, 3, 3))

@@ -19,14 +19,11 @@ from scipy.sparse.csgraph import connected_components
 
 from mic.contact.certificate import contact_stiffness, residual
 from mic.contact.ladder import SPLITTING
-from mic.contact.laws import COULOMB, Law
+from mic.contact.laws import Law
 from mic.contact.native.gauss_seidel import local_factors
 from mic.contact.native.law_equation import compiled
 
 __all__ = ["ScaledProblem", "inverse_root"]
-
-#: Sweeps know which contacts each contact moves where it moves fewer than this share of all.
-SPARSE = 0.5
 
 
 @dataclass(frozen=True)
@@ -69,24 +66,10 @@ class ScaledProblem:
     @cached_property
     def components(self) -> list[np.ndarray]:
         """Contacts that hang together, by ``W``: (m,) bool arrays, each a problem of its own."""
-        count, label = connected_components(csr_array(self._touching), directed=False)
+        m, size = len(self.parameters), len(self.W) // max(len(self.parameters), 1)
+        touching = (self.W.reshape(m, size, m, size) != 0.0).any(axis=(1, 3))
+        count, label = connected_components(csr_array(touching), directed=False)
         return [label == own for own in range(count)]
-
-    @cached_property
-    def neighbours(self) -> tuple[np.ndarray, np.ndarray]:
-        """Which contacts each contact moves, as :func:`mic.contact.native.gauss_seidel.gauss_seidel` takes it."""
-        touching = self._touching
-        if touching.mean() > SPARSE:
-            return np.empty(0, np.int64), np.empty(0, np.int64)
-        starts = np.append(0, np.cumsum(touching.sum(axis=1)))
-        return starts.astype(np.int64), np.nonzero(touching)[1].astype(np.int64)
-
-    @property
-    def _touching(self) -> np.ndarray:
-        """Whether one contact's force moves another (m, m)."""
-        m = len(self.parameters)
-        size = len(self.W) // m if m else 1
-        return (self.W.reshape(m, size, m, size) != 0.0).any(axis=(1, 3)) | np.eye(m, dtype=bool)
 
     @cached_property
     def splitting(self) -> tuple[np.ndarray, np.ndarray, float]:
@@ -109,19 +92,12 @@ class ScaledProblem:
         return float(residual(self.W, q[None], self.parameters, y[None], self.law, stiffness, size)[0])
 
     def renewed(self, y: np.ndarray) -> ScaledProblem:
-        """The same contacts, the friction held that belongs to the forces ``y``."""
-        return self.holding(self.law.coefficient(self.parameters, y[::3]))
-
-    def holding(self, friction: np.ndarray) -> ScaledProblem:
-        """The same contacts, with this scaled friction held (m,)."""
+        """The same contacts, with the friction that belongs to the forces ``y`` where it depends on them."""
+        if not (self.law.varies and np.isfinite(y).all()):
+            return self
         parameters = self.parameters.copy()
-        parameters[:, 0] = friction
+        parameters[:, 0] = self.law.coefficient(self.parameters, y[::3])
         return replace(self, parameters=parameters)
-
-    def held(self) -> ScaledProblem:
-        """The same contacts under Coulomb's law with the friction that is held."""
-        parameters = np.ascontiguousarray(self.parameters[:, :1])
-        return replace(self, law=COULOMB, parameters=parameters)
 
     def proximal(self, alpha: float) -> ScaledProblem:
         """The same contacts with ``W + α I``."""

@@ -14,11 +14,16 @@ from mic.contact import ladder
 from mic.contact.friction import Friction
 from mic.contact.laws import Law
 from mic.contact.lazy_memory import lazy_zeros
-from mic.contact.native import batch, follower, patience
+from mic.contact.native import follower
+from mic.contact.native.batch import Batch
+from mic.contact.native.frictionless import active_set
 from mic.contact.native.infeasibility import infeasible
 from mic.contact.native.landing import Landing
 from mic.contact.native.matrices import block
 from mic.contact.native.problem import ScaledProblem, inverse_root
+from mic.contact.native.proximal_points import proximal_points
+from mic.contact.native.splitting import splitting
+from mic.contact.native.sweeps import sweeps
 from mic.contact.path import Increments, Leg, Path
 from mic.contact.path_record import PathRecord, record_array
 
@@ -27,6 +32,8 @@ if TYPE_CHECKING:
 
 __all__ = ["NativeSolver"]
 
+#: The method of every rung of :data:`mic.contact.ladder.BATCH`, by its name.
+METHODS = {"sweeps": sweeps, "guess": sweeps, "splitting": splitting, "active set": active_set}
 #: Tasks for each thread: few, because handing them out costs as much as an easy sample, and enough to level the load.
 TASKS = 8
 
@@ -49,7 +56,7 @@ class NativeSolver:
     threads : int
     dimension : {3, 1}
     work : float
-        Largest work of the patient rungs for one sample, see :data:`mic.contact.ladder.WORK`.
+        Largest work of the fallback for one sample, see :data:`mic.contact.ladder.WORK`.
 
     Attributes
     ----------
@@ -122,9 +129,8 @@ class NativeSolver:
             if rung is not rungs[0] and len(self.problem.components) > 1:
                 self._solve_apart(b, unsolved, rungs, Y, iterations, factorisations, found)
                 break
-            self._share(
-                batch.METHODS[rung.name](self.problem, rung, tol), unsolved, Q, Y, errors, iterations, factorisations
-            )
+            method = METHODS[rung.name](self.problem, rung, tol)
+            self._share(method, unsolved, Batch(Q, Y, errors, iterations, factorisations))
             found[unsolved] = rung.name
         force = np.zeros_like(b)
         force[:, :: self._stride] = Y * self.scaling
@@ -164,7 +170,7 @@ class NativeSolver:
             yield np.flatnonzero(np.repeat(own, dimension)), np.flatnonzero(np.repeat(own, self._size)), part
 
     def attempts(self, b: np.ndarray, force: np.ndarray) -> Iterator[tuple[np.ndarray, int, int, str]]:
-        """The patient rungs, contacts that hang together by themselves, those farthest from their law first.
+        """Proximal points, contacts that hang together by themselves, those farthest from their law first.
 
         See :meth:`mic.contact.backends.Backend.attempts`.
         """
@@ -195,22 +201,17 @@ class NativeSolver:
         return self.problem.error(self._scaled(b), force[:: self._stride] / self.scaling)
 
     def _climb(self, b, force):
-        """The patient rungs, each starting from the best force so far, until the work is spent."""
+        """Proximal points from the best force so far, until the work is spent."""
         if self._still():
             return
-        search = patience.Search(self.problem, self._scaled(b), force[:: self._stride] / self.scaling)
-        m, work = len(self.problem.parameters), 0.0
-        for rung in ladder.PATIENT:
-            if not rung.applies(self.problem.law):
-                continue
-            for y, sweeps, factorisations in patience.METHODS[rung.name](search, rung):
-                search.renew(y)
-                candidate = np.zeros_like(b)
-                candidate[:: self._stride] = y * self.scaling
-                yield candidate, sweeps + factorisations, factorisations, rung.name
-                work += max(1.0, sweeps / m + factorisations)
-                if work > self.work:
-                    return
+        m, work, start = len(self.problem.parameters), 0.0, force[:: self._stride] / self.scaling
+        for y, passes, factorisations in proximal_points(self.problem, ladder.PROXIMAL, self._scaled(b), start):
+            candidate = np.zeros_like(b)
+            candidate[:: self._stride] = y * self.scaling
+            yield candidate, passes + factorisations, factorisations, ladder.PROXIMAL.name
+            work += max(1.0, passes / m + factorisations)
+            if work > self.work:
+                return
 
     def follow(self, b0: np.ndarray, b1: np.ndarray, force: np.ndarray, anchor: np.ndarray, path: Path) -> Leg:
         """All samples from one load to the next; see :meth:`mic.contact.backends.Backend.follow`."""
@@ -316,14 +317,14 @@ class NativeSolver:
     def _scaled(self, b):
         return b[:: self._stride] * self.scaling
 
-    def _share(self, method, samples, Q, *found):
-        """Run ``method(Q, *found)`` on chunks of the samples, in parallel; it changes what was found in place."""
+    def _share(self, method, samples, batch):
+        """Run a method on chunks of the samples of a batch, in parallel; what it finds is stored in place."""
 
         def chunk(pick):
-            parts = [array[pick] for array in found]
-            method(Q[pick], *parts)
-            for array, part in zip(found, parts):
-                array[pick] = part
+            part = Batch(*(array[pick] for array in batch))
+            method(part)
+            for array, own in zip(batch[1:], part[1:]):
+                array[pick] = own
 
         self._each(lambda own: chunk(samples[own]), len(samples))
 

@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 from numba import int64, void
 
-from mic.contact.native.kernel import COUNTS, MATRIX, NUMBER, VECTOR, kernel
+from mic.contact.ladder import Rung
+from mic.contact.native.batch import BATCH, Batch
+from mic.contact.native.kernel import MATRIX, NUMBER, VECTOR, kernel
 from mic.contact.native.law_equation import EQUATION_POINTER, starting_scale
 from mic.contact.native.linear_step import LARGE
 from mic.contact.native.matrices import TOGETHER, times, times_together
-from mic.contact.native.newton import newton
+from mic.contact.native.newton import COUPLING, Coupling, NewtonSettings, newton
+from mic.contact.native.problem import ScaledProblem
 
-__all__ = ["solve_by_splitting"]
+__all__ = ["splitting"]
 
 
 @kernel(void(NUMBER, VECTOR, MATRIX, NUMBER, VECTOR, VECTOR, VECTOR, VECTOR))
@@ -43,47 +48,14 @@ def _split(shift, q, parameters, rho, z, l, r, x):
         r[i + 2] = rho * z[i + 2] - l[i + 2] - q[i + 2]
 
 
-@kernel(
-    void(
-        EQUATION_POINTER,
-        NUMBER,
-        MATRIX,
-        MATRIX,
-        MATRIX,
-        NUMBER,
-        MATRIX,
-        MATRIX,
-        MATRIX,
-        NUMBER,
-        int64,
-        int64,
-        VECTOR,
-        COUNTS,
-        COUNTS,
-    )
-)
-def solve_by_splitting(
-    equation,
-    shift,
-    W,
-    inverse,
-    resolvent,
-    rho,
-    Q,
-    parameters,
-    Y,
-    tol,
-    steps,
-    rounds,
-    errors,
-    iterations,
-    factorisations,
-):
+@kernel(void(EQUATION_POINTER, COUPLING, MATRIX, NUMBER, NUMBER, BATCH, NUMBER, int64, int64))
+def solve_by_splitting(equation, coupling, resolvent, rho, shift, batch, tol, steps, rounds):
     """Every sample of the batch: splitting, then Newton, in rounds with twice the splitting ``steps`` each.
 
-    ``Y`` holds the initial guess and receives the forces; each step of Newton's method factorises a matrix.  Of more
-    than :data:`LARGE` rows some samples take the steps of the splitting together; each remains what it is alone.
+    Above :data:`LARGE` rows some samples take the steps of the splitting together; each remains what it is alone.
     """
+    W, _, parameters = coupling
+    Q, Y, errors, iterations, factorisations = batch
     m, size = len(parameters), len(W)
     for first in range(0, len(Q), TOGETHER):
         own = Q[first : first + TOGETHER]
@@ -109,7 +81,7 @@ def solve_by_splitting(
                 scale = starting_scale(q)
                 times(W, y, w)
                 w += q
-                error, more = newton(equation, W, inverse, q, parameters, y, w, 1e-12, scale, tol, 15, 0, m)
+                error, more = newton(equation, coupling, q, y, w, NewtonSettings(1e-12, scale, tol, float(m), 15, 0))
                 iterations[first + s] += run + more
                 factorisations[first + s] += more
                 if error < best[s]:
@@ -120,3 +92,11 @@ def solve_by_splitting(
                 break
             run *= 2
         errors[first : first + count] = best
+
+
+def splitting(problem: ScaledProblem, rung: Rung, tol: float) -> Callable[[Batch], None]:
+    """The method prepared for one problem."""
+    inverse, resolvent, rho = problem.splitting
+    coupling, equation, shift = Coupling(problem.W, inverse, problem.parameters), problem.equation, problem.law.shift
+    settings = tol, rung["steps"], rung["rounds"]
+    return lambda batch: solve_by_splitting(equation, coupling, resolvent, rho, shift, batch, *settings)

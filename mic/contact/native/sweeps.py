@@ -2,45 +2,34 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 from numba import int64, void
 
+from mic.contact.ladder import Rung
+from mic.contact.native.batch import BATCH, Batch
 from mic.contact.native.gauss_seidel import gauss_seidel
-from mic.contact.native.kernel import COUNTS, MATRIX, NUMBER, VECTOR, kernel
+from mic.contact.native.kernel import MATRIX, NUMBER, kernel
 from mic.contact.native.law_equation import EQUATION_POINTER, starting_scale
 from mic.contact.native.matrices import times
-from mic.contact.native.newton import newton
+from mic.contact.native.newton import COUPLING, NO_INVERSE, Coupling, NewtonSettings, newton
+from mic.contact.native.problem import ScaledProblem
 
-__all__ = ["solve_by_sweeps"]
+__all__ = ["sweeps"]
 
 
-@kernel(
-    void(
-        EQUATION_POINTER,
-        MATRIX,
-        MATRIX,
-        MATRIX,
-        MATRIX,
-        MATRIX,
-        NUMBER,
-        int64,
-        int64,
-        NUMBER,
-        VECTOR,
-        COUNTS,
-        COUNTS,
-    )
-)
-def solve_by_sweeps(equation, W, P, Q, parameters, Y, tol, rounds, sweeps, crowd, errors, iterations, factorisations):
+@kernel(void(EQUATION_POINTER, COUPLING, MATRIX, BATCH, NUMBER, int64, int64, NUMBER))
+def solve_by_sweeps(equation, coupling, P, batch, tol, rounds, sweeps, crowd):
     """Every sample of the batch: Gauss-Seidel, then Newton, in rounds with twice the ``sweeps`` each.
 
-    ``Y`` holds the initial guess and receives the forces.  A law whose single contact Gauss-Seidel does not solve has
+    A law whose single contact Gauss-Seidel does not solve has
     no ``sweeps`` and one round: Newton alone.  Where Newton would need the forces of more than ``crowd`` contacts at
     once, its steps are dear and the sample is left for :func:`solve_by_splitting`.
     """
-    m = len(parameters)
-    slip = np.zeros(m)
-    none, every = np.empty((0, 0)), np.empty(0, np.int64)
+    W, _, parameters = coupling
+    Q, Y, errors, iterations, factorisations = batch
+    slip = np.zeros(len(parameters))
     for s in range(len(Q)):
         q = Q[s]
         y = Y[s].copy()
@@ -52,12 +41,12 @@ def solve_by_sweeps(equation, W, P, Q, parameters, Y, tol, rounds, sweeps, crowd
         run = sweeps
         best = np.inf
         for _ in range(rounds):
-            done, _ = gauss_seidel(W, every, every, P, parameters, y, w, slip, run, 1e-15)
+            done, _ = gauss_seidel(W, P, parameters, y, w, slip, run, 1e-15)
             iterations[s] += done
             times(W, y, w)
             w += q
             guess = y.copy()
-            error, more = newton(equation, W, none, q, parameters, y, w, 1e-12, scale, tol, 15, 0, crowd)
+            error, more = newton(equation, coupling, q, y, w, NewtonSettings(1e-12, scale, tol, crowd, 15, 0))
             iterations[s] += more
             factorisations[s] += more
             if error < best:
@@ -70,3 +59,12 @@ def solve_by_sweeps(equation, W, P, Q, parameters, Y, tol, rounds, sweeps, crowd
             w += q
             run *= 2
         errors[s] = best
+
+
+def sweeps(problem: ScaledProblem, rung: Rung, tol: float) -> Callable[[Batch], None]:
+    """The method prepared for one problem: sweeps where the law has them, then Newton's method."""
+    # Rounds differ in their sweeps alone: without them the second would repeat the first.
+    rounds, number = (rung["rounds"], rung["sweeps"]) if problem.law.gauss_seidel else (1, 0)
+    crowd, coupling = rung["crowd"] * len(problem.parameters), Coupling(problem.W, NO_INVERSE, problem.parameters)
+    equation, factors = problem.equation, problem.factors
+    return lambda batch: solve_by_sweeps(equation, coupling, factors, batch, tol, rounds, number, crowd)
