@@ -157,23 +157,7 @@ def application(service: Service, token: str, seconds: float) -> FastAPI:
     @app.post("/assemblies", response_model=Answer, responses=_ERRORS, **protected)
     async def predict(assembly: Assembly) -> dict[str, Any]:
         """Predict one assembly: verdict, characteristics, adjustment and certificate."""
-        name = assembly.id or uuid4().hex
-        try:
-            content = await service.content(assembly.deviations, assembly.scan)
-            asked = asyncio.ensure_future(service.ask(name, content))
-            answer = await asyncio.wait_for(asyncio.shield(asked), seconds)
-        except Busy:
-            raise HTTPException(503, "the queue is full; repeat the request", {"Retry-After": "1"}) from None
-        except Conflict:
-            raise HTTPException(409, f"id {name} belongs to an assembly with other content; give another") from None
-        except (ArgumentError, SceneError) as problem:
-            raise HTTPException(422, str(problem)) from None
-        except StorageError as problem:
-            raise HTTPException(507, str(problem)) from None
-        except TimeoutError:
-            late = f"not answered within {seconds:g} s; GET /assemblies/{name} gives the answer later"
-            raise HTTPException(504, late) from None
-        return _answer(service, name, answer)
+        return await _asked(service, assembly, seconds)
 
     @app.get("/assemblies/{name:path}", response_model=Answer, responses={202: {"model": Problem}}, **protected)
     async def answer(name: Annotated[str, Path(description="Identifier of the assembly.")]) -> Any:
@@ -201,18 +185,7 @@ def application(service: Service, token: str, seconds: float) -> FastAPI:
         """Counts, times and drift, in the text format of Prometheus."""
         return _metrics(service)
 
-    @app.exception_handler(RequestValidationError)
-    async def invalid(request: Request, problem: RequestValidationError) -> JSONResponse:
-        # The default handler repeats the input, which may be no JSON, or long.
-        first = problem.errors()[0]
-        if first["loc"] == ("body",) and "json" not in request.headers.get("Content-Type", ""):
-            return JSONResponse({"detail": "the body: send JSON, with 'Content-Type: application/json'"}, 415)
-        if first["type"] == "json_invalid":
-            return JSONResponse(
-                {"detail": f"the body is no JSON: {first['ctx']['error']}, byte {first['loc'][-1]}"}, 400
-            )
-        place = ".".join(map(str, first["loc"][1:]))[:200].encode("ascii", "replace").decode() or "body"
-        return JSONResponse({"detail": f"{place}: {first['msg']}"}, 422)
+    app.add_exception_handler(RequestValidationError, _invalid)
 
     @app.middleware("http")
     async def count(request: Request, handler: Any) -> Any:
@@ -222,6 +195,38 @@ def application(service: Service, token: str, seconds: float) -> FastAPI:
         return response
 
     return app
+
+
+async def _asked(service: Service, assembly: Assembly, seconds: float) -> dict[str, Any]:
+    """The answer for an assembly, or the error of HTTP that tells why there is none."""
+    name = assembly.id or uuid4().hex
+    try:
+        content = await service.content(assembly.deviations, assembly.scan)
+        asked = asyncio.ensure_future(service.ask(name, content))
+        answer = await asyncio.wait_for(asyncio.shield(asked), seconds)
+    except Busy:
+        raise HTTPException(503, "the queue is full; repeat the request", {"Retry-After": "1"}) from None
+    except Conflict:
+        raise HTTPException(409, f"id {name} belongs to an assembly with other content; give another") from None
+    except (ArgumentError, SceneError) as problem:
+        raise HTTPException(422, str(problem)) from None
+    except StorageError as problem:
+        raise HTTPException(507, str(problem)) from None
+    except TimeoutError:
+        late = f"not answered within {seconds:g} s; GET /assemblies/{name} gives the answer later"
+        raise HTTPException(504, late) from None
+    return _answer(service, name, answer)
+
+
+async def _invalid(request: Request, problem: Any) -> JSONResponse:
+    # The default handler repeats the input, which may be no JSON, or long.
+    first = problem.errors()[0]
+    if first["loc"] == ("body",) and "json" not in request.headers.get("Content-Type", ""):
+        return JSONResponse({"detail": "the body: send JSON, with 'Content-Type: application/json'"}, 415)
+    if first["type"] == "json_invalid":
+        return JSONResponse({"detail": f"the body is no JSON: {first['ctx']['error']}, byte {first['loc'][-1]}"}, 400)
+    place = ".".join(map(str, first["loc"][1:]))[:200].encode("ascii", "replace").decode() or "body"
+    return JSONResponse({"detail": f"{place}: {first['msg']}"}, 422)
 
 
 def _answer(service: Service, name: str, answer: dict[str, Any]) -> dict[str, Any]:
