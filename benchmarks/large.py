@@ -3,6 +3,7 @@
     python benchmarks/large.py                        # twelve parts, two thousand candidates; a few minutes
     python benchmarks/large.py --spacing 15 --samples 10         # three thousand
     python benchmarks/large.py --increments 1         # one increment per step instead of the followed path
+    python benchmarks/large.py --increments 1 --growth 80 40 20        # spacings, and exponents of growth
 
 One process, one thread. Time is processor time; memory is the peak of the process so far. Influence coefficients are
 computed anew unless `--cache` names a folder with cached ones. *columns* is the number of columns of S and of the
@@ -17,13 +18,14 @@ import time
 from pathlib import Path
 
 import numpy as np
+from exponents import alone, exponents
 
 import mic
 from mic.compliance.cache import influence_coefficients
 from mic.model.assembly import assemble
 from mic.process.model import ReducedModel
 from mic.statistics.draw import draw
-from verification.scenes import going
+from verification.scenes import with_path
 
 ROOT = Path(__file__).resolve().parents[1]
 SCENE = ROOT / "meshes" / "body_side" / "body_side.toml"
@@ -36,18 +38,34 @@ def main() -> None:
     parser.add_argument("--spacing", type=float, help="between candidates, mm; default: the scene's")
     parser.add_argument("--increments", type=int, help="of a step; default: the path is followed")
     parser.add_argument("--cache", type=Path)
+    parser.add_argument("--growth", nargs="+", type=float, metavar="SPACING", help="measure each in its own process")
     arguments = parser.parse_args()
+    if arguments.growth:
+        found = []
+        for spacing in arguments.growth:
+            arguments.spacing = spacing
+            costs, memory = alone(separately, arguments)
+            found.append(costs | {"memory": memory})
+        candidates = [costs.pop("candidates") for costs in found]
+        print("exponents:", exponents(candidates, {name: [costs[name] for costs in found] for name in found[0]}))
+        return
+    separately(arguments)
+
+
+def separately(arguments) -> dict[str, float]:
+    """Measure one case with a cache of its own, if none is named."""
     with tempfile.TemporaryDirectory() as temporary:
-        measure(arguments, arguments.cache or Path(temporary))
+        return measure(arguments, arguments.cache or Path(temporary))
 
 
-def measure(arguments, cache: Path) -> None:
+def measure(arguments, cache: Path) -> dict[str, float]:
+    """Print the phases of one case; its candidates and the seconds of set-up, prediction and a sample."""
     scene = mic.load_scene(SCENE)
     if arguments.spacing:
         zones = [zone.model_copy(update={"spacing": arguments.spacing}) for zone in scene.zones]
         scene = scene.model_copy(update={"zones": zones})
     if arguments.increments:
-        scene = going(scene, "increments", arguments.increments)
+        scene = with_path(scene, "increments", arguments.increments)
     phases = Phases()
     phases.start()
     assembly = assemble(scene, cache)
@@ -78,7 +96,12 @@ def measure(arguments, cache: Path) -> None:
     )
     print(f" {sum(8e-6 * H.size for H in model.compliance.H):.0f} MB;")
     residual = max(np.nanmax(one.residual) for one in found.resolutions.values())
-    print(f"{int(found.failed.sum())} of {arguments.samples} samples failed; largest residual {residual:.1e}")
+    print(
+        f"{int(found.failed.sum())} of {arguments.samples} samples failed; largest residual {residual:.1e}", flush=True
+    )
+    *set_up, predicted, sampled = phases.seconds
+    each = sampled / arguments.samples
+    return {"candidates": pairs, "pairing": set_up[0], "set-up": sum(set_up), "prediction": predicted, "sample": each}
 
 
 class Phases:
@@ -86,6 +109,7 @@ class Phases:
 
     def __init__(self):
         print(f"{'phase':<28} {'s':>8} {'ms a sample':>12} {'peak MB so far':>15}")
+        self.seconds: list[float] = []
         self.start()
 
     def start(self) -> None:
@@ -96,6 +120,7 @@ class Phases:
         """End a phase and start the next."""
         seconds = time.process_time() - self.begin
         each = f"{1e3 * seconds / samples:.0f}" if samples else ""
+        self.seconds.append(seconds)
         print(f"{name:<28} {seconds:8.2f} {each:>12} {peak():15.0f}", flush=True)
         self.start()
 

@@ -1,17 +1,19 @@
 """Cost of elimination and of a batch of contact problems as functions of the numbers of pairs and parts.
 
-    python benchmarks/pairs.py                       # up to a thousand pairs, a few minutes
-    python benchmarks/pairs.py --cases 5,3000        # parts, pairs
+    python benchmarks/pairs.py                       # up to 3000 pairs, a few minutes
+    python benchmarks/pairs.py --cases 12,5000       # parts, pairs; 40,20000 needs more than 16 GB
 
 All input is synthetic and seeded: a stack of P sheets, m pairs distributed over the interfaces, eight locators a sheet
-and a weld an interface. Smooth kernels replace H, and every sample presses the sheets together and bends them. One
-process, one BLAS thread, processor time.
+and a weld an interface. Smooth kernels replace H, and every sample presses the sheets together and bends them. A
+process for each case, one BLAS thread, processor time.
 
 *set-up* is the elimination of the bilateral rows, *dense S* the same from dense matrices, and *apart* the largest
 difference between the columns on demand and dense S, relative to its largest entry. *from nothing* solves a sample on
 all pairs; *watched* solves it on a working set that starts with the pairs that closed in eight other samples; *forces*
-is their largest difference, relative to the largest force. *before* are times of commit cbe9767 for one clamped stage,
-from nothing, in ms (for 3000 pairs: of b7e00c6, watched), and their ratio to *watched*.
+is their largest difference, relative to the largest force. *increment* is the time of one sample in one increment from
+open contacts, after another sample has formed most columns of S; *touch* are the pairs that close in it. *before* are
+times of commit cbe9767 for one clamped stage, from nothing, in ms (for 3000 pairs: of b7e00c6, watched), and their
+ratio to *watched*. The last line has the exponents of growth with the pairs, of all cases of the table.
 """
 
 from __future__ import annotations
@@ -21,6 +23,7 @@ import time
 from dataclasses import dataclass
 
 import numpy as np
+from exponents import alone, exponents
 from rich.console import Console
 from rich.table import Table
 from scipy.sparse import csr_matrix, vstack
@@ -30,10 +33,11 @@ from mic.compliance.blocks import Blocks
 from mic.compliance.elimination import eliminate
 from mic.contact import ContactSolver, laws
 from mic.contact.friction import Friction
+from mic.contact.path import Increments
 from mic.contact.working_set import WorkingSetSolver
 from mic.system.matrix_product import one_thread
 
-CASES = ["2,102", "2,300", "2,1002", "20,1000"]
+CASES = ["2,102", "2,300", "2,1002", "20,1000", "5,3000"]
 BEFORE = {(2, 102): 0.42, (2, 300): 16.6, (2, 1002): 1707.0, (5, 3000): 582.0}  # ms a sample, by parts and pairs
 AHEAD, SAMPLES = 8, 40
 FEW = 10  # samples solved on all pairs if there are many pairs
@@ -43,6 +47,7 @@ LOCATORS = np.array([[20, 0], [880, 0], [450, 25], [300, 12], [20, 0], [880, 25]
 AXES = np.array([0, 0, 0, 0, 1, 1, 2, 2])  # n, t1 or t2, which each locator holds
 WELD = np.array([[450.0, 12.0]])
 COLUMNS = ("parts", "pairs", "set-up, s", "dense S, s", "apart", "from nothing, ms", "watched, ms", "forces", "before")
+COLUMNS += ("increment, s", "touch", "peak, MB")
 
 
 @dataclass(frozen=True)
@@ -120,8 +125,8 @@ def joined(size: int, first, second) -> csr_matrix:
 
 
 @one_thread
-def measure(parts: int, pairs: int) -> list[str]:
-    """The row of one case."""
+def measure(parts: int, pairs: int) -> tuple[list[str], dict[str, float]]:
+    """The row of one case, and the costs that grow."""
     stack = Stack.of(parts, pairs)
     none = csr_matrix((0, stack.compliance.size))
     response, set_up = timed(lambda: eliminate(stack.compliance, stack.held, stack.pairs, none, none))
@@ -151,7 +156,14 @@ def measure(parts: int, pairs: int) -> list[str]:
         shown = [f"{forming:.2f}", f"{apart:.0e}", f"{1e3 * slow / count:.2f}"]
     before = BEFORE.get((parts, pairs))
     ratio = f"{before:g}: {before / (1e3 * each / SAMPLES):.2g} ×" if before else ""
-    return [str(parts), str(pairs), f"{set_up:.2f}", *shown, f"{1e3 * each / SAMPLES:.2f}", forces, ratio]
+    ends = np.stack([np.tile([1.0, 0.0, 0.0], pairs) + 0 * b[:2], b[:2]], axis=1)  # open, then as in the samples
+    none, anchor = np.zeros((1, 3 * pairs)), np.zeros((1, pairs, 2))
+    solver.follow(ends[:1], none, anchor, Increments(1))
+    found, increment = timed(lambda: solver.follow(ends[1:], none, anchor, Increments(1)))
+    touch = int((found.force[:, ::3] > 0).sum())
+    row = [str(parts), str(pairs), f"{set_up:.2f}", *shown, f"{1e3 * each / SAMPLES:.2f}", forces, ratio]
+    costs = {"set-up": set_up, "watched": each, "increment": increment, "touch": touch}
+    return [*row, f"{increment:.2f}", str(touch) if found.converged.all() else "failed"], costs
 
 
 def dense(stack: Stack) -> np.ndarray:
@@ -175,12 +187,17 @@ def timed(work):
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--cases", nargs="+", default=CASES, help="parts,pairs")
-    table = Table(*COLUMNS)
+    table, pairs, costs = Table(*COLUMNS), [], []
     for case in parser.parse_args().cases:
-        row = measure(*(int(number) for number in case.split(",")))
-        print(*row, sep="\t", flush=True)
-        table.add_row(*row)
-    Console(width=140).print(table)
+        size = [int(number) for number in case.split(",")]
+        (row, cost), peak = alone(measure, *size)
+        print(*row, f"{peak:.0f}", sep="\t", flush=True)
+        table.add_row(*row, f"{peak:.0f}")
+        pairs.append(size[1])
+        costs.append(cost | {"memory": peak})
+    Console(width=180).print(table)
+    if len(set(pairs)) > 1:
+        print("exponents:", exponents(pairs, {name: [one[name] for one in costs] for name in costs[0]}))
 
 
 if __name__ == "__main__":

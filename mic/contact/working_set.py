@@ -22,7 +22,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from copy import copy
 from dataclasses import dataclass, fields, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -268,7 +268,7 @@ class WorkingSetSolver:
             for round_ in range(2 * MAX_ROUNDS):
                 if solver is None:
                     solver, rows = self._new_solver(working[k]), np.repeat(working[k], d)
-                known = solver.backend, target[k].ravel()[rows], guess[k, rows]
+                known: tuple[Any, Any, Any] = solver.backend, target[k].ravel()[rows], guess[k, rows]
                 guess[k, rows], steps = end_forces(*known, round_ > 0, max(tol, MARGIN * solver.tol))
                 leg.factorisations[k] += steps
                 u[k] = self._S.under(guess[one])[0] + b[k, -1]
@@ -284,14 +284,14 @@ class WorkingSetSolver:
                 continue
             solver.backend.step(np.flatnonzero(working[k]), one, b, force, anchor, working, guess, True, leg)
             u[k] = self._S.under(leg.force[one])[0] + b[k, -1]
-            known = (values[one][:, rows] for values in (leg.b, leg.force, u - b[:, -1]))
-            residual[one], converged[one], status[one] = solver.check_convergence(*known)
+            load, own, moved = (values[:, rows] for values in (leg.b[one], leg.force[one], u[one] - b[one, -1]))
+            residual[one], converged[one], status[one] = solver.check_convergence(load, own, moved)
         return self._increment(leg, u, force, anchor, working, residual, converged & ~leg.given_up, status)
 
     def _increment(self, leg: Leg, u, force, anchor, working, residual, converged, status) -> PathSolution:
         """The solution of one increment, from its leg, the displacements u (n, d m) of all candidates at its end, and
         the forces before it."""
-        n, m, d = *working.shape, self._d
+        n, m, d = len(working), len(self._start), self._d
         self.carried |= _loaded(leg.force[converged].reshape(-1, m, d)[:, :, 0]).any(axis=0)
         sliders = self.law.compliance(self._friction)[:, None] * leg.force.reshape(n, m, d)[:, :, 1:]
         stands = u.reshape(n, m, d)[:, :, 1:] + sliders
