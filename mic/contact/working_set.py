@@ -13,7 +13,8 @@ step join as well, even if they are open at the end of the path. This is checked
 The initial working set holds the candidates that carry force, and those that did in a few pilot samples
 (`PathForecast`). From more than `MAX_INITIAL` of these, only those that carry force at the start or the end of the path
 are taken. With more than `MANY_CANDIDATES` candidates, screening ignores friction. A path of one increment starts from
-a forecast of the forces: their change in the pilot sample with the nearest load. The result of a sample does not depend
+a forecast of the forces: their change in the pilot sample with the nearest load; with more than `MAX_INITIAL` initial
+candidates, from forces without friction (:mod:`mic.contact.large_increment`). The result of a sample does not depend
 on the other samples of its batch.
 """
 
