@@ -5,6 +5,7 @@ import pytest
 from support.scans import scanned
 
 from mic.errors import FormatError
+from mic.geometry.measured_points import read_clouds
 from mic.geometry.registration import Shapes, place, register
 from mic.geometry.structured import extrude
 from mic.geometry.surface import Surface
@@ -95,3 +96,20 @@ def test_a_part_that_fits_in_several_positions_is_refused_away_from_its_own():
 def test_too_few_points_are_refused(shapes):
     with pytest.raises(FormatError, match="12 points are too few"):
         register(shapes.surface.points[:12], shapes)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("separator", "decimal"), [(",", "."), (";", ","), (" ", ".")])
+def test_a_long_table_is_read_to_the_last_bit_and_its_faults_are_named(separator, decimal, tmp_path):
+    points = np.random.default_rng(6).normal(0, 100, (20_000, 3))
+    lines = [separator.join(("X [in]", "Y [in]", "Z [in]") if separator != " " else ("x", "y", "z"))]
+    lines += [separator.join(f"{x:.15g}".replace(".", decimal) for x in row) for row in points.tolist()]
+    path = tmp_path / "long.csv"
+    path.write_text("\n".join(lines))
+    assert path.stat().st_size > 1_000_000
+    (cloud,) = read_clouds(path, "mm", None, None).values()
+    expected = np.array([[float(f"{x:.15g}") for x in row] for row in points.tolist()])
+    assert np.array_equal(cloud.points, expected * (1.0 if separator == " " else 25.4))
+    path.write_text("\n".join([*lines, separator.join(("1", "far", "3"))]))
+    with pytest.raises(FormatError, match="row 20002.*'far'"):
+        read_clouds(path, "mm", None, None)
