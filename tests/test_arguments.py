@@ -55,6 +55,7 @@ NEEDED = {
     "predict": {"parts": [{"P": 0.8}], "exact": True},
     "run": {"folder": "results", "cache": "cache"},
     "init": {"files": []},
+    "export": {"path": "unit.fmu"},
 }
 DEVIATIONS = [
     *(None, "x", [[]], [1], [1, None], [1, "x"], [[1, 2], [3]], [1, 2, 3], 5.0, {1: 2}, [np.datetime64("2020"), 1]),
