@@ -438,7 +438,7 @@ def test_the_command_prints_its_proposal_and_the_next_command(tmp_path):
     ("arguments", "words"),
     [
         ([], "give mesh files, or an example"),
-        (["a.inp", "--example", "lap_joint"], "give mesh files, or an example"),
+        (["a.inp", "--example", "lap_joint"], "a.inp is a mesh file beside --example lap_joint"),
         (["--example", "lap_joint", "--thickness", "1"], "go with mesh files"),
         (["a.inp", "--thickness", "thick"], "--thickness thick: give mm"),
         (["a.inp", "--thickness", "-1"], "--thickness -1: give mm"),

@@ -20,7 +20,11 @@ __all__ = ["init"]
 def init(meshes, example, out, thickness, name, welds, points, table):
     """``mic init``, with the values of its options (:mod:`mic.options`)."""
     console = CommandConsole()
-    if (example is None) == (not meshes):
+    if example is not None and meshes:
+        raise SceneError(
+            f"mic init: {meshes[0]} is a mesh file beside --example {example}; for the new folder use --out"
+        )
+    if example is None and not meshes:
         raise SceneError("mic init: give mesh files, or an example with --example NAME")
     if example is not None:
         if thickness or name or welds or points or table:

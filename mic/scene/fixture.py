@@ -53,7 +53,7 @@ class Fixture(Table):
     """or a point near the centre of a hole that the pad covers"""
 
     normal: Direction | None = None
-    """the pad's outward normal; with `part` also `normal` (default) or `-normal`, the side of the sheet"""
+    """direction in which the pad faces; with `part` also the sheet's `normal` (default) or `-normal`"""
 
     radius: Positive | None = None
     """radius of the pad, mm"""
