@@ -113,3 +113,14 @@ def test_a_long_table_is_read_to_the_last_bit_and_its_faults_are_named(separator
     path.write_text("\n".join([*lines, separator.join(("1", "far", "3"))]))
     with pytest.raises(FormatError, match="row 20002.*'far'"):
         read_clouds(path, "mm", None, None)
+
+
+def test_candidates_hold_the_closest_point_after_every_move_within_theirs():
+    surface, rng = angle(6.0), np.random.default_rng(7)
+    x = surface.points[rng.integers(len(surface.points), size=200)] + rng.normal(0, 2, (200, 3))
+    owner, triangle = surface.candidates(x, 3.0)
+    step = rng.normal(size=x.shape)
+    moved = x + 3.0 * step / np.linalg.norm(step, axis=1, keepdims=True)
+    whole, some = surface.project(moved), surface.project(moved, among=(owner, triangle))
+    assert len(owner) < 0.7 * len(x) * len(surface.triangles)
+    assert np.array_equal(whole.triangle, some.triangle) and np.array_equal(whole.point, some.point)

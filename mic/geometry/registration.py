@@ -63,6 +63,7 @@ SOFT = 1e-9  # relative to the largest: below it an eigenvalue of N is zero
 DAMPING = 3e-4  # of rigid motions, relative to the sum of all weights
 SCALES = np.geomspace(1e-10, 1e2, 121)  # trials of s²/τ², relative to the largest of N
 RENEWED = 0.02  # mm: change of shape after which points are projected anew
+MOVE = 1.0  # mm, of points and sheet, within which the triangles near the points stay the same
 LEAST = 1e-4  # mm, of noise
 LEAST_ROUGH = 0.5  # mm
 FAR = 20.0  # median residuals beyond which a point is left out
@@ -195,8 +196,8 @@ class _Residuals:
     normal: np.ndarray  # (n,) bool: along the normal
 
     @classmethod
-    def of(cls, surface: Surface, points: np.ndarray) -> _Residuals:
-        foot = surface.project(points)
+    def of(cls, surface: Surface, points: np.ndarray, among: tuple | None = None) -> _Residuals:
+        foot = surface.project(points, among=among)
         step, normal = points - foot.point, surface.normals[foot.triangle]
         along = (step * normal).sum(axis=1)
         beside = step - along[:, None] * normal
@@ -211,6 +212,14 @@ class _Residuals:
             foot.barycentric[owner],
             np.arange(len(owner)) < len(points),
         )
+
+    def only(self, kept: np.ndarray) -> _Residuals:
+        """The residuals of some of the points (n,) bool, which are numbered anew."""
+        rows = kept[self.owner]
+        owner = (np.cumsum(kept) - 1)[self.owner[rows]]
+        fields = (self.value, self.direction, self.triangle, self.barycentric, self.normal)
+        value, direction, triangle, barycentric, normal = (field[rows] for field in fields)
+        return _Residuals(value, direction, owner, triangle, barycentric, normal)
 
     def weights(self, beside: float | None = None) -> np.ndarray:
         """(n,) weights, with scales by the medians; or with a standard deviation beside the border, mm."""
@@ -241,6 +250,19 @@ class _Residuals:
         weights = self.barycentric[:, :, None] * self.direction[:, None]  # (n, corner, xyz)
         columns = 3 * triangles[self.triangle][:, :, None] + np.arange(3)
         return csr_matrix((weights.ravel(), columns.ravel(), 9 * np.arange(len(weights) + 1)), (len(weights), 3 * many))
+
+
+class _Nearby:
+    """Residuals of the same points from step to step: triangles near them are found anew after larger moves only."""
+
+    _last: tuple[np.ndarray, np.ndarray] | None = None
+    _among: tuple[np.ndarray, np.ndarray] | None = None
+
+    def __call__(self, surface: Surface, points: np.ndarray) -> _Residuals:
+        now = (points, surface.points)
+        if self._last is None or sum(np.linalg.norm(a - b, axis=1).max() for a, b in zip(now, self._last)) > MOVE:
+            self._last, self._among = now, surface.candidates(points, MOVE)
+        return _Residuals.of(surface, points, self._among)
 
 
 def _weights(values: np.ndarray, scale: float) -> np.ndarray:
@@ -285,15 +307,16 @@ def register(
     beside = first = min(
         BESIDE, ROUGH_BESIDE * surface.diameter
     )  # decreases: outliers would hold a part beside its place
+    nearby = _Nearby()
     for step in range(STEPS + 1):
         displaced = shapes.offset + shapes.fields @ a + (0.0 if load is None else load(a))
         if np.abs(displaced - there).max() > RENEWED:
             sheet, there = _sheet(surface, skinned + displaced), displaced
-        found = _Residuals.of(sheet, pose(kept))
-        if step == 1:  # far points take most of the time of a projection
+        found = _Residuals.of(sheet, pose(kept)) if step <= 1 else nearby(sheet, pose(kept))
+        if step <= 1:  # far points take most of the time of a projection
             size = np.abs(found.value[found.normal])
-            kept = kept[size <= max(FAR * np.median(size), beside)]
-            found = _Residuals.of(sheet, pose(kept))
+            near = size <= max(FAR * np.median(size), beside)
+            kept, found = kept[near], found.only(near)
         along = found.along(surface.triangles, len(skinned))
         found = replace(found, value=found.value - along @ (displaced - there).ravel())
         weight = found.weights(beside)

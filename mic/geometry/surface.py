@@ -251,7 +251,9 @@ class Surface:
     def _tree(self) -> cKDTree:
         return cKDTree(self._centroids)
 
-    def project(self, x, normal=None, max_angle: float = np.pi / 4, reach: float = np.inf, side=None) -> Projection:
+    def project(
+        self, x, normal=None, max_angle: float = np.pi / 4, reach: float = np.inf, side=None, among=None
+    ) -> Projection:
         """Closest points on the surface, exact over all triangles that pass the filter.
 
         If several triangles share the closest point, the one whose normal is best aligned with `normal` is returned,
@@ -270,11 +272,13 @@ class Surface:
             Closest points farther than this need not be found, mm. Must be finite if `side` is given.
         side : (n,) array, optional
             +1 or -1: the closest point of a triangle counts only if it lies ahead of x along `normal`, or behind.
+        among : (q,) int arrays, optional
+            Numbers of points, ascending, and triangles in which their closest points lie, of :meth:`candidates`.
         """
         x = np.atleast_2d(np.asarray(x, dtype=float))
         if normal is not None:
             normal = np.broadcast_to(np.asarray(normal, dtype=float), x.shape)
-        owner, triangle, barycentric, foot = self._closest(x, normal, max_angle, reach, side)
+        owner, triangle, barycentric, foot = self._closest(x, normal, max_angle, reach, side, among)
         best = Projection(
             np.full(len(x), -1, dtype=np.int64),
             np.full((len(x), 3), np.nan),
@@ -299,6 +303,18 @@ class Surface:
         at_corner = (barycentric > 1 - 2e-9) & self.border_vertices[self.triangles[triangle]]
         best.at_border[into] = (on_edge | at_corner).any(1)
         return best
+
+    def candidates(self, x, move: float) -> tuple[np.ndarray, np.ndarray]:
+        """Numbers of points x (n, 3), and triangles that may hold their closest points after a relative move, mm.
+
+        The closest triangle is at most at d + move afterwards, d being the distance now: it is at most at d + 2 move.
+        """
+        bound, found = self._near(x, None, 0.0, np.inf) + 2 * move, []
+        for owner, triangle in self._centred_near(x, bound + self.reach.max()):
+            near = length(self._centroids[triangle] - x[owner]) <= bound[owner] + self.reach[triangle]
+            found.append((owner[near], triangle[near]))
+        owner, triangle = map(np.concatenate, zip(*found))
+        return owner, triangle
 
     def behind(self, other: Surface, triangle, side, reach: float, max_angle: float) -> np.ndarray:
         """(n,) bool: whether any of this surface may lie behind the plane of each triangle of another surface.
@@ -327,7 +343,7 @@ class Surface:
             some[owner[ahead.min(1) < -self.tie]] = True
         return some[use]
 
-    def _closest(self, x, normal, max_angle, reach=np.inf, side=None):
+    def _closest(self, x, normal, max_angle, reach=np.inf, side=None, among=None):
         """All triangles that contain the closest point of each x: owner, triangle, barycentric, closest point.
 
         Two closest points are the same if they lie within `tie` of each other. The squares of their distances, d² and
@@ -337,7 +353,8 @@ class Surface:
         cosine = np.cos(max_angle)
         bound = np.full(len(x), reach) if side is not None else self._near(x, normal, cosine, reach)
         search = np.where(bound >= 0, bound + self.reach.max() * (1 + 1e-9) + self.tie, 0.0)
-        found = [self._nearest_of(x, normal, cosine, side, bound, *some) for some in self._centred_near(x, search)]
+        near = self._centred_near(x, search) if among is None else [among]
+        found = [self._nearest_of(x, normal, cosine, side, bound, *some) for some in near]
         owner, triangle, barycentric, foot = map(np.concatenate, zip(*found))
         return owner, triangle, barycentric, foot
 
