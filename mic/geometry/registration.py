@@ -64,8 +64,7 @@ DAMPING = 3e-4  # of rigid motions, relative to the sum of all weights
 SCALES = np.geomspace(1e-10, 1e2, 121)  # trials of s²/τ², relative to the largest of N
 RENEWED = 0.02  # mm: change of shape after which points are projected anew
 MOVE = 1.0  # mm, of points and sheet, within which the triangles near the points stay the same
-USUAL = 3.0  # standard deviations from its mean beyond which an amplitude contradicts its distribution
-LEAST = 5e-4  # mm, of noise
+LEAST = 1e-4  # mm, of noise
 LEAST_ROUGH = 0.5  # mm
 FAR = 20.0  # median residuals beyond which a point is left out
 BESIDE, ROUGH_BESIDE = 2.0, 0.02  # first scale beside the border, mm, and relative to the diameter
@@ -109,14 +108,6 @@ class Shapes:
         surface = self.surface
         centres = surface.points[spread(surface, np.sqrt(float(surface.areas.sum()) / CELLS))]
         return cKDTree(centres).query(surface.corners.mean(axis=1))[1]
-
-    def prior(self, amplitudes: np.ndarray) -> np.ndarray:
-        """(k, k) precision, less for amplitudes beyond a few standard deviations: a scan may contradict a known one."""
-        if not self.known:
-            return self.precision
-        far = (amplitudes - self.mean) * np.sqrt(self.precision.diagonal())
-        share = 1 / np.maximum(1.0, np.abs(far) / USUAL)
-        return share[:, None] * self.precision * share
 
 
 @dataclass(frozen=True)
@@ -231,10 +222,9 @@ class _Residuals:
         return _Residuals(value, direction, owner, triangle, barycentric, normal)
 
     def weights(self, beside: float | None = None) -> np.ndarray:
-        """(n,) weights, with scales by the medians; or with a standard deviation beside the border, and at least that
-        along normals, mm."""
+        """(n,) weights, with scales by the medians; or with a standard deviation beside the border, mm."""
         along, off = self.value[self.normal], self.value[~self.normal]
-        weight = _weights(along, max(SIGMA * float(np.median(np.abs(along))), beside or 0.0))
+        weight = _weights(along, SIGMA * float(np.median(np.abs(along))))
         own = weight[self.owner[~self.normal]]  # an outlier is one in all directions
         if beside is None:
             beside = SIGMA * float(np.median(off[own >= 1 / 4])) if (own >= 1 / 4).any() else LEAST
@@ -317,10 +307,10 @@ def register(
     beside = first = min(
         BESIDE, ROUGH_BESIDE * surface.diameter
     )  # decreases: outliers would hold a part beside its place
-    nearby, beyond, noise = _Nearby(), None, RENEWED
+    nearby = _Nearby()
     for step in range(STEPS + 1):
         displaced = shapes.offset + shapes.fields @ a + (0.0 if load is None else load(a))
-        if np.abs(displaced - there).max() > min(RENEWED, noise):
+        if np.abs(displaced - there).max() > RENEWED:
             sheet, there = _sheet(surface, skinned + displaced), displaced
         found = _Residuals.of(sheet, pose(kept)) if step <= 1 else nearby(sheet, pose(kept))
         if step <= 1:  # far points take most of the time of a projection
@@ -331,27 +321,23 @@ def register(
         found = replace(found, value=found.value - along @ (displaced - there).ravel())
         weight = found.weights(beside)
         noise, unexplained, cells, covered = _by_cell(found, weight, shapes.cell)
-        converged = moved < min(CONVERGED, max(0.1 * noise, LEAST)) and beside <= 2 * noise
-        if step == STEPS or (converged and beyond is not None):
+        if step == STEPS or (moved < CONVERGED and beside <= 2 * noise):
             break
-        damping, beside = max(DAMPING * (beside / first) ** 2, 1 / weight.sum()), max(beside / 2, noise)
-        if converged or step == STEPS - 2:  # before, the difference from the mean shape would count as unexplained
-            beyond = unexplained**2 * weight.sum() / max(cells, 1) if shapes.known else 0.0
-        variance = found.variance(weight) + (beyond or 0.0)
+        damping, beside = max(DAMPING * (beside / first) ** 2, SOFT), max(beside / 2, noise)
+        inflation = 1 + (unexplained / noise) ** 2 * weight.sum() / max(cells, 1)
+        variance = found.variance(weight) * (inflation if shapes.known else 1.0)
         Q, A = found.moved(pose(kept), surface.centroid, surface.diameter), along @ fields
-        q, change, covariance = _solved(Q, A, found.value + A @ (a - shapes.mean), weight, variance, damping, shapes.prior(a), shapes.known)
+        q, change, covariance = _solved(Q, A, found.value + A @ (a - shapes.mean), weight, variance, damping, shapes)
         moved = float(np.abs(Q @ q - A @ (shapes.mean + change - a)).max())
         pose = pose.moved(q, surface.centroid, surface.diameter)
         a = shapes.mean + change
-    if not shapes.known:
-        covariance *= 1 + unexplained**2 * weight.sum() / (max(cells, 1) * variance)
     middle = np.median(kept, axis=0)[None]
     size = np.sqrt(np.bincount(found.owner, found.value**2))
     outlier = weight[found.normal] < 1 / 4
     return Registration(
         pose,
         a,
-        covariance,
+        covariance if shapes.known else covariance * inflation,
         noise,
         unexplained,
         1 - float((~outlier).sum()) / len(sample),
@@ -406,7 +392,7 @@ def coverage(points: np.ndarray, shapes: Shapes) -> float:
     """Share of a part's cells with placed points (n, 3)."""
     found = shapes.surface.project(points)
     count = np.bincount(shapes.cell[found.triangle[found.distance <= np.median(found.distance) * CUT]])
-    return float((count >= max(1.0, FULL * float(np.median(count)))).sum() / (shapes.cell.max() + 1))
+    return float((count >= max(3.0, FULL * float(np.median(count)))).sum() / (shapes.cell.max() + 1))
 
 
 def _best_fit(points: np.ndarray, surface: Surface, pose: Pose, steps: int) -> tuple[Pose, float]:
@@ -462,13 +448,11 @@ def _softened(Q: np.ndarray, weight: np.ndarray, damping: float) -> np.ndarray:
 
     A part inside its border has no residuals beside it: a damping keeps it from motions that nothing resists.
     """
-    λ, V = np.linalg.eigh((Q * weight[:, None]).T @ Q)
-    λ = np.maximum(λ, 0.0)
-    return (V * (λ / (λ**2 + (damping * weight.sum()) ** 2))) @ V.T
+    return np.linalg.inv((Q * weight[:, None]).T @ Q + damping * weight.sum() * np.eye(6))
 
 
 def _solved(
-    Q, A, y, weight, variance: float, damping: float, precision: np.ndarray, known: bool
+    Q, A, y, weight, variance: float, damping: float, shapes: Shapes
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Rigid motion (6,), amplitudes (k,) beyond their means and their covariance, of residuals ``y + Q q − A c``."""
     free, Qw = _softened(Q, weight, damping), Q.T * weight
@@ -477,10 +461,10 @@ def _solved(
     coupling, Aw = Qw @ A, A.T * weight
     N = Aw @ A - coupling.T @ free @ coupling
     right = Aw @ y - coupling.T @ (free @ (Qw @ y))
-    λ, V = eigh(0.5 * (N + N.T), precision)
+    λ, V = eigh(0.5 * (N + N.T), shapes.precision)
     λ, z = np.maximum(λ, 0.0), V.T @ right
     κ = variance
-    if not known:
+    if not shapes.known:
         trials = λ.max() * SCALES
         spread_of_z = variance * λ + variance * λ**2 / trials[:, None]
         seen = λ > SOFT * λ.max()
@@ -496,10 +480,9 @@ def _by_cell(found: _Residuals, weight: np.ndarray, cell: np.ndarray) -> tuple[f
     own, value = cell[found.triangle[inner]], found.value[inner]
     many = int(cell.max()) + 1
     count = np.bincount(own, minlength=many)
-    covered = count >= max(1.0, FULL * float(np.median(count)))
-    full = covered & (count >= 3)
+    full = count >= max(3.0, FULL * float(np.median(count)))
     mean = np.bincount(own, value, many) / np.maximum(count, 1)
     within = ((value - mean[own]) ** 2).sum() / max(len(value) - (count > 0).sum(), 1)
     noise = max(float(np.sqrt(within)), LEAST)
     beyond = (mean[full] ** 2 - within / count[full]).mean() if full.any() else 0.0
-    return noise, float(np.sqrt(max(beyond, 0.0))), int(full.sum()), float(covered.mean())
+    return noise, float(np.sqrt(max(beyond, 0.0))), int(full.sum()), float(full.mean())
