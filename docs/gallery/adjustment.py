@@ -97,9 +97,10 @@ for part in parts:
     print(f"{part.name}: shapes differ from the true ones by {1e3 * np.sqrt((off**2).mean()):.1f} µm (RMS)")
 
 # %%
-# Each car gets a joint set of shifts from what its scans tell, which leads near one target for all cars; a car that
-# would still be beyond a limit gets the smallest shifts that bring it within its own. Then the true cars are evaluated,
-# with contact and friction, as they are and with their shifts.
+# Each car gets a joint set of shifts from what its scans tell, with their uncertainty. The objective ``rms`` leads all
+# cars near one target: what the mean car reaches with nine tenths of each range. A car that would still be beyond a
+# limit gets the smallest shifts that bring it within its limits (``yield``). Then the true cars are evaluated, with
+# contact and friction, as they are and with their shifts.
 start = time.process_time()
 locators = [item.targets[0] for item in adjustments(model) if item.kind == "locator"]
 settings = Adjustable(locators, shim=1.0).of(model).settings
