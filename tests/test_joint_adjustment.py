@@ -151,3 +151,68 @@ def test_the_sentence_names_each_change(model):
     said = planner.predict({"P": 1.3, "D": PULL + 0.02})["said"].iloc[-1]
     assert "locators." in said and "times the distance from the target" in said
     assert len(adjustments(model, names=["bl2", "tl1"])) == 2
+
+
+@pytest.mark.slow
+def test_more_adjustments_never_leave_more_beyond_the_limits():
+    """No changes reach the limits of these assemblies; contact opens and closes within the ranges."""
+    model = clamped(
+        "bt",
+        0.2,
+        measurements=[at_face(part, name=name, lower=-0.01, upper=0.01) for part, name in (("t", "M"), ("b", "N"))],
+        deviations=[{"name": "P", "kind": "locator", "target": "bl1", "mean": 0.4, "sigma": 0.15}],
+    )
+    request = lambda names: JointAdjustment(model, "coulomb", Adjustable(names, 0.2, step=0.05))
+    single = [request([name]) for name in ("bl1", "bl2", "tl1")]
+    pair, every = request(["bl1", "bl2"]), request(["bl1", "bl2", "tl1"])
+    beyond = 0
+    for p in (0.3, 0.7):
+        x, none = np.array([p]), np.zeros(2)
+        alone = min(one.propose(x, none).excess for one in single)
+        two, found = pair.propose(x, none).excess, every.propose(x, none).excess
+        grid = np.array(list(product(np.round(np.arange(-4, 5) * 0.05, 9), repeat=2)))
+        extended = with_adjustments(model, pair.allowed.settings)[0].process("coulomb")
+        y = extended.evaluate(np.column_stack([np.full(81, p), grid])).measurements
+        beyond += found > 0
+        least = max(float((np.abs(y) - 0.01).max(axis=1).min()), 0.0)
+        assert max(two, 0.0) <= least + 1e-3 and max(found, 0.0) <= max(min(alone, two), 0.0) + 1e-3
+    assert beyond
+
+
+@pytest.mark.parametrize(
+    ("asked", "bounds", "said"),
+    [
+        ({"shim": 0.1}, (-0.1, 0.1, 0.02), ""),
+        ({"shim": 0.5}, (-0.2, 0.2, 0.02), ""),
+        ({"step": 0.04}, (-0.2, 0.2, 0.04), ""),
+        ({"step": 0.03}, (), "in steps of 0.02 mm"),
+        ({"shim": 0.01}, (), "beyond the largest change"),
+    ],
+)
+def test_options_narrow_what_the_scene_allows_or_are_refused(asked, bounds, said):
+    request = Adjustable(["scene"], **asked)
+    model = pressed(optimise={"objective": "yield", "shims": [SHIM]})
+    if said:
+        with pytest.raises(ArgumentError) as refused:
+            request.of(model)
+        assert said in str(refused.value)
+    else:
+        (item,) = request.of(model).settings
+        assert (item.low, item.high, item.step) == bounds
+
+
+@pytest.mark.slow
+def test_the_sentence_says_that_a_change_is_not_worth_its_cost():
+    optimise = {"objective": "cost", "reject": 0.01, "shims": [SHIM | {"cost": 10.0}]}
+    said = Predictor(pressed(optimise=optimise), adjust=["scene"], exact=True).predict({"P": 1.39, "D": PULL})["said"]
+    assert said.iloc[-1].startswith("no adjustment is worth its cost: 0.") and "a reject costs 0.01" in said.iloc[-1]
+    cheap = pressed(optimise=optimise | {"reject": 5.0})
+    said = Predictor(cheap, adjust=["scene"], exact=True).predict({"P": 1.39, "D": PULL})["said"].iloc[-1]
+    assert "within all limits" in said and "; cost 0." in said
+
+
+def test_a_verdict_that_is_open_for_a_missing_measurement_names_it(model):
+    planner = Predictor(model, adjust=["bl2"], exact=True)
+    found = planner.predict({"P": 1.0})
+    assert found["verdict"].iloc[-1] == "open" and found["said"].iloc[-1].startswith("measure D, which causes 100 %")
+    assert planner.predict({"P": 1.0, "D": PULL})["said"].iloc[-1] == ""

@@ -201,14 +201,14 @@ def test_empty_cells_are_not_known_and_empty_rows_are_passed_over(tmp_path):
 def test_a_log_continues_after_a_killed_program(model, tmp_path):
     found, path = Predictor(model).predict({"P": 0.9}), tmp_path / "log.csv"
     log = PredictionLog(path, "abc")
-    log.add(found, tmp_path / "a.csv", 2)
-    log.add(found, tmp_path / "a.csv", 3)
+    log.add(found, tmp_path / "a.csv", 2, "c")
+    log.add(found, tmp_path / "a.csv", 3, "c")
     whole = path.read_text()
     for cut in range(len(whole) - 1, whole.index(f"{tmp_path / 'a.csv'},3"), -37):
         path.write_text(whole[:cut])
         again = PredictionLog(path, "abc")
-        assert (str(tmp_path / "a.csv"), 3) not in again and again.count == 1
-        again.add(found, tmp_path / "a.csv", 3)
+        assert (str(tmp_path / "a.csv"), 3, "c") not in again and again.count == 1
+        again.add(found, tmp_path / "a.csv", 3, "c")
         assert path.read_text() == whole
     assert PredictionLog(path, "another").count == 0
     path.write_text("P,D\n1,2\n")
@@ -229,8 +229,13 @@ def test_the_command_predicts_each_row_once(model, tmp_path):
     with open(tmp_path / "log.csv", newline="") as file:
         rows = list(csv.DictReader(file))
     assert [one["verdict"] for one in rows if not one["measurement"]] == ["accepted", "rejected", "refused"]
-    again = CliRunner().invoke(app, asked)
-    assert again.exit_code == 0 and "row" not in again.output
+    again = CliRunner().invoke(app, asked, env={"COLUMNS": "400"})
+    assert again.exit_code == 0 and "3 rows are already in" in again.output and "row 2" not in again.output
+    (tmp_path / "parts.csv").write_text("P,D\n0.91,2\n1.39,2\n2.9,2\n")
+    corrected = CliRunner().invoke(app, asked, env={"COLUMNS": "400"})
+    assert "row 2: accepted" in corrected.output and "2 rows are already in" in corrected.output
+    other = CliRunner().invoke(app, [*asked, "--error", "0.001"], env={"COLUMNS": "400"})
+    assert "row 2: accepted" in other.output and "already" not in other.output
     asked[3] = str(tmp_path / "none.csv")
     missing = CliRunner().invoke(app, asked)
     assert "none.csv: this table does not exist; correct the name" in str(missing.exception)

@@ -7,6 +7,8 @@ import time
 from collections import deque
 from collections.abc import Mapping
 from pathlib import Path
+from types import MappingProxyType
+from typing import Any
 
 import pandas as pd
 from rich.progress import Progress, TextColumn
@@ -23,11 +25,12 @@ from mic.scene.measured_report import read_measured_report
 from mic.studies.adjustable import Adjustable
 from mic.studies.drift import WINDOWS, drifts
 from mic.studies.emulator_training import tolerance
+from mic.studies.joint_adjustment import micrometres
 from mic.studies.prediction import Predictor
 from mic.studies.scan import ScanReader, checksum, scan_files
 from mic.system.console import plain
 from mic.system.disk_cache import cache_folder
-from mic.system.files import Format, append_text, reading, write_text
+from mic.system.files import Format, append_text, fingerprint, reading, write_text
 from mic.system.regular_files import read_regular
 
 __all__ = ["PredictionLog", "predict", "scan_predictor", "scene_with_meshes", "train_predictor"]
@@ -52,7 +55,7 @@ def predict(source, parts, scan, watch, log, law, **options):
         return
     console, model, _, law, _ = open_model(source, law)
     console.say_each(alignments(model.scene))
-    predictions = PredictionLog(log, identity(model, 0)[:12])
+    predictions = _open_log(log, model, law, options)
     if parts is not None:
         read_measured_report(parts, model.parameters, "deviation")  # reports errors before the training
     try:
@@ -81,17 +84,27 @@ def _predict_scans(console, source: Path, folder: Path, watch: Path | None, log:
     if not files and watch is None:
         raise SceneError(f"--scan {folder}: there are no scans; name each by part and serial number, {usual}")
     reader, predictor = scan_predictor(console, scene, law, options)
-    predictions = PredictionLog(log, identity(reader.model, 0)[:12])
+    predictions = _open_log(log, reader.model, predictor.law, options)
     if watch is None:
         failed = [_predict_scan(console, reader, predictor, predictions, folder, *item) for item in files.items()]
+        _say_skipped(console, failed.count(None), "assembly", "assemblies", predictions)
         if any(failed):
-            raise SceneError(f"--scan {folder}: {sum(failed)} of {len(failed)} assemblies could not be predicted")
+            raise SceneError(f"--scan {folder}: {failed.count(True)} of {len(failed)} assemblies could not be predicted")
         return
     console.say(f"Watching {folder} for scans. Press Ctrl-C to stop.")
     try:
         _watch_scans(console, reader, predictor, predictions, folder)
     except (KeyboardInterrupt, Stopped):
         console.say(f"Stopped: {log} contains {predictions.count} assemblies.")
+
+
+def _open_log(path: Path, model, law: str, options) -> PredictionLog:
+    """The log of predictions of a model with a law and with the values of the command's options."""
+    scene = model.scene
+    limits = [[float(end) for end in item.bounds] for item in scene.measurements]
+    optimise = None if scene.optimise is None else scene.optimise.model_dump(mode="json")
+    settings = {**options, "adjust": [*(options["adjust"] or ())], "objective": str(options["objective"] or "")}
+    return PredictionLog(path, identity(model, 0)[:12], settings | {"law": law, "limits": limits, "optimise": optimise})
 
 
 def scene_with_meshes(source: Path):
@@ -129,11 +142,11 @@ def _watch_scans(console, reader: ScanReader, predictor: Predictor, predictions:
 
 def _predict_scan(
     console, reader: ScanReader, predictor: Predictor, predictions: PredictionLog, folder: Path, serial: str, files
-) -> bool:
-    """Predict a scanned assembly unless it is in the log; whether its scans are invalid."""
-    name = f"{folder / serial} {checksum(files):08x}"
-    if (name, 0) in predictions:
-        return False
+) -> bool | None:
+    """Predict a scanned assembly; whether its scans are invalid, or None if it is in the log."""
+    name, settings = f"{folder / serial} {checksum(files):08x}", predictions.checksum({})
+    if (name, 0, settings) in predictions:
+        return None
     start = time.perf_counter()
     try:
         scanned = reader.read(files, serial)
@@ -147,7 +160,7 @@ def _predict_scan(
     found = predictor.predict(scanned.values, scanned.covariance, scanned.error)
     table = predictions.path.with_name(f"{predictions.path.stem}-scans.csv")
     append_text(table, scanned.registrations.to_csv(index=False, header=not table.is_file()))
-    predictions.add(found, Path(name), 0)
+    predictions.add(found, Path(name), 0, settings)
     _say_prediction(console, found, serial or folder.name, 1e3 * (time.perf_counter() - start))
     return False
 
@@ -182,11 +195,14 @@ def train_predictor(console, model, law, adjust, shim, force, error, exact, **go
         worst, names = int(share.argmax()), [item.name for item in model.scene.measurements]
         console.say(
             f"Emulator trained on {len(emulator.x)} evaluated assemblies; largest error (95 %) "
-            f"{1e3 * emulator.error_bound[worst]:.2g} µm at {names[worst]}, {percent(share[worst], 2)} of its "
+            f"{micrometres(emulator.error_bound[worst], 2)} at {names[worst]}, {percent(share[worst], 2)} of its "
             "tolerance."
         )
     elif not exact:
         console.say("No emulator: too few assemblies could be evaluated to train it. Every assembly is evaluated.")
+    if predictor.target:
+        stated = ", ".join(f"{name} {value:+.3g} mm" for name, value in predictor.target.items())
+        console.say(f"Target of the adjusted assemblies, which the mean assembly reaches: {stated}.")
     return predictor
 
 
@@ -203,20 +219,34 @@ def _predict_file(console, predictor: Predictor, predictions: PredictionLog, pat
     """Predict the assemblies of a file that are not in the log."""
     report = read_measured_report(path, predictor.model.parameters, "deviation")
     console.say_each(report.said)
+    skipped = 0
     for row, (piece, values) in zip(report.rows, report.values.items()):
-        if (str(path), row) in predictions:
+        content = predictions.checksum(values)
+        if (str(path), row, content) in predictions:
+            skipped += 1
             continue
         start = time.perf_counter()
         found = predictor.predict(values)
         milliseconds = 1e3 * (time.perf_counter() - start)
-        predictions.add(found, path, row)
+        predictions.add(found, path, row, content)
         predictions.recent.append(values)
         _say_prediction(console, found, f"{path.name} {piece}", milliseconds)
+    _say_skipped(console, skipped, "row", "rows", predictions)
     for sentence in drifts(predictor.model.scene, list(predictions.recent)):
         name = sentence.split(":")[0]
         if name not in predictions.drifted:
             console.warn("drift", sentence)
             predictions.drifted.add(name)
+
+
+def _say_skipped(console, count: int, one: str, several: str, predictions: PredictionLog) -> None:
+    """Print how many predictions were skipped."""
+    if count:
+        what, was, them = (f"1 {one} is", "was", "it") if count == 1 else (f"{count} {several} are", "were", "them")
+        console.say(
+            f"{what} already in {predictions.path} with the same values and options, and {was} skipped; give another "
+            f"--log to predict {them} again."
+        )
 
 
 def _say_prediction(console, found: pd.DataFrame, label: str, milliseconds: float) -> None:
@@ -237,6 +267,12 @@ def _say_prediction(console, found: pd.DataFrame, label: str, milliseconds: floa
         highlight=False,
         soft_wrap=True,
     )
+    if found["adjusted"].notna().any():
+        changes = [
+            f"{row['measurement']} {row['value']:+.4g} → {row['adjusted']:+.4g} mm"
+            for row in found.iloc[:-1].to_dict("records")
+        ]
+        console.print(plain(f"    {', '.join(changes)}"), highlight=False, soft_wrap=True)
 
 
 class PredictionLog:
@@ -247,6 +283,8 @@ class PredictionLog:
     path : Path
     model : str
         Checksum of the model, written into every row.
+    settings : mapping
+        What else predictions depend on besides the measured values, JSON-ready.
 
     Attributes
     ----------
@@ -261,28 +299,33 @@ class PredictionLog:
         If the file is not a log of predictions.
     """
 
-    def __init__(self, path: Path, model: str):
-        self.path, self.model = path, model
+    def __init__(self, path: Path, model: str, settings: Mapping[str, Any] = MappingProxyType({})):
+        self.path, self.model, self._settings = path, model, dict(settings)
         self.recent: deque[Mapping[str, float]] = deque(maxlen=max(WINDOWS))
         self.drifted: set[str] = set()
-        self._known: set[tuple[str, int]] = set()
+        self._known: dict[tuple[str, int], str] = {}  # checksum of the latest prediction of each row
         if path.is_file() and path.stat().st_size:
             self._read()
 
-    def __contains__(self, row: tuple[str, int]) -> bool:
-        return row in self._known
+    def __contains__(self, row: tuple[str, int, str]) -> bool:
+        """Whether the latest prediction of a row of a file has this checksum."""
+        return self._known.get(row[:2]) == row[2]
+
+    def checksum(self, values: Mapping[str, float]) -> str:
+        """Checksum of measured values and of the settings."""
+        return fingerprint({"values": dict(values), "settings": self._settings})[:12]
 
     @property
     def count(self) -> int:
         """Number of predicted assemblies of this model."""
         return len(self._known)
 
-    def add(self, found: pd.DataFrame, path: Path, row: int) -> None:
-        """Append the prediction of a row of a file."""
-        rows = found.assign(file=str(path), row=row, model=self.model)
+    def add(self, found: pd.DataFrame, path: Path, row: int, content: str) -> None:
+        """Append the prediction of a row of a file, with the checksum of its content."""
+        rows = found.assign(file=str(path), row=row, model=self.model, checksum=content)
         text = rows.to_csv(index=False, header=not self.path.is_file() or not self.path.stat().st_size)
         append_text(self.path, text)
-        self._known.add((str(path), row))
+        self._known[str(path), row] = content
 
     def _read(self) -> None:
         """Read the predicted rows."""
@@ -309,4 +352,4 @@ class PredictionLog:
         if complete < len(lines):
             write_text(self.path, "".join(lines[:complete]))
         own = (rows[i] for i in ends if rows[i][column("model")] == self.model)
-        self._known = {(row[column("file")], int(row[column("row")])) for row in own}
+        self._known = {(row[column("file")], int(row[column("row")])): row[column("checksum")] for row in own}

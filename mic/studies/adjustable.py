@@ -47,6 +47,8 @@ class AllowedAdjustments:
         The model with each of the orders that the scene allows, the stated one first.
     changed_orders : list of str
         Description of each order; empty for the stated one.
+    reject : float
+        Cost of an assembly outside its limits, in the unit of the scene, with the objective ``cost``.
     """
 
     settings: list[Adjustment]
@@ -56,6 +58,7 @@ class AllowedAdjustments:
     most: int
     orders: list[ReducedModel]
     changed_orders: list[str]
+    reject: float = 1.0
 
 
 @dataclass(frozen=True)
@@ -67,23 +70,24 @@ class Adjustable:
     names : sequence of str
         Locators and clamps; or ``all``: all but the datum of the measurements; or ``scene``: forces, shims and orders
         of the scene's table ``optimise``, with their bounds, steps and costs.
-    shim : float
-        Largest shift, mm; not with ``scene``.
-    factor : float
-        Largest factor, or divisor, of a force; not with ``scene``.
+    shim : float, optional
+        Largest shift, mm. Default: 0.5; with ``scene`` the scene's, where the tighter bound holds.
+    factor : float, optional
+        Largest factor, or divisor, of a force. Default: 2; with ``scene`` the scene's, where the tighter bound holds.
     objective : {"yield", "rms", "cpk", "cost"}, optional
         ``yield``: the smallest changes that bring all characteristics within their limits; ``rms``: the weighted RMS
         distance from the target; ``cpk``: likewise, relative to the distance of the target from the limits; ``cost``:
         the cost of changes and rejects that the scene states. Default: ``yield``; with ``scene`` the scene's.
     step : float, optional
-        Step of positions, mm. Default: the power of ten below a fiftieth of the largest change.
+        Step of positions, mm; with ``scene`` a multiple of the scene's. Default: the scene's, or the power of ten below
+        a fiftieth of the largest change.
     most : int, optional
         Largest number of adjustments of an assembly. Default: the scene's with ``scene``, else all.
     """
 
     names: Sequence[str]
-    shim: float = SHIM
-    factor: float = FACTOR
+    shim: float | None = None
+    factor: float | None = None
     objective: str | None = None
     step: float | None = None
     most: int | None = None
@@ -109,6 +113,12 @@ class Adjustable:
                 f"scene {model.scene.name!r} has nothing to adjust besides the datum of its measurements"
             )
         if self.step is not None:
+            other = next((item for item in allowed.settings if self._contradicts(item)), None)
+            if other is not None:
+                raise ArgumentError(
+                    f"step is {self.step:g} mm, but the scene sets {other.name} in steps of {other.increment:g} mm; "
+                    "give a multiple of that"
+                )
             settings = [replace(item, increment=self.step) if item.unit == "mm" else item for item in allowed.settings]
             short = next((item for item in settings if item.unit == "mm" and item.size < self.step), None)
             if short is not None:
@@ -119,8 +129,35 @@ class Adjustable:
         most = allowed.most if self.most is None else int(self.most)
         return replace(allowed, most=most, objective=self.objective or allowed.objective)
 
+    def _contradicts(self, item: Adjustment) -> bool:
+        """Whether the step is no multiple of the one that the scene states."""
+        if self.step is None or item.unit != "mm" or item.increment is None:
+            return False
+        count = self.step / item.increment
+        return count < 1 - 1e-9 or abs(count - round(count)) > 1e-6
+
+    def _bounded(self, item: Adjustment) -> Adjustment:
+        """An adjustment of the scene within the requested bounds too."""
+        if item.unit == "mm":
+            low, high = (-math.inf, math.inf) if self.shim is None else (-self.shim, self.shim)
+        elif self.factor is None or not item.now:
+            low, high = -math.inf, math.inf
+        else:
+            low, high = sorted(item.now * ratio - item.now for ratio in (1 / self.factor, self.factor))
+        low, high = max(item.low, low), min(item.high, high)
+        if not low < high:
+            raise ArgumentError(f"{item.name} may not be adjusted within both the scene's bounds and the given ones")
+        increment = item.increment or replace(item, low=low, high=high).step
+        if max(-low, high) < increment:
+            raise ArgumentError(
+                f"{item.name} is set in steps of {increment:g} {item.unit}, beyond the largest change, "
+                f"{max(-low, high):g} {item.unit}; increase it"
+            )
+        return replace(item, low=low, high=high)
+
     def _of_names(self, model: ReducedModel) -> AllowedAdjustments:
-        settings = adjustments(model, self.shim, self.factor, () if ALL in self.names else list(self.names))
+        shim, factor = (SHIM if self.shim is None else self.shim), (FACTOR if self.factor is None else self.factor)
+        settings = adjustments(model, shim, factor, () if ALL in self.names else list(self.names))
         if self.objective == "cost":
             raise ArgumentError(f"the objective cost needs costs, which the scene states; adjust {SCENE!r}")
         cost = np.array([1.0 / item.size for item in settings])
@@ -134,9 +171,13 @@ class Adjustable:
                 f"scene {model.scene.name!r} has no table [optimise] with forces, shims or orders; add it, or name "
                 "locators and clamps"
             )
+        for name, value, least in (("shim", self.shim, 0), ("factor", self.factor, 1)):
+            if value is not None and not least < value < math.inf:
+                raise ArgumentError(f"{name} must be above {least} and finite, but is {value:g}")
         space = Space(model)
+        settings = [self._bounded(item) for item in space.settings]
         objective = next(name for name, others in OBJECTIVES.items() if request.objective in others)
-        cost = np.array([1.0 / item.size for item in space.settings])
+        cost = np.array([1.0 / item.size for item in settings])
         if (self.objective or objective) == "cost":
             if not request.reject:
                 raise ArgumentError("the objective cost needs optimise.reject, the cost of an assembly outside; add it")
@@ -146,8 +187,8 @@ class Adjustable:
         designs = [space.stated, *(design for design in _orders(space) if any(design.orders))]
         orders = [space.with_orders_of(model, design) for design in designs]
         changed = ["; ".join(map(str, space.changes(design))) for design in designs]
-        most = request.most or len(space.settings)
-        return AllowedAdjustments(space.settings, objective, cost, weight, most, orders, changed)
+        most = request.most or len(settings)
+        return AllowedAdjustments(settings, objective, cost, weight, most, orders, changed, request.reject or 1.0)
 
 
 def _orders(space: Space) -> list[Design]:

@@ -18,6 +18,10 @@ range to individual assemblies.
 Deviations that are known with a standard deviation s only are replaced by their mean given prior and measurement,
 ``μ + (x - μ) σ²/(σ² + s²)``, and the objective is averaged over points of the remaining uncertainty.
 
+Contact makes the objective not convex. So if no changes found so far bring an assembly within its limits, single and
+random changes and those of least distance from the target are further starts, each adjustment in turn is set to what is
+best by the cheap model, and the largest excess of the evaluated changes decides.
+
 Every proposal is evaluated in full, with changes that can be set, and compared with no change.
 
 References
@@ -28,7 +32,7 @@ References
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
@@ -37,10 +41,10 @@ from mic.process.process import Process
 from mic.process.sensitivity import sensitivities
 from mic.studies.adjustable import Adjustable
 from mic.studies.adjustment import Adjustment, with_adjustments
-from mic.studies.adjustment_goals import Goal, NearTarget, WithinLimits
+from mic.studies.adjustment_goals import Goal, LeastExcess, NearTarget, WithinLimits
 from mic.studies.samples import limits
 
-__all__ = ["JointAdjustment", "ProposedAdjustment"]
+__all__ = ["JointAdjustment", "ProposedAdjustment", "micrometres"]
 
 RESERVE = 0.1  # share of each range that the common optimum leaves to individual assemblies
 STARTS = 5  # starts of the common optimum
@@ -56,6 +60,10 @@ REACHES = (1.0, 0.5, 0.25, 0.1, 0.04)  # shares of a range that are tried
 LIMIT_SHARE = 0.8  # of the largest forces of clamps, in the cheap model
 UNKNOWN = 1e3  # mm: key characteristics of an assembly that cannot be computed, beyond all limits
 WORTH = 1e-3  # mm: a smaller excess over the limits does not count as an effect
+CORNERS = 32  # random changes to ends of the ranges that are tried where no changes reach the limits
+SETTINGS = (-1.0, -0.6, -0.3, 0.0, 0.3, 0.6, 1.0)  # shares of a range to which one adjustment is set in turn
+SWEEPS = 20  # largest number of adjustments that are set in turn
+MINIMA = 3  # starts from which they are
 DIRECTIONS = 2  # directions of the uncertainty over which the objective is averaged
 LEAST_ROOM = 0.1  # of half the tolerance: least distance of the target from a limit, for the objective ``cpk``
 
@@ -81,6 +89,10 @@ class ProposedAdjustment:
     evaluations : int
         Evaluations of the assembly.
     objective : str
+    cost : float
+        Of sufficient changes, also if they are not worth it; with the objective ``cost`` in the unit of the scene.
+    reject : float
+        Cost of an assembly outside its limits, with this objective.
     """
 
     changes: dict[Adjustment, float]
@@ -94,18 +106,30 @@ class ProposedAdjustment:
     residual: float
     evaluations: int
     objective: str
+    cost: float
+    reject: float
 
     def __str__(self) -> str:
-        limited = self.objective in ("yield", "cost")
+        limited, costs = self.objective in ("yield", "cost"), self.objective == "cost"
         if not self.changes and not self.order:
+            if costs and self.cost > self.reject:
+                return f"no adjustment is worth its cost: {self.cost:g}, and a reject costs {self.reject:g}"
+            if costs:
+                return "no adjustment brings it within all limits"
             return "no adjustment helps" if limited else "no adjustment is worth it"
         changes = [f"{item.name} by {change:+.4g} {item.unit}" for item, change in self.changes.items()]
         changes += [self.order] if self.order else []
-        distance = f"{1e3 * abs(self.excess):.3g} µm"
+        distance = micrometres(abs(self.excess))
         reached = f"within all limits by {distance}" if self.excess <= 0 else f"still {distance} beyond a limit"
         if not limited:
             reached = f"{self.merit / self.merit_before:.2g} times the distance from the target, {reached}"
-        return f"{', '.join(changes)}: {reached}"
+        return f"{', '.join(changes)}: {reached}" + f"; cost {self.cost:g}" * costs
+
+
+def micrometres(length: float, digits: int = 3) -> str:
+    """A length, mm, as text in µm, rounded to so many digits, without an exponent."""
+    text = np.format_float_positional(1e3 * length, precision=digits, unique=False, fractional=False, trim="-")
+    return f"{text} µm"
 
 
 class _CheapModel:
@@ -116,8 +140,13 @@ class _CheapModel:
 
     def values(self, changes: np.ndarray) -> tuple[np.ndarray, bool]:
         """(s, k) key characteristics at the points with changes (a,), and whether any failed or cannot be built."""
-        y, unfit = evaluate(self._process, self.points, changes[None])
-        return y[0] + self._offset, bool(unfit.any())
+        y, unfit = self.of_each(changes[None])
+        return y[0], bool(unfit[0])
+
+    def of_each(self, changes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """(n, s, k) and (n,): :meth:`values` of each of some changes (n, a)."""
+        y, unfit = evaluate(self._process, self.points, changes)
+        return y + self._offset, unfit.any(axis=1)
 
     def slopes(self, changes: np.ndarray) -> np.ndarray:
         """(s, k, a) derivatives at changes (a,)."""
@@ -284,8 +313,12 @@ class JointAdjustment:
             search.process = self._exact[order]
             cheap.correct(changes, after)
             changes, after = search.run(cheap, [changes], MAX_ROUNDS // 2)
+        if not self.always and bounded.excess(after[None]).max() > 0:
+            search, changes, after = self._least_excess(bounded, cheap, search, (before, changes, after))
+        sufficient = bounded.excess(after[None]).max() <= 0
+        cost = float(np.abs(changes) @ self.allowed.cost) * self.allowed.reject if sufficient or self.always else 0.0
         if (changes.any() or order) and not self._helps(goal, bounded, points, (before, changes, after), order):
-            changes, after, order, search.merit = still, before, 0, merit_before
+            changes, after, order = still, before, 0
         self._progress(search.evaluations)
         return ProposedAdjustment(
             {item: float(change) for item, change in zip(self.allowed.settings, changes) if change},
@@ -293,13 +326,34 @@ class JointAdjustment:
             before,
             after,
             merit_before,
-            search.merit,
+            float(goal.merit(after[None, None], changes[None])[0]),
             float(bounded.excess(before[None]).max()),
             float(bounded.excess(after[None]).max()),
             search.residual(),
             search.evaluations,
             self.allowed.objective,
+            cost,
+            self.allowed.reject,
         )
+
+    def _least_excess(self, bounded: WithinLimits, cheap: _CheapModel, search: _Search, found):
+        """A search for the least largest excess of an assembly, its best changes, and their key characteristics."""
+        before, *other = found
+        goal = LeastExcess(*(getattr(bounded, item.name) for item in fields(bounded)))
+        last = _Search(goal, self.allowed.settings, (self._low, self._high), self.allowed.most, search.process)
+        near = _Search(self.goal, self.allowed.settings, (self._low, self._high), self.allowed.most, search.process)
+        still, point = np.zeros(len(self._size)), cheap.points[0]
+        for changes, y in ((still, before), other):
+            cheap.correct(changes, y)
+            for one in (last, near):
+                one.evaluate(point, changes)
+        nearest, y = near.run(cheap, [self.common, still], MAX_ROUNDS)
+        corners = np.random.default_rng(0).choice([0.0, -1.0, 1.0], (CORNERS, len(still)))
+        shares = np.concatenate([share * np.eye(len(still)) for share in SETTINGS] + [corners])
+        trials = np.where(shares < 0, -shares * self._low, shares * self._high)
+        last.sweep(cheap, np.concatenate([trials, [nearest, other[0], self.common]]))
+        last.evaluations += search.evaluations + near.evaluations
+        return last, *last.best
 
     def _helps(self, goal: Goal, bounded: WithinLimits, points, found, order: int) -> bool:
         """Whether an adjusted assembly is better than without any change, also averaged over its uncertainty."""
@@ -314,8 +368,7 @@ class JointAdjustment:
             if excess > 0 or np.abs(changes) @ self.allowed.cost > 1:
                 return False
         elif bounded.excess(after[None]).max() > 0:
-            gain = np.maximum(bounded.excess(before[None]), 0).sum() - np.maximum(bounded.excess(after[None]), 0).sum()
-            if gain < WORTH and (bounded.excess(after[None]) > 0).sum() >= (bounded.excess(before[None]) > 0).sum():
+            if bounded.excess(before[None]).max() - bounded.excess(after[None]).max() < WORTH:
                 return False
         if len(points) == 1:
             return True
@@ -365,6 +418,8 @@ class _Search:
     evaluations : int
     merit : float
         Of the best changes.
+    best : tuple of (a,) and (k,) array
+        The best changes, and their key characteristics.
     """
 
     def __init__(self, goal: Goal, settings: Sequence[Adjustment], bounds, most: int, process: Process):
@@ -381,7 +436,7 @@ class _Search:
         self.evaluations += 1
         merit = self._merit(y, not evaluation.built[0], changes)
         if merit < self.merit:
-            self.merit, self._best, self._evaluation = merit, (changes, y), evaluation
+            self.merit, self.best, self._evaluation = merit, (changes, y), evaluation
         return y
 
     def _merit(self, y: np.ndarray, unfit: bool, changes: np.ndarray) -> float:
@@ -391,12 +446,12 @@ class _Search:
     def run(self, cheap: _CheapModel, starts: Sequence[np.ndarray], rounds: int) -> tuple[np.ndarray, np.ndarray]:
         """The best changes (a,) and their key characteristics (k,), after at most so many evaluations."""
         found = [self._descend(cheap, start, np.inf, FIRST_STEPS) for start in starts]
-        changes, trust, tried = min(found, key=lambda one: one[1])[0], np.inf, {self._best[0].tobytes()}
+        changes, trust, tried = min(found, key=lambda one: one[1])[0], np.inf, {self.best[0].tobytes()}
         for _ in range(rounds):
             if changes.tobytes() in tried:
                 break
             tried.add(changes.tobytes())
-            before, last = self.merit, self._best[0]
+            before, last = self.merit, self.best[0]
             y = self.evaluate(cheap.points[0], changes)
             cheap.correct(changes, y)
             if self.merit < before:
@@ -404,9 +459,42 @@ class _Search:
                     break
             else:
                 trust = float(np.abs((changes - last) / self._size).max()) / 3
-                cheap.correct(*self._best)
-            changes = self._descend(cheap, self._best[0], trust, NEXT_STEPS)[0]
-        return self._best
+                cheap.correct(*self.best)
+            changes = self._descend(cheap, self.best[0], trust, NEXT_STEPS)[0]
+        return self.best
+
+    def sweep(self, cheap: _CheapModel, starts: np.ndarray) -> None:
+        """Evaluate the best of some changes (n, a), then what is reached if each adjustment in turn is set best."""
+        starts = np.unique(self._whole_steps(np.clip(starts, self._low, self._high), np.round), axis=0)
+        order = np.argsort(self._cheap_merits(cheap, starts), kind="stable")[:MINIMA]
+        for start in [*starts[order], None]:
+            changes = self.best[0] if start is None else start
+            y = self.evaluate(cheap.points[0], changes)
+            cheap.correct(changes, y)
+            merit, own = np.inf, changes
+            for _ in range(SWEEPS):
+                trials = self._neighbours(own)
+                merits = self._cheap_merits(cheap, trials)
+                if not merits.min() < merit:
+                    break
+                merit, own = float(merits.min()), trials[int(merits.argmin())]
+            self.evaluate(cheap.points[0], own)
+
+    def _neighbours(self, changes: np.ndarray) -> np.ndarray:
+        """(n, a) changes that differ in one adjustment: at a share of its range, or by one step."""
+        count = len(changes)
+        settings = np.array([np.where(share < 0, -share * self._low, share * self._high) for share in SETTINGS])
+        settings = np.concatenate([settings, changes + self._step[None], changes - self._step[None]])
+        trials = np.tile(changes, (len(settings), count, 1))
+        trials[:, np.arange(count), np.arange(count)] = settings
+        trials = self._whole_steps(np.clip(trials.reshape(-1, count), self._low, self._high), np.round)
+        return np.concatenate([changes[None], trials])
+
+    def _cheap_merits(self, cheap: _CheapModel, trials: np.ndarray) -> np.ndarray:
+        """(n,) merits of changes (n, a) by the cheap model; infinite for more changes than are allowed."""
+        y, unfit = cheap.of_each(trials)
+        many = np.count_nonzero(trials, axis=1) > self._most
+        return np.where(many, np.inf, self._goal.merit(y, trials) + UNFIT * unfit)
 
     def _descend(self, cheap: _CheapModel, start: np.ndarray, trust: float, steps: int) -> tuple[np.ndarray, float]:
         """Changes that can be set and minimise the cheap model from a start, and their merit."""
@@ -429,8 +517,9 @@ class _Search:
             if gain < SMALL * merit:
                 break
         found = []
-        for choice in (self._worthwhile(y, slope, d, low, high), d):
-            changes = self._settable(y, slope, d, choice)
+        near = (self._settable(y, slope, d, choice) for choice in (self._worthwhile(y, slope, d, low, high), d))
+        # Beyond a kink the linear model leads astray: the changes themselves are the last choice.
+        for changes in (*near, self._whole_steps(d, np.round)):
             found.append((changes, self._merit(*cheap.values(changes), changes)))
             if found[0][1] <= merit + goal.worth * (1 + np.count_nonzero(d)) or np.count_nonzero(d) > self._most:
                 break

@@ -29,7 +29,6 @@ from mic.process.model import ReducedModel
 from mic.results.schema import PREDICTIONS
 from mic.statistics.estimates import LEVEL
 from mic.studies.adjustable import Adjustable
-from mic.studies.adjustment import FACTOR, SHIM
 from mic.studies.emulator_training import train_emulator
 from mic.studies.joint_adjustment import JointAdjustment, ProposedAdjustment
 from mic.studies.samples import Progress, limits
@@ -38,6 +37,7 @@ from mic.system.arguments import checked, numbers_by_name
 __all__ = ["FARTHEST", "Predictor", "predict"]
 
 FARTHEST = 6.0  #: standard deviations from the mean beyond which an assembly is refused
+NORMAL = float(ndtri(0.5 + LEVEL / 2))  # half of an interval per standard deviation
 NOTHING = (np.nan,) * 3  # value, low and high of a whole assembly
 
 
@@ -52,8 +52,9 @@ class Predictor:
     adjust : sequence of str, or Adjustable
         Locators and clamps that may be adjusted, ``all`` or ``scene``, or these with objective, step and largest number
         (:class:`mic.studies.adjustable.Adjustable`); none by default.
-    shim, factor : float
-        Largest adjustments: a shift, mm, and a factor on a force.
+    shim, factor : float, optional
+        Largest adjustments: a shift, mm, and a factor on a force. Default: 0.5 and 2, or the scene's
+        (:class:`mic.studies.adjustable.Adjustable`).
     error : float
         Error e of the model, mm.
     exact : bool
@@ -83,8 +84,8 @@ class Predictor:
         model: ReducedModel,
         law: str | None = None,
         adjust: Sequence[str] | Adjustable = (),
-        shim: float = SHIM,
-        factor: float = FACTOR,
+        shim: float | None = None,
+        factor: float | None = None,
         error: float = 0.0,
         exact: bool = False,
         cache: Path | None = None,
@@ -112,6 +113,14 @@ class Predictor:
         self._adjustment = JointAdjustment(model, self.law, request, progress) if request.names else None
         slopes = model.sensitivities({}, self.law)
         self._slope = np.nan_to_num(slopes.jacobian[0])  # of the mean assembly
+
+    @property
+    def target(self) -> dict[str, float]:
+        """Target of the adjustments by key characteristic, mm; empty if they have none but the limits."""
+        if self._adjustment is None or not self._adjustment.always:
+            return {}
+        names = [item.name for item in self.model.scene.measurements]
+        return dict(zip(names, self._adjustment.goal.target.tolist()))
 
     def predict(
         self, values: Mapping[str, float], covariance: np.ndarray | None = None, unexplained: float = 0.0
@@ -148,26 +157,59 @@ class Predictor:
         if distance[farthest] > FARTHEST:
             said = f"{names[farthest]} is {distance[farthest]:.3g} σ off its mean"
             return self._table([("", *NOTHING, "refused", "", said)], distance)
-        unknown_variance = self._slope**2 @ np.where(given, 0.0, self._sigma) ** 2
+        unmeasured_variance = (self._slope * np.where(given, 0.0, self._sigma)) ** 2
+        unknown_variance = unmeasured_variance.sum(axis=1)
         if covariance is not None:
             unknown_variance += np.einsum("kp,pq,kq->k", self._slope, covariance, self._slope, optimize=True)
-        half = float(ndtri(0.5 + LEVEL / 2)) * np.sqrt(self.error**2 + unexplained**2 + unknown_variance)
+        half = NORMAL * np.sqrt(self.error**2 + unexplained**2 + unknown_variance)
         y, error, source = self._key_characteristics(x, half)
         if y is None:
             return self._table([("", *NOTHING, "failed", "", "its contact problems could not be solved")], distance)
         width = np.hypot(half, error)
         verdict, proposal, assembly_source = self._verdicts(y, width), "", source
-        adjusts = self._adjustment is not None and (self._adjustment.always or bool((verdict != "accepted").any()))
+        known = np.sqrt(np.maximum(width**2 - NORMAL**2 * unmeasured_variance.sum(axis=1), 0.0))
+        measure = self._to_measure(verdict, self._verdicts(y, known), unmeasured_variance)
         self.proposal = None
-        if self._adjustment is not None and adjusts:
+        if (adjustment := self._adjusting(verdict, half, measure)) is not None:
             noise = np.zeros(len(x)) if covariance is None else np.sqrt(covariance.diagonal())
             noise = np.where(given | (self._sigma == 0), noise, np.inf)
-            self.proposal = self._adjustment.propose(x, half, noise)
+            self.proposal = adjustment.propose(x, half, noise)
             proposal, assembly_source = str(self.proposal), "evaluated"
+            if measure and not adjustment.always and self.proposal.excess > 0:
+                self.proposal = None
+            elif covariance is None:  # the assembly was evaluated without changes too
+                y, source, width = self.proposal.before, "evaluated", half
+                verdict = self._verdicts(y, width)
+        if self.proposal is None or not (self.proposal.changes or self.proposal.order):
+            proposal = measure or proposal
         worst = "rejected" if "rejected" in verdict else "open" if "open" in verdict else "accepted"
         items = [item.name for item in self.model.scene.measurements]
         rows = [(*row, source, "") for row in zip(items, y, y - width, y + width, verdict)]
-        return self._table([*rows, ("", *NOTHING, worst, assembly_source, proposal)], distance)
+        table = self._table([*rows, ("", *NOTHING, worst, assembly_source, proposal)], distance)
+        if self.proposal is not None and (self.proposal.changes or self.proposal.order):
+            table["adjusted"] = [*self.proposal.after, np.nan]
+        return table
+
+    def _adjusting(self, verdict: np.ndarray, half: np.ndarray, measure: str) -> JointAdjustment | None:
+        """What adjusts an assembly; None if it needs nothing, or if its intervals exceed the tolerance because of what
+        is still to be measured."""
+        if self._adjustment is None or self._adjustment.always:
+            return self._adjustment
+        fits = bool((2 * half <= self._upper - self._lower).all())
+        return self._adjustment if (verdict != "accepted").any() and (fits or not measure) else None
+
+    def _to_measure(self, verdict: np.ndarray, known: np.ndarray, variance: np.ndarray) -> str:
+        """Which deviation to measure, if missing measurements alone leave verdicts (k,) open; empty if not.
+
+        `known` (k,) are the verdicts without the (k, p) variance due to the missing measurements.
+        """
+        open_, decided = verdict == "open", known != "open"
+        if not open_.any() or not decided[open_].all() or "rejected" in verdict:
+            return ""
+        share = variance[open_] / np.maximum(variance[open_].sum(axis=1, keepdims=True), 1e-300)
+        k, j = np.unravel_index(int(share.argmax()), share.shape)
+        name = self.model.scene.measurements[np.flatnonzero(open_)[k]].name
+        return f"measure {self.model.parameters[j]}, which causes {100 * share[k, j]:.0f} % of the variance of {name}"
 
     def _distance(self, x: np.ndarray) -> np.ndarray:
         """(p,) distance of the deviations from their means, in standard deviations."""
@@ -199,7 +241,9 @@ class Predictor:
     def _table(self, rows: list[tuple], distance: np.ndarray) -> pd.DataFrame:
         """The table of an assembly with deviations (p,) at these distances."""
         table = pd.DataFrame(rows, columns=["measurement", "value", "low", "high", "verdict", "way", "said"])
-        return table.assign(file="", row=0, model="", law=self.law, far=float(distance.max()))[PREDICTIONS.names]
+        return table.assign(
+            file="", row=0, model="", law=self.law, adjusted=np.nan, far=float(distance.max()), checksum=""
+        )[PREDICTIONS.names]
 
 
 @checked
@@ -208,8 +252,8 @@ def predict(
     parts: pd.DataFrame | Sequence[Mapping[str, float]],
     law: str | None = None,
     adjust: Sequence[str] | Adjustable = (),
-    shim: float = SHIM,
-    factor: float = FACTOR,
+    shim: float | None = None,
+    factor: float | None = None,
     error: float = 0.0,
     exact: bool = False,
     cache: Path | None = None,
