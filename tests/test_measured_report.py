@@ -94,3 +94,36 @@ def test_a_wrong_report_is_refused_in_one_sentence(tmp_path, text, said):
     with pytest.raises(SceneError) as refused:
         read(tmp_path, text)
     assert said in str(refused.value) and str(refused.value).startswith(str(tmp_path / "report.csv"))
+
+
+UNITS = {"F1": "N", "D1": "mm", "T": "K", "S": ""}
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "id,F1 [kN],D1 [in],T [K],S\na,-0.005,0.01,2,1\n",
+        "id;F1 kN;D1 (µm);T;S\na;-0,005;254;2;1\n",
+        "name,deviation,unit\nF1,-0.005,kN\nD1,0.254,mm\nT,2,K\nS,1,\n",
+    ],
+)
+def test_units_of_deviations_are_converted(tmp_path, text):
+    (tmp_path / "parts.csv").write_text(text)
+    found = read_measured_report(tmp_path / "parts.csv", list(UNITS), "deviation", units=UNITS)
+    (values,) = found.values.values()
+    assert values == pytest.approx({"F1": -5.0, "D1": 0.254, "T": 2.0, "S": 1.0})
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("id,F1 [mm],D1\na,-5,0.01\n", "mm is no unit of F1; give it in N"),
+        ("id,F1 mm,D1\na,-5,0.01\n", "mm is no unit of F1"),
+        ("id,F1,D1 [xyz]\na,-5,0.01\n", "xyz is no unit of D1; give it in mm"),
+        ("name,deviation,unit\nF1,-5,mm\n", "F1 is given in mm; convert it to N"),
+    ],
+)
+def test_a_unit_of_another_quantity_is_refused(tmp_path, text, said):
+    (tmp_path / "parts.csv").write_text(text)
+    with pytest.raises(SceneError, match=said):
+        read_measured_report(tmp_path / "parts.csv", list(UNITS), "deviation", units=UNITS)

@@ -21,6 +21,7 @@ from mic.report.style import percent
 from mic.results.run_identity import identity
 from mic.results.schema import PREDICTIONS
 from mic.scene import load_scene
+from mic.scene.deviation import deviation_unit
 from mic.scene.measured_report import read_measured_report
 from mic.studies.adjustable import Adjustable
 from mic.studies.drift import WINDOWS, drifts
@@ -57,7 +58,7 @@ def predict(source, parts, scan, watch, log, law, **options):
     console.say_each(alignments(model.scene))
     predictions = _open_log(log, model, law, options)
     if parts is not None:
-        read_measured_report(parts, model.parameters, "deviation")  # reports errors before the training
+        _read_parts(parts, model)  # reports errors before the training
     try:
         predictor = train_predictor(console, model, law, **options)
     except ValueError as problem:
@@ -89,7 +90,9 @@ def _predict_scans(console, source: Path, folder: Path, watch: Path | None, log:
         failed = [_predict_scan(console, reader, predictor, predictions, folder, *item) for item in files.items()]
         _say_skipped(console, failed.count(None), "assembly", "assemblies", predictions)
         if any(failed):
-            raise SceneError(f"--scan {folder}: {failed.count(True)} of {len(failed)} assemblies could not be predicted")
+            raise SceneError(
+                f"--scan {folder}: {failed.count(True)} of {len(failed)} assemblies could not be predicted"
+            )
         return
     console.say(f"Watching {folder} for scans. Press Ctrl-C to stop.")
     try:
@@ -215,9 +218,15 @@ def _version(path: Path) -> tuple[int, int]:
     return found.st_size, found.st_mtime_ns
 
 
+def _read_parts(path: Path, model):
+    """The measured deviations of a file, in the units of the model."""
+    units = {item.name: deviation_unit(item, model.scene) for item in model.scene.deviations}
+    return read_measured_report(path, model.parameters, "deviation", units=units)
+
+
 def _predict_file(console, predictor: Predictor, predictions: PredictionLog, path: Path) -> None:
     """Predict the assemblies of a file that are not in the log."""
-    report = read_measured_report(path, predictor.model.parameters, "deviation")
+    report = _read_parts(path, predictor.model)
     console.say_each(report.said)
     skipped = 0
     for row, (piece, values) in zip(report.rows, report.values.items()):

@@ -19,7 +19,7 @@ import numpy as np
 
 from mic.errors import SceneError
 from mic.scene.qdas import SUFFIXES, read_qdas
-from mic.scene.table_columns import Columns, unit_of
+from mic.scene.table_columns import BRACKETED, ENDING, Columns, unit_of
 from mic.scene.table_file import TableFile, open_table
 from mic.system.foreign_files import reading
 
@@ -70,6 +70,7 @@ class _Reading(NamedTuple):
     axis: str
     deviation: float
     gauge: float = np.nan
+    unit: str = ""
 
 
 def read_measured_report(
@@ -78,6 +79,7 @@ def read_measured_report(
     what: str,
     directions: Mapping[str, Sequence[float]] | None = None,
     folder: Path | None = None,
+    units: Mapping[str, str] | None = None,
 ) -> MeasuredReport:
     """Measured deviations of the pieces in a file.
 
@@ -93,6 +95,8 @@ def read_measured_report(
         By name: deviations along x, y and z are combined along it.
     folder : Path, optional
         Of the scene that names the file, see :func:`mic.system.foreign_files.reading`.
+    units : mapping of str to str, optional
+        By name: ``mm`` or ``N``. Values in other units of that quantity are converted, those of another are refused.
 
     Raises
     ------
@@ -106,19 +110,21 @@ def read_measured_report(
         with reading(path, "Q-DAS file", folder, SceneError):
             readings, said = list(_of_qdas(path)), ""
     else:
-        readings, said = _of_table(path, names, find, what, folder)
+        readings, said = _of_table(path, names, find, what, folder, units or {})
     values: dict[str, dict[str, float]] = {}
     gauge: dict[str, float] = {}
     parts: dict[tuple[str, str], dict[str, float]] = {}  # components of a deviation
     rows: dict[str, int] = {}
     others: dict[str, str] = {}  # features that are not in the scene, and where they stand
-    for place, piece, row, features, axis, deviation, sigma in readings:
+    for place, piece, row, features, axis, deviation, sigma, unit in readings:
         name = find(*(f"{feature}{axis}" for feature in features))
         component = axis.casefold() if name is None and axis else ""
         name = name or (find(*features) if component in (*AXES, *ALONG) else None)
         if name is None:
             others.setdefault(features[0] + (axis and f" {axis}"), place)
             continue
+        if units and unit and not _same_quantity(unit, units[name]):
+            raise SceneError(f"{path}: {place}: {name} is given in {unit}; convert it to {units[name] or 'a number'}")
         own = values.setdefault(piece, {})
         rows.setdefault(piece, row or len(values))
         if np.isfinite(sigma):
@@ -158,9 +164,32 @@ def _combine(path: Path, parts, values, directions: Mapping[str, Sequence[float]
 
 
 def _scale(unit: str) -> float:
-    """A unit of length in mm; 1 for other quantities."""
-    length = unit_of(unit, "length")
-    return 1.0 if length is None else length[1]
+    """A unit of length in mm, of force in N; 1 for others."""
+    known = unit_of(unit, "length") or unit_of(unit, "force")
+    return 1.0 if known is None else known[1]
+
+
+def _same_quantity(unit: str, own: str) -> bool:
+    """Whether a unit can be converted to the own one of a deviation."""
+    known, expected = unit_of(unit), unit_of(own)
+    if known is None and not own:
+        return True
+    return unit.casefold() == own.casefold() if known is None or expected is None else known[0] == expected[0]
+
+
+def _refuse_units(path: Path, unused: Iterable[str], find: Find, units: Mapping[str, str]) -> None:
+    """Refuse columns whose header is a name with a unit of another quantity, or one that is not known."""
+    for header in unused:
+        bracket, ending = BRACKETED.search(header), ENDING.match(header.strip())
+        if bracket:
+            name, unit = find(header[: bracket.start()] + header[bracket.end() :]), bracket[1]
+        elif ending and unit_of(ending[2]):
+            name, unit = find(ending[1]), ending[2]
+        else:
+            continue
+        if name in units:
+            own = f"in {units[name]}" if units[name] else "as a number"
+            raise SceneError(f"{path}: column {header!r}: {unit} is no unit of {name}; give it {own}, once")
 
 
 def _simplified(name: str) -> str:
@@ -191,21 +220,27 @@ def _of_qdas(path: Path) -> Iterator[_Reading]:
                 raise SceneError(f"characteristic {feature.names[0]!r} has no nominal value; export field K2101")
         scale = _scale(feature.unit)
         for i, value in enumerate(column):
-            yield _Reading(f"value {i + 1}", pieces[i], i + 1, feature.names, "", scale * (value - nominal))
+            yield _Reading(
+                f"value {i + 1}", pieces[i], i + 1, feature.names, "", scale * (value - nominal), np.nan, feature.unit
+            )
 
 
 def _of_table(
-    path: Path, names: Sequence[str], find: Find, what: str, folder: Path | None
+    path: Path, names: Sequence[str], find: Find, what: str, folder: Path | None, units: Mapping[str, str]
 ) -> tuple[list[_Reading], str]:
     """The deviations of a table, and how it was read."""
     usual = Columns.of_file((*ROLES, *IGNORED))
-    table = open_table(path, Columns({name: () for name in names} | dict(usual.aliases), usual.texts), folder)
+    quantities = {name: known[0] for name, unit in units.items() if (known := unit_of(unit)) is not None}
+    own = {name: [f"{name} {units[name]}"] if units.get(name) and name not in quantities else () for name in names}
+    columns = Columns(own | dict(usual.aliases), usual.texts, quantities)
+    table = open_table(path, columns, folder)
     roles = {key: at for key, at in table.key_of.items() if key not in names}
     by_name = {at: key for key, at in table.key_of.items() if key in names}
     hits = [sum(find(cell) is not None for cell in table.texts(at)) for at in range(len(table.header.headers))]
     feature = max(range(len(hits)), key=lambda at: (hits[at], at == roles.get("name")))
     if not table.rows:
         raise SceneError(f"{path}: there is no row below the header; add one for each measured {what}")
+    _refuse_units(path, table.header.unused, find, units)
     if not hits[feature] and (by_name or "name" not in roles):
         return list(_row_a_piece(path, table, by_name, roles)), table.said
     used = {**table.key_of, "name": feature}
@@ -255,9 +290,10 @@ def _row_a_feature(path: Path, table: TableFile, feature: int, roles: Mapping[st
             deviation = actual  # the only column of values
         elif np.isfinite(actual) and np.isnan(deviation):
             raise SceneError(f"{path}: row {row}: the nominal value of {name!r} is missing; add it")
-        scale = _scale(texts["unit"][i]) if "unit" in roles else 1.0
+        unit = texts["unit"][i].strip() if "unit" in roles else ""
+        scale = _scale(unit)
         piece = texts["serial"][i] if "serial" in roles else ""
-        yield _Reading(f"row {row}", piece or "1", 0, (name,), axis, scale * deviation, scale * sigma)
+        yield _Reading(f"row {row}", piece or "1", 0, (name,), axis, scale * deviation, scale * sigma, unit)
 
 
 def _columns_of_pieces(path: Path, table: TableFile, used: set[int]) -> dict[int, list[float]]:

@@ -108,10 +108,13 @@ class Columns:
         By key: its headers, in the order of preference; the key itself precedes them.
     texts : frozenset of str
         Keys of columns without numbers, which tell nothing about the decimal mark.
+    quantities : dict of str to str
+        By key: its quantity, where ``columns.toml`` states none.
     """
 
     aliases: Mapping[str, Sequence[str]]
     texts: frozenset[str] = frozenset()
+    quantities: Mapping[str, str] = field(default_factory=dict)
 
     @classmethod
     def of_file(cls, keys: Iterable[str]) -> Columns:
@@ -143,7 +146,7 @@ class Columns:
             found, unit = self._key_of.get(squash(ending[1])), ending[2]
         if found is None:
             return None
-        quantity = quantity_of(found[0])
+        quantity = self.quantities.get(found[0]) or quantity_of(found[0])
         if unit is None:
             return *found, None
         factor = unit_of(unit, quantity)
