@@ -179,6 +179,23 @@ def test_more_adjustments_never_leave_more_beyond_the_limits():
     assert beyond
 
 
+@pytest.mark.slow
+@pytest.mark.fem
+def test_least_excess_is_found_where_friction_leads_the_linear_program_astray(lap_model):
+    """Limits that nothing reaches. All items leave no more than one of them alone, nor than the least distance from
+    the target; a program from the assembly as it is ends at once."""
+    limits = {"M1": 0.3, "M2": 0.2}
+    tightened = lambda one: one.model_copy(update={"lower": -limits[one.name], "upper": limits[one.name]})
+    measurements = [tightened(one) for one in lap_model.scene.measurements]
+    model = lap_model.varied(lap_model.scene.model_copy(update={"measurements": measurements}))
+    found = lambda names, x, **goal: (
+        JointAdjustment(model, "coulomb", Adjustable(names, 1.0, step=0.2, **goal)).propose(np.array(x), STILL).excess
+    )
+    first, second = (-5, 3.2, 0.05), (-9, 0, 0.08)
+    assert found(["all"], first) <= found(["upper-A3"], first) + 1e-3
+    assert found(["all"], second) <= found(["all"], second, objective="rms") + 1e-3
+
+
 @pytest.mark.parametrize(
     ("asked", "bounds", "said"),
     [

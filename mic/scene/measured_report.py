@@ -123,8 +123,9 @@ def read_measured_report(
         if name is None:
             others.setdefault(features[0] + (axis and f" {axis}"), place)
             continue
-        if units and unit and not _same_quantity(unit, units[name]):
-            raise SceneError(f"{path}: {place}: {name} is given in {unit}; convert it to {units[name] or 'a number'}")
+        own_unit = None if units is None else units.get(str(name))
+        if own_unit is not None and unit and not _same_quantity(unit, own_unit):
+            raise SceneError(f"{path}: {place}: {name} is given in {unit}; convert it to {own_unit or 'a number'}")
         own = values.setdefault(piece, {})
         rows.setdefault(piece, row or len(values))
         if np.isfinite(sigma):
@@ -187,7 +188,7 @@ def _refuse_units(path: Path, unused: Iterable[str], find: Find, units: Mapping[
             name, unit = find(ending[1]), ending[2]
         else:
             continue
-        if name in units:
+        if name is not None and name in units:
             own = f"in {units[name]}" if units[name] else "as a number"
             raise SceneError(f"{path}: column {header!r}: {unit} is no unit of {name}; give it {own}, once")
 

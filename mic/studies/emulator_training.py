@@ -27,10 +27,11 @@ from mic.studies.samples import Progress, limits
 from mic.system.disk_cache import ABSENT, Cache
 from mic.system.files import Format, fingerprint
 
-__all__ = ["REACH", "AssemblyEmulator", "train_emulator", "tolerance"]
+__all__ = ["COVERED", "REACH", "AssemblyEmulator", "train_emulator", "tolerance"]
 
-#: range of the training in standard deviations; nothing is predicted beyond it
-REACH = 3.0
+REACH = 3.0  #: range of the training in standard deviations
+#: range of predictions: nearer to the edge of the training than this, fewer than 95 % of the errors keep the bound
+COVERED = 2.5
 SPREAD = 1.5  # standard deviation of the training assemblies, relative to the scene's
 MIN_ASSEMBLIES = 59  # assemblies for a tolerance limit of 0.95 with a confidence of 0.95: 0.95⁵⁹ < 0.05
 BATCH, BATCHES = 16, 8  # assemblies per refinement, and largest number of refinements
@@ -70,9 +71,9 @@ class AssemblyEmulator:
         self._farthest = float(np.linalg.norm(u, axis=1).max())
 
     def covers(self, x: np.ndarray) -> bool:
-        """Whether an assembly (p,) lies within the range of the training."""
+        """Whether an assembly (p,) lies within the range of predictions."""
         u = self._scaled(x)
-        return bool((np.abs(u) <= REACH).all() and np.linalg.norm(u) <= self._farthest)
+        return bool((np.abs(u) <= COVERED).all() and np.linalg.norm(u) <= self._farthest)
 
     def __call__(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Key characteristics (m, k) of assemblies (m, p), and bounds of their errors (m, k), mm."""
