@@ -73,6 +73,38 @@ def test_a_deviation_that_no_shape_describes_is_stated_and_widens_the_uncertaint
     assert found.covariance.diagonal().min() > 4 * plain.covariance.diagonal().max()
 
 
+@pytest.fixture(scope="module")
+def strip():
+    """A flat strip, 100 by 25 mm, that is held on one half; its distribution expects it to be bent by 0.65 ± 0.2 mm."""
+    points, triangles = extrude([(0, 0), (25, 0)], 0.0, 100.0, 3.0)[:2]
+    surface = Surface(points, triangles)
+    field = np.maximum(0, points[:, :1] / 50 - 1) ** 2 * surface.vertex_normals
+    mean, precision = np.array([0.65]), np.array([[1 / 0.2**2]])
+    return Shapes(surface, field[:, :, None], np.zeros_like(points), mean, precision, True)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("bend", [0.0, -0.6, 0.8])
+@pytest.mark.parametrize("noise", [0.0, 0.002, 0.01, 0.05])
+def test_a_precise_scan_outweighs_the_distribution_wherever_it_lies(strip, noise, bend):
+    for many, shift, outliers in ((1000, 0.0, 0.0), (300, 5.0, 0.05)):
+        true = strip.fields[:, :, 0] * bend
+        points = scanned(strip.surface, true, many, 7, noise, outliers, 0.0, max(shift, 1e-9), 0.6 * shift)[0]
+        found = register(points, strip)
+        error = abs(found.amplitudes[0] - bend)
+        assert error < 4 * np.sqrt(found.covariance[0, 0]) + 0.001 and found.covered > 0.8
+        # 300 points that see 0.09 mm RMS of the field give 0.64 times the noise, and less than twice that if it slides.
+        assert np.sqrt(found.covariance[0, 0]) < 0.001 + 1.28 * noise
+        assert found.unexplained < 0.002 + 0.3 * noise and found.outliers < outliers + 0.05
+
+
+def test_the_distribution_holds_where_the_scan_says_little(strip):
+    """With noise of 0.4 mm, 40 points determine the bend less than its distribution does."""
+    points = scanned(strip.surface, 0 * strip.surface.points, 40, 8, 0.4, 0.0, 0.0, 1e-9, 0.0)[0]
+    found = register(points, strip)
+    assert 0.1 < np.sqrt(found.covariance[0, 0]) < 0.21 and abs(found.amplitudes[0] - 0.65) < 0.5
+
+
 @pytest.mark.slow
 def test_any_position_is_found_and_the_given_one_is_preferred():
     surface = angle(6.0)

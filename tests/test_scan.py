@@ -87,6 +87,19 @@ def test_a_part_without_a_source_is_taken_as_scanned(files, true, cache):
     assert whole["verdict"] == "accepted" and whole["far"] < 6
 
 
+@pytest.mark.parametrize("noise", [0.002, 0.01])
+def test_precise_scans_of_nominal_parts_give_no_deviations(reader, true, noise, tmp_path):
+    files = {
+        part: write_ply(tmp_path / f"{part}.ply", scanned(surface, 0 * shape, 1500, 4, noise, 0, 0, 1e-9, 0)[0])
+        for part, (surface, shape) in true[0].items()
+    }
+    found = reader.read(files)
+    sigma = dict(zip(reader.model.parameters, np.sqrt(found.covariance.diagonal())))
+    for name in FORCES:
+        assert abs(found.values[name]) < 4 * sigma[name] < 0.4
+    assert found.error < 0.2 * noise + 0.0005 and found.registrations["deviation"].max() < 0.1 * noise + 0.0005
+
+
 def test_wrong_scans_are_refused_in_one_sentence(reader, files, true, tmp_path):
     points = scanned(*true[0]["upper"], 2000, 3)[0]
     for name, cloud, said in (

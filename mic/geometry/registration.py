@@ -16,7 +16,9 @@ in terms of V, ``z_k ~ N(0, s² λ_k + τ² λ_k²)``.
 
 The residuals that remain vary from cell to cell of the surface by more than noise explains if no a describes the shape.
 With m cells of n points, the variance u² beyond noise has the effect of a noise of variance ``u² n/m``, which counts in
-the covariance of a.
+the covariance of a. If τ is given, u is that of the shape which fits best with a vague distribution of a: a difference
+of the scan from the mean shape is not unexplained. A distribution that this fit contradicts, by more than three standard
+deviations of their difference, is widened.
 
 References
 ----------
@@ -59,12 +61,15 @@ CONVERGED = 2e-3  # mm
 CELLS = 100  # of the surface, approximately
 FULL = 0.2  # of the median number of points in a cell, at which it counts as covered
 SIGMA = 1.4826  # ratio of a normal distribution's standard deviation to its median absolute deviation
+WIDER = 5.0  # times the scale of the residuals, at most, while the shape is sought
 SOFT = 1e-9  # relative to the largest: below it an eigenvalue of N is zero
 DAMPING = 3e-4  # of rigid motions, relative to the sum of all weights
 SCALES = np.geomspace(1e-10, 1e2, 121)  # trials of s²/τ², relative to the largest of N
 RENEWED = 0.02  # mm: change of shape after which points are projected anew
 MOVE = 1.0  # mm, of points and sheet, within which the triangles near the points stay the same
-LEAST = 1e-4  # mm, of noise
+USUAL = 3.0  # standard deviations from its mean beyond which an amplitude contradicts its distribution
+VAGUE = 1e-3  # share of the precision that holds until the scan and the distributions are compared
+LEAST = 5e-4  # mm, of noise
 LEAST_ROUGH = 0.5  # mm
 FAR = 20.0  # median residuals beyond which a point is left out
 BESIDE, ROUGH_BESIDE = 2.0, 0.02  # first scale beside the border, mm, and relative to the diameter
@@ -108,6 +113,14 @@ class Shapes:
         surface = self.surface
         centres = surface.points[spread(surface, np.sqrt(float(surface.areas.sum()) / CELLS))]
         return cKDTree(centres).query(surface.corners.mean(axis=1))[1]
+
+    def prior(self, amplitudes: np.ndarray, covariance: np.ndarray) -> np.ndarray:
+        """(k, k) precision, less for amplitudes that a scan contradicts, which has them with a covariance (k, k)."""
+        if not self.known:
+            return self.precision
+        expected = 1 / self.precision.diagonal() + covariance.diagonal()
+        share = 1 / np.maximum(1.0, np.abs(amplitudes - self.mean) / np.sqrt(USUAL**2 * expected))
+        return share[:, None] * self.precision * share
 
 
 @dataclass(frozen=True)
@@ -222,9 +235,14 @@ class _Residuals:
         return _Residuals(value, direction, owner, triangle, barycentric, normal)
 
     def weights(self, beside: float | None = None) -> np.ndarray:
-        """(n,) weights, with scales by the medians; or with a standard deviation beside the border, mm."""
+        """(n,) weights, with scales by the medians; or with a standard deviation beside the border, mm.
+
+        That also bounds the scale along normals from below, up to WIDER times the median's: else the points of a bent
+        part where it happens to fit would make outliers of the others.
+        """
         along, off = self.value[self.normal], self.value[~self.normal]
-        weight = _weights(along, SIGMA * float(np.median(np.abs(along))))
+        scale = SIGMA * float(np.median(np.abs(along)))
+        weight = _weights(along, scale if beside is None else min(max(scale, beside), WIDER * scale))
         own = weight[self.owner[~self.normal]]  # an outlier is one in all directions
         if beside is None:
             beside = SIGMA * float(np.median(off[own >= 1 / 4])) if (own >= 1 / 4).any() else LEAST
@@ -304,13 +322,12 @@ def register(
     pose, there = place(kept, sheet), np.zeros_like(skinned)
     a, covariance, moved = shapes.mean, np.zeros((len(shapes.mean),) * 2), np.inf
     fields = shapes.fields.reshape(skinned.size, -1)
-    beside = first = min(
-        BESIDE, ROUGH_BESIDE * surface.diameter
-    )  # decreases: outliers would hold a part beside its place
-    nearby = _Nearby()
+    beside = first = min(BESIDE, ROUGH_BESIDE * surface.diameter)  # decreases: outliers would hold a part off its place
+    nearby, beyond, noise, variance = _Nearby(), None, RENEWED, np.inf
+    prior = shapes.precision * (VAGUE if shapes.known else 1.0)
     for step in range(STEPS + 1):
         displaced = shapes.offset + shapes.fields @ a + (0.0 if load is None else load(a))
-        if np.abs(displaced - there).max() > RENEWED:
+        if np.abs(displaced - there).max() > min(RENEWED, noise):
             sheet, there = _sheet(surface, skinned + displaced), displaced
         found = _Residuals.of(sheet, pose(kept)) if step <= 1 else nearby(sheet, pose(kept))
         if step <= 1:  # far points take most of the time of a projection
@@ -321,13 +338,17 @@ def register(
         found = replace(found, value=found.value - along @ (displaced - there).ravel())
         weight = found.weights(beside)
         noise, unexplained, cells, covered = _by_cell(found, weight, shapes.cell)
-        if step == STEPS or (moved < CONVERGED and beside <= 2 * noise):
+        converged = moved < min(CONVERGED, max(0.1 * noise, LEAST)) and beside <= 2 * noise
+        if step == STEPS or (converged and beyond is not None):
             break
         damping, beside = max(DAMPING * (beside / first) ** 2, SOFT), max(beside / 2, noise)
-        inflation = 1 + (unexplained / noise) ** 2 * weight.sum() / max(cells, 1)
-        variance = found.variance(weight) * (inflation if shapes.known else 1.0)
+        if converged or step == STEPS - 2:  # before, the difference from the mean shape would count as unexplained
+            beyond = unexplained**2 * weight.sum() / max(cells, 1) if shapes.known else 0.0
+            prior = shapes.prior(a, covariance * (1 + beyond / variance))
+        variance = found.variance(weight) + (beyond or 0.0)
         Q, A = found.moved(pose(kept), surface.centroid, surface.diameter), along @ fields
-        q, change, covariance = _solved(Q, A, found.value + A @ (a - shapes.mean), weight, variance, damping, shapes)
+        y = found.value + A @ (a - shapes.mean)
+        q, change, covariance = _solved(Q, A, y, weight, variance, damping, prior, shapes.known, first)
         moved = float(np.abs(Q @ q - A @ (shapes.mean + change - a)).max())
         pose = pose.moved(q, surface.centroid, surface.diameter)
         a = shapes.mean + change
@@ -337,7 +358,7 @@ def register(
     return Registration(
         pose,
         a,
-        covariance if shapes.known else covariance * inflation,
+        covariance * (1.0 if shapes.known else 1 + unexplained**2 * weight.sum() / (max(cells, 1) * variance)),
         noise,
         unexplained,
         1 - float((~outlier).sum()) / len(sample),
@@ -392,7 +413,7 @@ def coverage(points: np.ndarray, shapes: Shapes) -> float:
     """Share of a part's cells with placed points (n, 3)."""
     found = shapes.surface.project(points)
     count = np.bincount(shapes.cell[found.triangle[found.distance <= np.median(found.distance) * CUT]])
-    return float((count >= max(3.0, FULL * float(np.median(count)))).sum() / (shapes.cell.max() + 1))
+    return float((count >= max(1.0, FULL * float(np.median(count)))).sum() / (shapes.cell.max() + 1))
 
 
 def _best_fit(points: np.ndarray, surface: Surface, pose: Pose, steps: int) -> tuple[Pose, float]:
@@ -452,26 +473,32 @@ def _softened(Q: np.ndarray, weight: np.ndarray, damping: float) -> np.ndarray:
 
 
 def _solved(
-    Q, A, y, weight, variance: float, damping: float, shapes: Shapes
+    Q, A, y, weight, variance: float, damping: float, precision: np.ndarray, known: bool, longest: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Rigid motion (6,), amplitudes (k,) beyond their means and their covariance, of residuals ``y + Q q − A c``."""
+    """Rigid motion (6,), amplitudes (k,) beyond their means and their covariance, of residuals ``y + Q q − A c``.
+
+    If hardly anything resists a motion, it is damped to the longest, mm: it shall not leave the border behind.
+    """
     free, Qw = _softened(Q, weight, damping), Q.T * weight
     if not A.shape[1]:
         return -free @ (Qw @ y), np.zeros(0), np.zeros((0, 0))
     coupling, Aw = Qw @ A, A.T * weight
     N = Aw @ A - coupling.T @ free @ coupling
     right = Aw @ y - coupling.T @ (free @ (Qw @ y))
-    λ, V = eigh(0.5 * (N + N.T), shapes.precision)
+    λ, V = eigh(0.5 * (N + N.T), precision)
     λ, z = np.maximum(λ, 0.0), V.T @ right
     κ = variance
-    if not shapes.known:
+    if not known:
         trials = λ.max() * SCALES
         spread_of_z = variance * λ + variance * λ**2 / trials[:, None]
         seen = λ > SOFT * λ.max()
         minus = (np.log(spread_of_z[:, seen]) + z[seen] ** 2 / spread_of_z[:, seen]).sum(axis=1)
         κ = trials[np.argmin(minus)]
     c = V @ (z / (λ + κ))
-    return free @ (coupling @ c - Qw @ y), c, variance * (V / (λ + κ)) @ V.T
+    q = free @ (coupling @ c - Qw @ y)
+    if np.abs(q).max() > longest and damping < DAMPING:
+        return _solved(Q, A, y, weight, variance, 10 * damping, precision, known, longest)
+    return q, c, variance * (V / (λ + κ)) @ V.T
 
 
 def _by_cell(found: _Residuals, weight: np.ndarray, cell: np.ndarray) -> tuple[float, float, int, float]:
@@ -480,9 +507,10 @@ def _by_cell(found: _Residuals, weight: np.ndarray, cell: np.ndarray) -> tuple[f
     own, value = cell[found.triangle[inner]], found.value[inner]
     many = int(cell.max()) + 1
     count = np.bincount(own, minlength=many)
-    full = count >= max(3.0, FULL * float(np.median(count)))
+    covered = count >= max(1.0, FULL * float(np.median(count)))
+    full = covered & (count >= 3)
     mean = np.bincount(own, value, many) / np.maximum(count, 1)
     within = ((value - mean[own]) ** 2).sum() / max(len(value) - (count > 0).sum(), 1)
     noise = max(float(np.sqrt(within)), LEAST)
     beyond = (mean[full] ** 2 - within / count[full]).mean() if full.any() else 0.0
-    return noise, float(np.sqrt(max(beyond, 0.0))), int(full.sum()), float(full.mean())
+    return noise, float(np.sqrt(max(beyond, 0.0))), int(full.sum()), float(covered.mean())
