@@ -62,7 +62,7 @@ UNKNOWN = 1e3  # mm: key characteristics of an assembly that cannot be computed,
 WORTH = 1e-3  # mm: a smaller excess over the limits does not count as an effect
 CORNERS = 32  # random changes to ends of the ranges that are tried where no changes reach the limits
 SETTINGS = (-1.0, -0.6, -0.3, 0.0, 0.3, 0.6, 1.0)  # shares of a range to which one adjustment is set in turn
-SWEEPS = 20  # largest number of adjustments that are set in turn
+SWEEPS = 6  # largest number of adjustments that are set in turn
 MINIMA = 3  # starts from which they are
 DIRECTIONS = 2  # directions of the uncertainty over which the objective is averaged
 LEAST_ROOM = 0.1  # of half the tolerance: least distance of the target from a limit, for the objective ``cpk``
@@ -142,6 +142,10 @@ class _CheapModel:
         """(s, k) key characteristics at the points with changes (a,), and whether any failed or cannot be built."""
         y, unfit = self.of_each(changes[None])
         return y[0], bool(unfit[0])
+
+    def at(self, points: np.ndarray) -> _CheapModel:
+        """The model at other points."""
+        return _CheapModel(self._process, self._names, points, self._offset)
 
     def of_each(self, changes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """(n, s, k) and (n,): :meth:`values` of each of some changes (n, a)."""
@@ -339,6 +343,7 @@ class JointAdjustment:
     def _least_excess(self, bounded: WithinLimits, cheap: _CheapModel, search: _Search, found):
         """A search for the least largest excess of an assembly, its best changes, and their key characteristics."""
         before, *other = found
+        cheap = cheap.at(cheap.points[:1])  # the intervals contain the uncertainty
         goal = LeastExcess(*(getattr(bounded, item.name) for item in fields(bounded)))
         last = _Search(goal, self.allowed.settings, (self._low, self._high), self.allowed.most, search.process)
         near = _Search(self.goal, self.allowed.settings, (self._low, self._high), self.allowed.most, search.process)
@@ -475,6 +480,9 @@ class _Search:
             for _ in range(SWEEPS):
                 trials = self._neighbours(own)
                 merits = self._cheap_merits(cheap, trials)
+                together = self._combined(own, trials, merits)
+                merits = np.concatenate([merits, self._cheap_merits(cheap, together)])
+                trials = np.concatenate([trials, together])
                 if not merits.min() < merit:
                     break
                 merit, own = float(merits.min()), trials[int(merits.argmin())]
@@ -489,6 +497,16 @@ class _Search:
         trials[:, np.arange(count), np.arange(count)] = settings
         trials = self._whole_steps(np.clip(trials.reshape(-1, count), self._low, self._high), np.round)
         return np.concatenate([changes[None], trials])
+
+    def _combined(self, changes: np.ndarray, trials: np.ndarray, merits: np.ndarray) -> np.ndarray:
+        """(a, a) changes with the best neighbouring setting of one adjustment, of the two best, and so on."""
+        count, result = len(changes), []
+        best = merits[1:].reshape(-1, count).argmin(axis=0)
+        order = np.argsort(merits[1 + best * count + np.arange(count)], kind="stable")
+        for i in order:
+            changes = np.where(np.arange(count) == i, trials[1 + best[i] * count + i], changes)
+            result.append(changes)
+        return np.array(result)
 
     def _cheap_merits(self, cheap: _CheapModel, trials: np.ndarray) -> np.ndarray:
         """(n,) merits of changes (n, a) by the cheap model; infinite for more changes than are allowed."""

@@ -417,7 +417,8 @@ def _row(own: _ScannedPart, found: Registration, deviation: float, path: Path, s
 
 def _message(own: _ScannedPart, found: Registration, deviation: float, path: Path) -> str:
     frame = "on its datum locators" if own.scan.align == "datum" else "in its best fit"
-    basis = "shape as scanned" if not own.shapes.known else f"{len(own.columns)} deviations of the scene"
+    count = len(own.columns)
+    basis = "shape as scanned" if not own.shapes.known else f"{count} deviation{'s' * (count != 1)} of the scene"
     return (
         f"{path.name}: {found.points} points of {own.part.name}, turned by {found.pose.degrees:.2g}° and moved by "
         f"{found.moved:.3g} mm; {100 * found.outliers:.2g} % outliers, {100 * found.covered:.0f} % covered, noise "
