@@ -17,8 +17,8 @@ in terms of V, ``z_k ~ N(0, s² λ_k + τ² λ_k²)``.
 The residuals that remain vary from cell to cell of the surface by more than noise explains if no a describes the shape.
 With m cells of n points, the variance u² beyond noise has the effect of a noise of variance ``u² n/m``, which counts in
 the covariance of a. If τ is given, u is that of the shape which fits best with a vague distribution of a: a difference
-of the scan from the mean shape is not unexplained. A distribution that this fit contradicts, by more than three standard
-deviations of their difference, is widened.
+of the scan from the mean shape is not unexplained. A distribution that this fit contradicts, by more than three
+standard deviations of their difference, is widened.
 
 References
 ----------
