@@ -87,7 +87,8 @@ def make(folder: Path) -> Path:
     predictions = PredictionLog(folder / "predictions.csv", "model")
     predictor = Predictor(model)
     for row in range(3):
-        predictions.add(predictor.predict({"P": 0.8 + 0.1 * row}), Path("parts.csv"), row)
+        values = {"P": 0.8 + 0.1 * row}
+        predictions.add(predictor.predict(values), Path("parts.csv"), row, predictions.checksum(values))
     for section, identity in ENTRIES.items():
         Cache(folder / "cache", section, THING).store(identity, {"part": section}, {"H": np.arange(60.0)})
     _memoised(folder, lambda: {"matrix": csr_matrix(np.eye(3)), "values": np.arange(5.0), "name": "content"})
