@@ -70,13 +70,13 @@ def functions() -> dict[str, str]:
     lines = [
         "# Commands and functions",
         "",
-        "Each command is a function of `mic`. `mic.report.pictures(result)` draws its result as in a report; notebooks",
+        "Each command but `mic serve` is a function of `mic`. `mic.report.pictures(result)` draws its result as in a report; notebooks",
         "display these pictures. The [gallery](gallery/index) has an example of each command.",
         "",
         "| command | function | returns | pictures |",
         "| --- | --- | --- | --- |",
     ]
-    for name in sorted(command.name or command.callback.__name__ for command in commands):
+    for name in sorted({command.name or command.callback.__name__ for command in commands} - {"serve"}):
         function, where = getattr(mic, name), f"mic.{name}"
         if isinstance(function, types.ModuleType):  # a subpackage has the name
             function, where = function.write_report, f"mic.{name}.write_report"
