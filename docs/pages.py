@@ -70,8 +70,8 @@ def functions() -> dict[str, str]:
     lines = [
         "# Commands and functions",
         "",
-        "Each command but `mic serve` is a function of `mic`. `mic.report.pictures(result)` draws its result as in a report; notebooks",
-        "display these pictures. The [gallery](gallery/index) has an example of each command.",
+        "Each command but `mic serve` is a function of `mic`. `mic.report.pictures(result)` draws its result as in a",
+        "report; notebooks display these pictures. The [gallery](gallery/index) has an example of each command.",
         "",
         "| command | function | returns | pictures |",
         "| --- | --- | --- | --- |",
