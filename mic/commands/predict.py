@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import time
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -26,10 +26,9 @@ from mic.scene.measured_report import read_measured_report
 from mic.studies.adjustable import Adjustable
 from mic.studies.drift import WINDOWS, drifts
 from mic.studies.emulator_training import tolerance
-from mic.studies.joint_adjustment import micrometres
 from mic.studies.prediction import Predictor
 from mic.studies.scan import ScanReader, checksum, scan_files
-from mic.system.console import plain
+from mic.system.console import micrometres, plain
 from mic.system.disk_cache import cache_folder
 from mic.system.files import Format, append_text, fingerprint, reading, write_text
 from mic.system.regular_files import read_regular
@@ -131,16 +130,12 @@ def _watch_scans(console, reader: ScanReader, predictor: Predictor, predictions:
     """Predict each assembly when all of its parts are scanned, until interrupted."""
     scene = reader.model.scene
     needed = {one.part for one in scene.scans} or {part.name for part in scene.parts}
-    seen: dict[str, dict] = {}
-    done: dict[str, dict] = {}
-    while True:
-        for serial, files in scan_files(folder, scene)[0].items():
-            versions = {part: _version(path) for part, path in files.items()}
-            if needed <= files.keys() and seen.get(serial) == versions != done.get(serial):
-                done[serial] = versions
-                _predict_scan(console, reader, predictor, predictions, folder, serial, files)
-            seen[serial] = versions
-        time.sleep(PAUSE)
+
+    def complete() -> dict[str, Mapping[str, Path]]:
+        return {serial: files for serial, files in scan_files(folder, scene)[0].items() if needed <= files.keys()}
+
+    for serial, files in _arrivals(complete):
+        _predict_scan(console, reader, predictor, predictions, folder, serial, files)
 
 
 def _predict_scan(
@@ -170,18 +165,29 @@ def _predict_scan(
 
 def _watch_folder(console, predictor: Predictor, predictions: PredictionLog, folder: Path) -> None:
     """Predict the assemblies of all files that appear in a folder, until interrupted."""
-    seen: dict[Path, tuple[int, int]] = {}
-    done: dict[Path, tuple[int, int]] = {}
+
+    def tables() -> dict[str, Mapping[str, Path]]:
+        return {file.name: {"": file} for file in sorted(folder.iterdir()) if file.suffix.lower() in WATCHED}
+
+    for _, files in _arrivals(tables):
+        try:
+            _predict_file(console, predictor, predictions, files[""])
+        except SceneError as problem:  # an invalid file does not stop the others
+            console.say(problem, style="red")
+
+
+def _arrivals(look: Callable[[], Mapping[str, Mapping[str, Path]]]) -> Iterator[tuple[str, Mapping[str, Path]]]:
+    """Sets of files by name, as `look` finds them, each when all are unchanged since the last look: written completely;
+    again after a change, without end."""
+    seen: dict[str, dict[str, tuple[int, int]]] = {}
+    done: dict[str, dict[str, tuple[int, int]]] = {}
     while True:
-        for path in sorted(file for file in folder.iterdir() if file.suffix.lower() in WATCHED):
-            version = _version(path)
-            if seen.get(path) == version != done.get(path):  # unchanged since the last look: completely written
-                done[path] = version
-                try:
-                    _predict_file(console, predictor, predictions, path)
-                except SceneError as problem:  # an invalid file does not stop the others
-                    console.say(problem, style="red")
-            seen[path] = version
+        for name, files in look().items():
+            versions = {key: _version(path) for key, path in files.items()}
+            if seen.get(name) == versions != done.get(name):
+                done[name] = versions
+                yield name, files
+            seen[name] = versions
         time.sleep(PAUSE)
 
 

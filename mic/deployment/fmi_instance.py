@@ -23,9 +23,10 @@ from pythonfmu3 import (  # copied into the unit
 )
 
 from mic import __version__
+from mic.deployment.fmi_unit import unit_adjustments
 from mic.process.model import ReducedModel
 from mic.scene.deviation import deviation_unit
-from mic.studies.adjustment import adjustments, with_adjustments
+from mic.studies.adjustment import with_adjustments
 from mic.studies.prediction import FARTHEST
 
 BASE_UNITS: dict[str, dict[str, float]] = {
@@ -50,8 +51,7 @@ class Assembly(Fmi3Slave):
         given = json.loads((folder / "unit.json").read_text(encoding="utf-8"))
         model = ReducedModel.load(folder / "model.npz")
         scene = model.scene
-        fixture = scene.locators or scene.clamps
-        available = adjustments(model, given["shim"], given["factor"]) if fixture else []
+        available = unit_adjustments(model, given["shim"], given["factor"])
         varied, _ = with_adjustments(model, available)
         self._process = varied.process(given["law"])
         self.modelName, self.description, self.version = given["identifier"], scene.name, __version__

@@ -13,11 +13,17 @@ from tempfile import TemporaryDirectory
 
 from mic.errors import ArgumentError, MissingLibrary
 from mic.process.model import ReducedModel
-from mic.studies.adjustment import FACTOR, SHIM, adjustments
+from mic.studies.adjustment import FACTOR, SHIM, Adjustment, adjustments
 from mic.system.arguments import checked
 from mic.system.files import replacing
 
-__all__ = ["check_unit", "write_unit"]
+__all__ = ["check_unit", "unit_adjustments", "write_unit"]
+
+
+def unit_adjustments(model: ReducedModel, shim: float, factor: float) -> list[Adjustment]:
+    """The adjustments that are inputs of a unit: none for a scene without locators and clamps."""
+    fixture = model.scene.locators or model.scene.clamps
+    return adjustments(model, shim, factor) if fixture else []
 
 
 def check_unit(path: Path) -> None:
@@ -70,8 +76,7 @@ def write_unit(
 
     if not model.scene.measurements:
         raise ArgumentError(f"scene {model.scene.name!r} has no measurements: a unit would have no outputs; add some")
-    fixture = model.scene.locators or model.scene.clamps
-    available = adjustments(model, shim, factor) if fixture else []
+    available = unit_adjustments(model, shim, factor)
     identifier = re.sub(r"\W", "_", path.stem, flags=re.ASCII)
     identifier = identifier if identifier[:1].isalpha() else f"unit_{identifier}"
     settings = {"law": law or model.scene.report.laws[0], "shim": shim, "factor": factor, "identifier": identifier}

@@ -118,7 +118,7 @@ def predict_assembly(predictor: Predictor, content: Content, scans: ScanFolder |
         certificate |= {"residual": max(residuals, default=0.0), "tolerance": TOLERANCE}
     elif rows and emulator is not None:
         certificate |= {"error_bound": dict(zip(limits, emulator.error_bound.tolist()))}
-    proposal, adjusted = predictor.proposal if rows else None, {}
+    proposal, adjusted = predictor.proposal, {}
     if proposal is not None and (proposal.changes or proposal.order):
         certificate |= {"adjusted_residual": float(proposal.residual)}
         adjusted = dict(zip(limits, proposal.after.tolist()))

@@ -362,7 +362,7 @@ def register(
         noise,
         unexplained,
         1 - float((~outlier).sum()) / len(sample),
-        float(np.sort(size)[: max(1, 4 * len(size) // 5)].mean()),
+        _nearer(size),
         covered,
         len(points),
         len(sample),
@@ -405,8 +405,12 @@ def place(points: np.ndarray, surface: Surface) -> Pose:
 
 def distance(points: np.ndarray, surface: Surface) -> float:
     """Mean distance, mm, of the nearer four fifths of points (n, 3) from a surface."""
-    far = np.sort(surface.project(points).distance)
-    return float(far[: max(1, 4 * len(far) // 5)].mean())
+    return _nearer(surface.project(points).distance)
+
+
+def _nearer(distances: np.ndarray) -> float:
+    """Mean of the smaller four fifths of distances (n,)."""
+    return float(np.sort(distances)[: max(1, 4 * len(distances) // 5)].mean())
 
 
 def coverage(points: np.ndarray, shapes: Shapes) -> float:

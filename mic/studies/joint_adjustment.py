@@ -43,8 +43,9 @@ from mic.studies.adjustable import Adjustable
 from mic.studies.adjustment import Adjustment, with_adjustments
 from mic.studies.adjustment_goals import Goal, LeastExcess, NearTarget, WithinLimits
 from mic.studies.samples import limits
+from mic.system.console import micrometres
 
-__all__ = ["JointAdjustment", "ProposedAdjustment", "micrometres"]
+__all__ = ["JointAdjustment", "ProposedAdjustment"]
 
 RESERVE = 0.1  # share of each range that the common optimum leaves to individual assemblies
 STARTS = 5  # starts of the common optimum
@@ -124,12 +125,6 @@ class ProposedAdjustment:
         if not limited:
             reached = f"{self.merit / self.merit_before:.2g} times the distance from the target, {reached}"
         return f"{', '.join(changes)}: {reached}" + f"; cost {self.cost:g}" * costs
-
-
-def micrometres(length: float, digits: int = 3) -> str:
-    """A length, mm, as text in µm, rounded to so many digits, without an exponent."""
-    text = np.format_float_positional(1e3 * length, precision=digits, unique=False, fractional=False, trim="-")
-    return f"{text} µm"
 
 
 class _CheapModel:

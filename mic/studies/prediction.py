@@ -147,7 +147,7 @@ class Predictor:
         ArgumentError
             For unknown names and values that are not finite.
         """
-        x = self.model.deviations(numbers_by_name("parts", values))[0]
+        x, self.proposal = self.model.deviations(numbers_by_name("parts", values))[0], None
         names = self.model.parameters
         given = np.array([name in values for name in names])
         distance = self._distance(x)
@@ -169,7 +169,6 @@ class Predictor:
         verdict, proposal, assembly_source = self._verdicts(y, width), "", source
         known = np.sqrt(np.maximum(width**2 - NORMAL**2 * unmeasured_variance.sum(axis=1), 0.0))
         measure = self._to_measure(verdict, self._verdicts(y, known), unmeasured_variance)
-        self.proposal = None
         if (adjustment := self._adjusting(verdict, half, measure)) is not None:
             noise = np.zeros(len(x)) if covariance is None else np.sqrt(covariance.diagonal())
             noise = np.where(given | (self._sigma == 0), noise, np.inf)

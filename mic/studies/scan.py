@@ -44,6 +44,7 @@ from mic.results.schema import SCANS
 from mic.scene import Scene
 from mic.scene.deviation import ForceDeviation
 from mic.scene.scan import Scan
+from mic.system.console import micrometres
 
 __all__ = ["ScanReader", "ScannedAssembly", "checksum", "scan_files"]
 
@@ -422,6 +423,6 @@ def _message(own: _ScannedPart, found: Registration, deviation: float, path: Pat
     return (
         f"{path.name}: {found.points} points of {own.part.name}, turned by {found.pose.degrees:.2g}° and moved by "
         f"{found.moved:.3g} mm; {100 * found.outliers:.2g} % outliers, {100 * found.covered:.0f} % covered, noise "
-        f"{1e3 * found.noise:.2g} µm; off nominal by {deviation:.2g} mm {frame} (RMS); {basis}, unexplained "
-        f"{1e3 * found.unexplained:.2g} µm."
+        f"{micrometres(found.noise, 2)}; off nominal by {deviation:.2g} mm {frame} (RMS); {basis}, unexplained "
+        f"{micrometres(found.unexplained, 2)}."
     )

@@ -1,13 +1,14 @@
-"""Text for the console: user text without markup, and errors on one line."""
+"""Text for the console: user text without markup, errors on one line, lengths in µm."""
 
 from __future__ import annotations
 
 import re
+from decimal import Decimal
 
 from rich.console import Console
 from rich.markup import escape
 
-__all__ = ["error_line", "plain"]
+__all__ = ["error_line", "micrometres", "plain"]
 
 
 def plain(text):
@@ -21,3 +22,8 @@ def error_line(error):
     with console.capture() as capture:
         console.print(f"[bold red]error:[/] {plain(error)}", highlight=False, soft_wrap=True)
     return capture.get()
+
+
+def micrometres(length: float, digits: int = 3) -> str:
+    """A length, mm, as text in µm, rounded to so many digits, without an exponent."""
+    return f"{Decimal(f'{1e3 * length:.{digits - 1}e}').normalize():f} µm"
