@@ -303,7 +303,7 @@ def test_every_folder_with_a_page_is_a_study_with_a_place_of_its_own():
     assert len({study.order for study in found.values()}) == len(found)
 
 
-def test_pages_open_with_claim_reference_and_acceptance_numbers():
+def test_pages_open_with_claim_and_reference():
     for name, study in studies().items():
         page = (FOLDER / name / "README.md").read_text()
         assert page.startswith(study.opening()), f"verification/{name}/README.md must open with:\n\n{study.opening()}"

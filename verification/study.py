@@ -1,7 +1,8 @@
 """Definition of a study, its acceptance limits and findings, and the processes that run it.
 
-A study is a folder with a ``study.py`` that defines ``STUDY`` and a ``README.md`` that starts with the study's claim,
-its reference and its acceptance limits (:meth:`Study.opening`). Limits are declared before the study is run.
+A study is a folder with a ``study.py`` that defines ``STUDY`` and a ``README.md`` that starts with the study's claim
+and its reference (:meth:`Study.opening`). Limits are declared before the study is run, in ``STUDY`` alone; the
+documentation's page of the study shows them after the reference (:meth:`Study.limits`).
 """
 
 from __future__ import annotations
@@ -321,24 +322,13 @@ class Study:
         return [CheckedFinding(Finding(limit.name, math.nan, why), limit, limit.at(quick)) for limit in self.acceptance]
 
     def opening(self) -> str:
-        """First lines of the study's page: title, claim, reference and the table of limits."""
+        """First lines of the study's README: title, claim and reference."""
+        return f"# {self.title}\n\n**Claim.** {self.claim}\n\n**Reference.** {self.reference}\n"
+
+    def limits(self) -> str:
+        """The acceptance limits as a Markdown table with their reasons."""
         rows = [f"| {a.name} | {a.claim} | {a.words()} | {a.reason} |" for a in self.acceptance]
-        return (
-            "\n".join(
-                [
-                    f"# {self.title}",
-                    "",
-                    f"**Claim.** {self.claim}",
-                    "",
-                    f"**Reference.** {self.reference}",
-                    "",
-                    "| name | quantity | limit | reason for the limit |",
-                    "| --- | --- | --- | --- |",
-                    *rows,
-                ]
-            )
-            + "\n"
-        )
+        return "\n".join(["| name | quantity | limit | reason for the limit |", "| --- | --- | --- | --- |", *rows, ""])
 
 
 def studies() -> dict[str, Study]:
