@@ -11,7 +11,7 @@ import numpy as np
 from mpi4py import MPI
 
 import mic
-from fem_reference.full.model import LAWS, ContactFailure, FullModel
+from fem_reference.full.model import LAWS, ROUTES, ContactFailure, FullModel
 from mic.model.assembly import assemble
 from mic.statistics.draw import draw
 
@@ -27,6 +27,12 @@ def main() -> int:
     parser.add_argument("--law", choices=LAWS, default="coulomb")
     parser.add_argument("--every-node", action="store_true", help="contact at every mesh node of the zones")
     parser.add_argument("--deviated", action="store_true", help="solve on the meshes that carry the deviation")
+    parser.add_argument(
+        "--route",
+        choices=ROUTES,
+        default="whole",
+        help="Newton's method on all unknowns, or on contact forces alone, by a compliance (default: whole)",
+    )
     options = parser.parse_args()
     comm, started = MPI.COMM_WORLD, time.perf_counter()
     try:
@@ -38,7 +44,8 @@ def main() -> int:
         else:
             deviations = draw(scene, scene.monte_carlo.seed, options.sample, 1)[0]
         assembly = assemble(scene, mic.cache_folder(), every_node=options.every_node)
-        full = FullModel(assembly, deviated=options.deviated).evaluate(deviations, options.law)
+        model = FullModel(assembly, deviated=options.deviated, route=options.route)
+        full = model.evaluate(deviations, options.law)
     except (mic.SceneError, ContactFailure) as problem:  # the same on every process
         if comm.rank == 0:
             print(problem, file=sys.stderr)
@@ -46,7 +53,8 @@ def main() -> int:
     if comm.rank == 0:
         _print(scene, assembly, full)
         print(
-            f"\n{len(full.history)} Newton solves, {sum(len(solve.iterations) for solve in full.history)} iterations, "
+            f"\nroute: {full.route}; {len(full.history)} Newton solves, "
+            f"{sum(len(solve.iterations) for solve in full.history)} iterations, "
             f"{time.perf_counter() - started:.1f} s on {comm.size} process{'es' if comm.size > 1 else ''}"
         )
     return 0

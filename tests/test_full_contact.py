@@ -12,7 +12,7 @@ from support.shared import solved
 import mic
 from fem_reference.full import equilibrium
 from fem_reference.full.equilibrium import NoConvergence
-from fem_reference.full.model import ContactFailure, FullModel
+from fem_reference.full.model import ROUTES, ContactFailure, FullModel
 from mic.model.assembly import assemble
 from mic.model.deviated_geometry import deviated_parts, gap_change
 from mic.model.sources import SOURCES
@@ -107,7 +107,8 @@ def apart(one, other):
 def test_augmented_agrees_with_the_reduced_model_in_all_stages(name, law, request):
     model, assembly = request.getfixturevalue(f"{name}_model"), request.getfixturevalue(name)
     sample = draw(model.scene, 5, 0, 1)[0]
-    full, reduced = FullModel(assembly).evaluate(sample, law), model.evaluate(sample, law)
+    route = {"bracket": "condensed", "lap": "whole"}[name]  # for the bracket the whole takes a minute
+    full, reduced = FullModel(assembly, route=route).evaluate(sample, law), model.evaluate(sample, law)
     assert difference(full, reduced) < 1e-8
     for stage, resolution in full.resolutions.items():
         np.testing.assert_array_equal(resolution.state, reduced.resolutions[stage].state[0])
@@ -162,7 +163,8 @@ def test_both_models_agree_on_every_kind_of_deviation_and_stage(scene, cache):
         moved = model.evaluate(means - one).measurements - whole.measurements
         least = 1e-6 if kind == "friction" else 1e-4  # little slips on its way
         assert np.abs(moved).max() > least, f"a deviation of kind {kind} does nothing"
-    assert difference(FullModel(assemble(varied, cache)).evaluate(means), model.evaluate(means)) < 1e-8
+    full = FullModel(assemble(varied, cache), route="condensed").evaluate(means)
+    assert difference(full, model.evaluate(means)) < 1e-8
 
 
 @pytest.mark.parametrize("path, increments", [("one-step", None), ("increments", 3)])
@@ -197,11 +199,10 @@ def test_the_comparison_detects_planted_errors(lap, lap_model, sample, monkeypat
 
 
 @pytest.mark.slow
-def test_newton_converges_quadratically(scene, cache, monkeypatch):
+def test_newton_converges_quadratically(scene, cache):
     """Near the solution, with contacts that slip in turning directions, each residual is of the order of the last one
     squared."""
     ratios = []
-    monkeypatch.setattr(equilibrium, "CONDENSED", 0)
     lap = assemble(going(scene, "one-step"), cache)
     for sample in draw(scene, 5, 0, 3):
         for solve in FullModel(lap, augmented=False).evaluate(sample).history:
@@ -228,39 +229,66 @@ def test_two_processes_give_the_solution_of_one(tmp_path):
         assert np.abs(theirs).max() > 0
 
 
+@pytest.mark.parametrize("count, penalty, shares", [(1, 1e2, [1.0]), (6, 1e3, list(np.arange(1, 9) / 8))])
 @pytest.mark.slow
-def test_cutting_an_increment_does_not_change_the_answer(clamped, sample, monkeypatch):
-    whole = FullModel(clamped).evaluate(sample)
+def test_neither_a_softer_penalty_nor_a_cut_increment_changes_the_answer(
+    clamped, sample, monkeypatch, count, penalty, shares
+):
+    """Newton's method is refused at the first penalty, or at every penalty and then in the longest steps."""
+    whole = FullModel(clamped, route="condensed").evaluate(sample)
     newton = equilibrium.Equilibrium.newton
     refused = []
 
-    def refuse_long_steps(self, start, p, v, law):
-        if len(refused) < 3:
+    def refuse(self, start, p, v, law):
+        if len(refused) < count:
             refused.append(law)
             raise NoConvergence("refused by the test")
         return newton(self, start, p, v, law)
 
-    monkeypatch.setattr(equilibrium.Equilibrium, "newton", refuse_long_steps)
-    monkeypatch.setattr(equilibrium, "CONDENSED", 0)
+    monkeypatch.setattr(equilibrium.Equilibrium, "newton", refuse)
     cut = FullModel(clamped).evaluate(sample)
-    fractions = [solve.share for solve in cut.history if (solve.step, solve.augmentation) == (1, 0)]
-    assert fractions == list(np.arange(1, 9) / 8)
+    first = [solve for solve in cut.history if (solve.step, solve.augmentation) == (1, 0)]
+    assert [solve.share for solve in first] == shares
+    assert [solve.penalty for solve in first] == pytest.approx([penalty] * len(shares))
     assert apart(cut, whole) < 1e-8
 
 
 @pytest.mark.slow
-def test_the_full_system_is_solved_when_the_condensed_one_fails(clamped, sample, monkeypatch):
-    condensed = FullModel(clamped).evaluate(sample)
-    monkeypatch.setattr(equilibrium, "contact_forces", lambda *given: (None, []))
-    whole = FullModel(clamped).evaluate(sample)
-    assert all(np.isinf(solve.penalty) for solve in condensed.history)
-    assert all(np.isfinite(solve.penalty) for solve in whole.history)
-    assert apart(condensed, whole) < 1e-8
+@pytest.mark.parametrize("route", ROUTES)
+def test_a_load_that_does_not_converge_by_one_route_is_solved_by_the_other_and_says_so(
+    clamped, sample, monkeypatch, route
+):
+    other = ROUTES[1 - ROUTES.index(route)]
+    chosen = FullModel(clamped, route=route).evaluate(sample)
+    assert chosen.route == route and {solve.route for solve in chosen.history} == {route}
+    finite = [np.isfinite(solve.penalty) for solve in chosen.history]
+    assert all(finite) if route == "whole" else not any(finite)  # Coulomb's law by penalty, or exactly
+
+    def refuse(*given):
+        raise NoConvergence("refused by the test")
+
+    monkeypatch.setattr(equilibrium.Equilibrium, {"whole": "newton", "condensed": "condensed"}[route], refuse)
+    instead = FullModel(clamped, route=route).evaluate(sample)
+    count = len(instead.history)
+    assert instead.route == f"{route}, {count} of {count} solves {other}"
+    assert {solve.route for solve in instead.history} == {other}
+    assert apart(instead, chosen) < 1e-8
+
+
+@pytest.mark.slow
+def test_the_whole_route_forms_no_compliance(clamped, sample, monkeypatch):
+    monkeypatch.setattr(equilibrium, "Condensation", None)
+    monkeypatch.setattr(equilibrium, "HeldParts", None)
+    assert FullModel(clamped).evaluate(sample).route == "whole"
+    with pytest.raises(TypeError):
+        FullModel(clamped, route="condensed").evaluate(sample)
+    with pytest.raises(ValueError, match="route 'both': choose one of whole, condensed"):
+        FullModel(clamped, route="both")
 
 
 def test_a_failure_names_stage_increment_contact_and_remedy(clamped, sample, monkeypatch):
     monkeypatch.setattr(equilibrium, "MAX_ITERATIONS", 1)
-    monkeypatch.setattr(equilibrium, "CONDENSED", 0)
+    monkeypatch.setattr(equilibrium, "CONDENSED", 0)  # no other route
     with pytest.raises(
         ContactFailure,
         match=r"stage 'clamp', step 1 of 2, at 0 of its load, worst at contact 'lap \d+': "
@@ -296,7 +324,10 @@ def test_deviated_meshes_tend_to_the_nominal_one(lap, sample):
     deviation."""
     off = []
     for scale in (0.01, 1.0):
-        nominal, deviated = (FullModel(lap, deviated=d).evaluate(scale * sample).measurements for d in (False, True))
+        nominal, deviated = (
+            FullModel(lap, deviated=deviated, route="condensed").evaluate(scale * sample).measurements
+            for deviated in (False, True)
+        )
         off.append(np.abs(deviated - nominal).max() / np.abs(nominal).max())
     assert 0 < off[0] < 1e-3 < off[1] < 0.05
 

@@ -137,10 +137,10 @@ def test_an_error_for_lack_of_memory_names_the_remedy(held, monkeypatch):
 
 @pytest.mark.slow
 def test_a_sample_whose_slips_turn_back_has_a_solution(cache):
-    """The lap joint's 37th on its own mesh: by penalty and augmentation one slip turned back for ever, over the small
-    forces that would stop it, from either side."""
+    """The lap joint's 37th on its own mesh: at the default penalty one slip turned back for ever, over the small forces
+    that would stop it, from either side; the whole route needs a softer penalty."""
     scene = with_path(mic.load_scene(examples.folder("lap_joint")), "increments", 1)
-    full = FullModel(assemble(scene, cache), deviated=True, comm=MPI.COMM_SELF)
+    full = FullModel(assemble(scene, cache), deviated=True, comm=MPI.COMM_SELF, route="condensed")
     found = full.evaluate(draw(scene, scene.monte_carlo.seed, 37, 1)[0])
-    assert {"clamp", "release"} <= set(found.resolutions)
+    assert {"clamp", "release"} <= set(found.resolutions) and found.route == "condensed"
     assert all(np.isinf(solve.penalty) and solve.augmentation == 0 for solve in found.history)

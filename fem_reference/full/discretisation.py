@@ -9,6 +9,7 @@ from scipy.linalg import lapack
 from scipy.sparse import block_diag, csr_matrix, vstack
 
 from fem_reference.full.equilibrium import Equilibrium, Parts
+from fem_reference.full.load_path import Route
 from fem_reference.provider import shell_part
 from mic.compliance.blocks import Blocks
 from mic.compliance.support import motion_size, statically_determinate
@@ -71,6 +72,8 @@ class Discretisation:
     comm : MPI.Comm
     resting : iterable of int
         Parts that rest by contact alone in some step.
+    route : {"whole", "condensed"}
+        Route of the linear solves.
 
     Attributes
     ----------
@@ -86,8 +89,8 @@ class Discretisation:
         k = E t of each contact's softer sheet, N/mm.
     """
 
-    def __init__(self, assembly, parts, comm, resting=()):
-        self.assembly = assembly
+    def __init__(self, assembly, parts, comm, resting=(), route: Route = "whole"):
+        self.assembly, self.route = assembly, route
         shells = [shell_part(part, comm) for part in parts]
         self.parts = Parts(shells, comm)
         L = [shell.functional_matrix(part.functionals) for shell, part in zip(shells, parts)]
@@ -159,7 +162,9 @@ class Discretisation:
             contacts = self._contact_rows(stops)
             dimension = self.assembly.contacts.dimension
             given = soft[independent] if soft.any() else None
-            equilibrium = Equilibrium(self.parts, B[independent], contacts, dimension, given, held=not step.resting)
+            equilibrium = Equilibrium(
+                self.parts, B[independent], contacts, dimension, given, not step.resting, self.route
+            )
             self._systems[key] = System(B, independent, combination, names, equilibrium, place, springs)
         return self._systems[key]
 

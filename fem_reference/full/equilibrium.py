@@ -206,8 +206,10 @@ class Equilibrium:
     yielding : (b,) array, optional
         c of the bilateral rows, mm/N.
     held : bool
-        Whether the bilateral rows alone exclude all rigid motions. On one process the linear part is then condensed
+        Whether the bilateral rows alone exclude all rigid motions. On one process the linear part can then be condensed
         onto the contact forces (:mod:`fem_reference.full.condensation`).
+    route : {"whole", "condensed"}
+        Route of :meth:`linear`.
     """
 
     def __init__(
@@ -218,14 +220,16 @@ class Equilibrium:
         dimension: int,
         yielding: np.ndarray | None = None,
         held: bool = False,
+        route: str = "whole",
     ):
         self.parts, self.B, self.C, self.d = parts, B.tocsr(), C.tocsr(), dimension
         self.N, self.b, self.m = parts.offsets[-1], B.shape[0], C.shape[0] // dimension
         comm = parts.comm
         owned, self._place = parts.layout(self.b + self.m * dimension)
         self._last = comm.rank == comm.size - 1
-        self._yielding, self._held = yielding, held and comm.size == 1
-        self.condensable = self._held and self.m * dimension <= CONDENSED
+        self._yielding = yielding
+        self.condensable = held and comm.size == 1 and self.m * dimension <= CONDENSED
+        self._condenses = held and comm.size == 1 and route == "condensed"
         self._u_rows = owned[owned < self.N]
         BT, CT = self.B.T.tocsr()[self._u_rows], self.C.T.tocsr()[self._u_rows]
         self._balance = hstack([parts.stiffness, -BT, -CT], format="csr")  # of this process's freedoms
@@ -369,7 +373,7 @@ class Equilibrium:
 
     def linear(self, p: np.ndarray, v: np.ndarray, force: np.ndarray) -> State:
         """Equilibrium under loads p (N,) and given contact forces (m, d)."""
-        if self._held:
+        if self._condenses:
             u, r = self._condensation.solve(p + self.C.T @ force.ravel(), v)
             return State(u, r, force.copy())
         zero = np.zeros((self.m, self.d, self.d))
@@ -389,7 +393,7 @@ class Equilibrium:
         """
         N, b = self.N, self.b
         x = start.stacked
-        δ = self._contact(x)
+        δ = self.contact(x)
         state = law.state(δ)
         history: list[Iteration] = []
         for iteration in range(MAX_ITERATIONS):
@@ -400,7 +404,7 @@ class Equilibrium:
             dx -= self._solve(F + self._multiply(dx))
             α = self._step_length(x, dx, F, law, state, iteration)
             x = x + α * dx
-            δ = self._contact(x)
+            δ = self.contact(x)
             before, state = state, law.state(δ)
             contact, by_δ, by_f = law.linearise(δ, x[N + b :].reshape(self.m, self.d), state)
             changed = int((state != before).sum())
@@ -431,13 +435,13 @@ class Equilibrium:
         for _ in range(_REFINEMENTS):
             x = np.concatenate([u, r, f.ravel()])
             du, dr = linear.solve(p - self._balance @ x, v - self.B @ u - soft * r)
-            force, iterations = contact_forces(S, self._contact(u + du), f, law, force)
+            force, iterations = contact_forces(S, self.contact(u + du), f, law, force)
             history += [Iteration.of(*iteration) for iteration in iterations]
             if force is None:
                 raise NoConvergence("Newton's method does not converge on the condensed system")
             contact_u, contact_r = linear.solve(self.C.T @ (force - f).ravel(), np.zeros(self.b))
             u, r, f = u + du + contact_u, r + dr + contact_r, force
-            x, δ = np.concatenate([u, r, f.ravel()]), self._contact(u)
+            x, δ = np.concatenate([u, r, f.ravel()]), self.contact(u)
             finite = replace(law, penalty=law.stiffness).augmented(f) if np.isinf(law.penalty).any() else law
             state = finite.state(δ)
             contact, _, _ = finite.linearise(δ, f, state)
@@ -456,7 +460,8 @@ class Equilibrium:
     def _condensation(self) -> Condensation:
         return Condensation(self.parts.held(self.B), self.B, self._yielding, self.C)
 
-    def _contact(self, x):
+    def contact(self, x: np.ndarray) -> np.ndarray:
+        """(m, d) relative displacements δ of the contacts from u (N,), or from all unknowns."""
         return (self.C @ x[: self.N]).reshape(self.m, self.d)
 
     def unpack(self, x: np.ndarray) -> State:
@@ -497,7 +502,7 @@ class Equilibrium:
         before that find the open and closed contacts fastest. A step that moves bilateral rows has length 1.
         """
         N, b = self.N, self.b
-        δ, dδ = self._contact(x), self._contact(dx)
+        δ, dδ = self.contact(x), self.contact(dx)
         if not law.reverses(δ, δ + dδ) and (iteration < _FULL_STEPS or (law.state(δ + dδ) == state).all()):
             return 1.0
         if np.abs(F[N : N + b]).max(initial=0.0) > 1e-9 * np.abs(x[:N]).max():

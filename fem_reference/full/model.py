@@ -3,9 +3,9 @@
 This is the reference for the reduced model (`mic.process`). Both use the same `Assembly`, the same rows, the same plan
 of the stages (`mic.process.plan`) and the same prescribed values (`mic.process.drive`). The solution is independent:
 each row is a sparse row over the freedoms of all parts, shapes are computed by finite elements, and each increment of
-each stage is a Newton solve of `fem_reference.full.equilibrium`. It does not use the influence coefficients of `mic`.
-On one process the linear part may be condensed onto the contacts, exactly and with code of its own
-(`fem_reference.full.condensation`); the residual of the whole system is then checked. See docs/full_contact.md.
+each stage is a Newton solve of `fem_reference.full.equilibrium`, by default on all unknowns (route "whole"): no
+compliance is formed. The route "condensed" solves for the contact forces by a compliance of its own code
+(`fem_reference.full.condensation`) and checks the residual of the whole system. See docs/full_contact.md.
 """
 
 from __future__ import annotations
@@ -21,7 +21,8 @@ from scipy.sparse import block_diag, csr_matrix
 from fem_reference.full.discretisation import Discretisation
 from fem_reference.full.equilibrium import Equilibrium
 from fem_reference.full.friction import friction_of
-from fem_reference.full.stage import ContactFailure, FullResolution, FullStage, FullState, Penalty, Solve
+from fem_reference.full.load_path import ROUTES, ContactFailure, Penalty, Route, Solve, route_taken
+from fem_reference.full.stage import FullResolution, FullStage, FullState
 from mic.contact import laws
 from mic.model.characteristics import Characteristics
 from mic.model.deviated_geometry import deviated_parts, gap_change
@@ -30,7 +31,7 @@ from mic.model.sources import sources, thickness_changes, with_deviations
 from mic.process.drive import drive
 from mic.process.plan import plan_assembly
 
-__all__ = ["LAWS", "ContactFailure", "FullEvaluation", "FullModel", "FullResolution", "Solve"]
+__all__ = ["LAWS", "ROUTES", "ContactFailure", "FullEvaluation", "FullModel", "FullResolution", "Solve"]
 
 #: Names of the laws that the full solve supports: slipping contacts stay closed, or there is no friction.
 LAWS = tuple(law.name for law in laws.LAWS.values() if law.shift == 1.0 or not law.frictional)
@@ -54,6 +55,9 @@ class FullEvaluation:
         u at the end of each stage, in natural order.
     mesh : Discretisation
         Numbering of the freedoms.
+    route : str
+        Route of the solves: "whole" or "condensed", and how many went by the other one because it did not converge,
+        such as "whole, 2 of 31 solves condensed".
     """
 
     law: str
@@ -63,6 +67,7 @@ class FullEvaluation:
     history: tuple[Solve, ...]
     freedoms: dict[str, np.ndarray]
     mesh: Discretisation
+    route: str
 
     def field(self, stage: str) -> dict[str, np.ndarray]:
         """Displacements and rotations (n_points, 6) at the vertices of each part at the end of a stage, mm and rad.
@@ -95,6 +100,9 @@ class FullModel:
         Remove the penetration by augmentation (Uzawa); required if a path is followed.
     path_tolerance : float
         Largest error of a contact's position in a step of a followed path, mm.
+    route : {"whole", "condensed"}
+        Newton's method on all unknowns, or on contact forces alone with a compliance of the contacts (faster; on one
+        process). A load that does not converge by the chosen route is solved by the other one, which the result states.
     """
 
     def __init__(
@@ -105,11 +113,14 @@ class FullModel:
         penalty: float = 1e3,
         augmented: bool = True,
         path_tolerance: float = 1e-4,
+        route: Route = "whole",
     ):
+        if route not in ROUTES:
+            raise ValueError(f"route {route!r}: choose one of {', '.join(ROUTES)}")
         for name, value in (("penalty", penalty), ("path_tolerance", path_tolerance)):
             if not (np.isfinite(value) and value > 0):
                 raise ValueError(f"{name} must be positive, not {value}")
-        self.assembly, self.deviated, self.comm = assembly, deviated, comm
+        self.assembly, self.deviated, self.comm, self.route = assembly, deviated, comm, route
         self.penalty, self.path_tolerance = Penalty(float(penalty), augmented), float(path_tolerance)
         self.plans = plan_assembly(assembly)
         followed = [plan.name for plan in self.plans if plan.resolves and plan.path == "followed"]
@@ -122,7 +133,7 @@ class FullModel:
     @cached_property
     def nominal(self) -> Discretisation:
         """The parts on their nominal meshes."""
-        return Discretisation(self.assembly, self.assembly.parts, self.comm, self._resting)
+        return Discretisation(self.assembly, self.assembly.parts, self.comm, self._resting, self.route)
 
     @property
     def _resting(self) -> set[int]:
@@ -211,9 +222,8 @@ class FullModel:
         resolutions, freedoms, history, read = {}, {}, [], np.zeros(0)
         for plan in self.plans:
             friction = friction_of(deviated, laws.find(law), plan.name)
-            state, resolution, solves = FullStage(plan, mesh, friction, self.penalty, self.path_tolerance).advance(
-                state, prescribed
-            )
+            stage = FullStage(plan, mesh, friction, self.penalty, self.path_tolerance, self.route)
+            state, resolution, solves = stage.advance(state, prescribed)
             freedoms[plan.name] = state.solution.u
             history += solves
             if resolution is not None:
@@ -221,7 +231,8 @@ class FullModel:
             if plan.reads:
                 readings = mesh.rows["measurement"] @ state.solution.u + prescribed.measured[0]
                 read = Characteristics.of(assembly.scene).values(readings[None])[0]
-        return FullEvaluation(law, deviations, resolutions, read, tuple(history), freedoms, mesh)
+        route = route_taken(self.route, history)
+        return FullEvaluation(law, deviations, resolutions, read, tuple(history), freedoms, mesh, route)
 
     def _mesh_and_drive(self, deviated, deviations):
         """The discretisation of a deviated assembly, and the values that its deviations prescribe."""
@@ -238,7 +249,7 @@ class FullModel:
             rows = {**assembly.rows, "rest": mesh.rest.rows}
             shape = {kind: read + (rows[kind] @ faces)[None] for kind, read in shape.items()}
         if self.deviated or thicker:
-            mesh = Discretisation(deviated, parts, self.comm, self._resting)
+            mesh = Discretisation(deviated, parts, self.comm, self._resting, self.route)
         return mesh, drive(deviated, deviations[None], shape)
 
     @cached_property

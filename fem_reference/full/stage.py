@@ -12,90 +12,32 @@ The load parameter s goes from 0 to 1 over a step of the stage:
   multipliers);
 - slip is measured from the contact's previous position, in increments or along a followed path
   (:mod:`fem_reference.full.path`).
-
-If Newton's method fails, the step to the next equilibrium is divided. The intermediate solutions only start the next
-solve: slip is measured from the start of the whole step, so the division does not change the result.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
 
-from fem_reference.full.contact_law import ContactLaw
-from fem_reference.full.discretisation import Discretisation, System
-from fem_reference.full.equilibrium import Iteration, NoConvergence, State
+from fem_reference.full.discretisation import Discretisation
+from fem_reference.full.equilibrium import State
 from fem_reference.full.friction import ContactFriction
+from fem_reference.full.load_path import ContactFailure, Contacts, LoadPath, Penalty, Route, Solve, Springs
 from fem_reference.full.path import TOUCHING, FullTrace, Point, extrapolated, increments, shares, transition
-from mic.contact.states import OPEN, STICK
 from mic.errors import FreeMotion
 from mic.model.rest_rows import separating_motion
 from mic.process.actions import Joints, ResolveOverlap, Row
 from mic.process.drive import Drive
 from mic.process.plan import StagePlan, Step, row_compliance
 
-__all__ = ["ContactFailure", "FullResolution", "FullStage", "FullState", "Penalty", "Solve"]
+__all__ = ["FullResolution", "FullStage", "FullState"]
 
-SMALLEST_CUT = 1 / 64  # smallest fraction of a step between two equilibria
-AUGMENTATIONS = 30  # largest number
-AUGMENTED = 1e-10  # tolerance on the change of contact forces by an augmentation, relative to the largest force
-ROUNDING = 1e-8  # relative to the largest force: a smaller change that does not decrease is rounding
+ROUNDING = 1e-8  # relative to the largest force: a smaller change is rounding
 FAR = 1e3  # mm: gap given to contacts excluded by a weld
-SLOW = 0.1  # ε is raised tenfold if an augmentation reduces the change of forces to more than this fraction
 FIRST = 0.01  # share of a followed path at which resting parts first get support
-PRESSED = 1e-3  # relative to the largest force: a part whose springs carry more is not in contact
-STILL = 1e-5  # mm: distance from the force-free position allowed for such a part
-STAYS = 0.1  # relative to the spring forces: a smaller change per augmentation counts as constant
-OFF = 10.0  # mm: a part displaced farther whose springs still carry force has no support
-STIFFEST = 1e9  # largest ε/k
-
-
-class ContactFailure(NoConvergence):
-    """The full solve failed; the message names stage, step, contact and what to change."""
-
-
-@dataclass(frozen=True)
-class Penalty:
-    """Enforcement of the contact law.
-
-    Attributes
-    ----------
-    stiffness : float
-        ε/k, with k = E t of the softer sheet of the pair.
-    augmented : bool
-        Remove the penalty's error by augmentation (Uzawa).
-    """
-
-    stiffness: float = 1e3
-    augmented: bool = True
-
-
-@dataclass(frozen=True)
-class Solve:
-    """One Newton solve.
-
-    Attributes
-    ----------
-    stage : str
-    step : int
-        Of the stage, from 1.
-    share : float
-        Of the step's load; 1 is its end.
-    augmentation : int
-        0 for the penalty method, otherwise the number of augmentations so far.
-    penalty : float
-        ε/k; infinite if Coulomb's law was solved exactly.
-    iterations : tuple of Iteration
-    """
-
-    stage: str
-    step: int
-    share: float
-    augmentation: int
-    penalty: float
-    iterations: tuple[Iteration, ...]
 
 
 @dataclass(frozen=True)
@@ -179,6 +121,8 @@ class FullStage:
     penalty : Penalty
     tolerance : float
         Error tolerance of a followed path, mm (:func:`fem_reference.full.path.extrapolated`).
+    route : {"whole", "condensed"}
+        Route to try first (:mod:`fem_reference.full.load_path`).
     """
 
     plan: StagePlan
@@ -186,6 +130,7 @@ class FullStage:
     friction: ContactFriction
     penalty: Penalty
     tolerance: float
+    route: Route
 
     def advance(self, state: FullState, drive: Drive) -> tuple[FullState, FullResolution | None, list[Solve]]:
         """Solve the stage for the single assembly of `drive`.
@@ -202,10 +147,10 @@ class FullStage:
                     state = self._put_down(step, state, drive)
                 load_path = self._load_path(number, step, state, drive)
                 if step.resolves and len(self.friction) + len(step.stops):
-                    state, end, trace = self._resolve(load_path, state)
+                    state, end, trace = self._resolve(step, load_path, state)
                     ends, traces, solves = [*ends, end], [*traces, trace], solves + load_path.solves
                 else:
-                    state = self._without_contact(load_path, state)
+                    state = self._without_contact(step, load_path, state)
             else:  # no load changes: new welds hold the present displacement and take over the forces of their guns
                 guns = {limit.row: limit.load - limit.sign * state.stop[limit.row] for limit in step.dropped_limits}
                 state = replace(state, reaction={**state.reaction, **guns})
@@ -244,7 +189,7 @@ class FullStage:
         closed = step.closed(Joints(self.mesh.assembly.weld_size))
         return frozen | {row: -float(drive.weld_gap[0, row]) for row in closed}
 
-    def _load_path(self, number, step: Step, state, drive) -> _LoadPath:
+    def _load_path(self, number, step: Step, state, drive) -> LoadPath:
         """Load path from the present values and loads to those at the end of the step."""
         mesh = self.mesh
         try:
@@ -275,7 +220,31 @@ class FullStage:
             0.0 if limit.row in state.stop else max(0.0, -self._distance_left(limit, state, drive))
             for limit in step.stops
         ]
-        return _LoadPath(self, system, number, step, (p0, v0, gap + overlap), (p1, v1, gap))
+        friction, layer = self.friction.with_stops(len(step.stops)), np.zeros(len(gap))
+        layer[: len(drive.gap[0])] = mesh.assembly.contacts.layer
+        return LoadPath(
+            system.equilibrium,
+            Contacts(friction, mesh.stiffness(step.stops), layer),
+            (p0, v0, gap + overlap),
+            (p1, v1, gap),
+            self.penalty,
+            self.route,
+            (self.plan.name, number),
+            partial(self._where, number, step),
+            Springs(np.searchsorted(system.independent, system.soft), system.springs[system.springs > 0]),
+        )
+
+    def _where(self, number, step, share, contact) -> str:
+        """Stage, step, share of the load and a contact for an error message."""
+        assembly, where = self.mesh.assembly, ""
+        if contact is not None:
+            if contact < len(assembly.contacts):
+                name = assembly.labels["contact"][contact * assembly.contacts.dimension].rsplit(" ", 1)[0]
+            else:
+                kind, row = step.stops[contact - len(assembly.contacts)].row
+                name = assembly.labels[kind][row]
+            where = f", worst at contact {name!r}"
+        return f"stage {self.plan.name!r}, step {number} of {len(self.plan.steps)}, at {share:.3g} of its load{where}"
 
     def _put_down(self, step, state, drive) -> FullState:
         """Move resting parts without contact force, and their anchors, to where they do not overlap other parts.
@@ -321,20 +290,20 @@ class FullStage:
             p0 += rows[kind][i].T @ [state.reaction[kind, i]]
         return p0, p1
 
-    def _without_contact(self, load_path, state) -> FullState:
+    def _without_contact(self, step, load_path, state) -> FullState:
         """Linear equilibrium at the end of the load path; contacts keep their forces and get new anchors."""
         p, v, _ = load_path.end
-        equilibrium = load_path.system.equilibrium
-        none = np.zeros((len(load_path.step.stops), state.left.shape[1]))
+        equilibrium = load_path.equilibrium
+        none = np.zeros((len(step.stops), state.left.shape[1]))
         solution = equilibrium.linear(p, v, np.concatenate([state.solution.force, none]))
         solution = replace(solution, force=state.solution.force)
         touching = equilibrium.linear(p, v, np.zeros((len(state.left) + len(none), none.shape[1])))
         left = self.mesh.contact(touching.u)
-        return self._after(load_path, state, solution, left, left[:, 1:])
+        return self._after(step, state, solution, left, left[:, 1:])
 
-    def _resolve(self, load_path, state) -> tuple[FullState, Point, FullTrace]:
+    def _resolve(self, step, load_path, state) -> tuple[FullState, Point, FullTrace]:
         """Contact solution along the load path; without friction only its end is solved and slip is zero."""
-        system, step, solve = load_path.system, load_path.step, load_path.solve
+        system, solve = self.mesh.system(step), load_path.solve
         reaction = np.zeros(system.rows.shape[0])
         reaction[: len(step.bilateral)] = [state.reaction.get(row, 0.0) for row in step.bilateral]
         reaction = reaction[system.independent]
@@ -344,7 +313,8 @@ class FullStage:
         start = load_path.start_point(
             State(state.solution.u, reaction, np.concatenate([state.solution.force, force])), state.anchor
         )
-        if load_path.still:
+        settles = all(isinstance(action, ResolveOverlap) for action in step.move)
+        if settles and (load_path.start[2] == load_path.end[2]).all():  # nothing overlaps, so nothing moves
             end, trace = start, replace(FullTrace.start(*start.force.shape), share=shares(start.state))
         elif not self.friction.any():
             end, trace = increments(solve, start, 1)
@@ -362,16 +332,17 @@ class FullStage:
             trace = first + trace
         else:
             end, trace = increments(solve, start, self.plan.increments)
-        solution = system.equilibrium.unpack(end.unknowns)
+        solution = load_path.equilibrium.unpack(end.unknowns)
         state = replace(state, stop={limit.row: float(f) for limit, f in zip(stops, solution.force[m:, 0])})
         solution = replace(solution, force=solution.force[:m])
         end, trace = end.first(m), trace.first(m)
-        return self._after(load_path, state, solution, self.mesh.contact(solution.u), end.position), end, trace
+        return self._after(step, state, solution, self.mesh.contact(solution.u), end.position), end, trace
 
-    def _after(self, load_path, state, solution, left, anchor):
-        r = np.zeros(load_path.system.rows.shape[0])
-        r[load_path.system.independent] = solution.reaction
-        reaction = dict(zip(load_path.step.bilateral, r))  # without the rest rows at the end of r
+    def _after(self, step, state, solution, left, anchor):
+        system = self.mesh.system(step)
+        r = np.zeros(system.rows.shape[0])
+        r[system.independent] = solution.reaction
+        reaction = dict(zip(step.bilateral, r))  # without the rest rows at the end of r
         return replace(state, solution=solution, left=left, anchor=anchor, reaction=reaction)
 
     def _resolution(self, start, state, end, trace, drive, checked) -> FullResolution:
@@ -380,170 +351,4 @@ class FullStage:
         reaction = np.array([state.reaction[row] for row in self.plan.bilateral])
         return FullResolution(
             self.plan.name, state.solution.force, displacement, end.state, reaction, trace, *checked.T.copy()
-        )
-
-
-class _LoadPath:
-    """Load path of a step, and its Newton solves; loads are (nodal forces, values, gaps)."""
-
-    def __init__(self, stage: FullStage, system: System, number: int, step: Step, start, end):
-        self.stage, self.system, self.number, self.step = stage, system, number, step
-        self.start, self.end = start, end
-        self.solves: list[Solve] = []
-
-    @property
-    def still(self) -> bool:
-        """Whether nothing moves: the step only settles parts, and none overlap."""
-        settles = all(isinstance(action, ResolveOverlap) for action in self.step.move)
-        return settles and bool((self.start[2] == self.end[2]).all())
-
-    def start_point(self, solution: State, anchor: np.ndarray) -> Point:
-        """Equilibrium at the start of the load path."""
-        force, δ = solution.force, self.stage.mesh.contact(solution.u, self.step.stops)
-        position = np.concatenate([anchor, δ[len(anchor) :, 1:]])
-        contact = np.where(force[:, 0] > 0, STICK, OPEN)
-        return Point(0.0, position, self.start[2] + δ[:, 0], force, contact, solution.stacked)
-
-    def solve(self, point: Point, share: float, anchor: np.ndarray) -> Point:
-        """On from a point, slip measured from `anchor` (m, d - 1)."""
-        mesh, penalty, stops = self.stage.mesh, self.stage.penalty, self.step.stops
-        friction, k = self.stage.friction.with_stops(len(stops)), mesh.stiffness(stops)
-        estimate = point.force.copy()
-        if not penalty.augmented:
-            estimate[:, 0] = 0.0
-        origin = np.column_stack([np.zeros(len(k)), anchor])
-        layer = np.concatenate([mesh.assembly.contacts.layer, np.zeros(len(stops))])
-        law = ContactLaw(friction, self.end[2], origin, estimate, penalty.stiffness * k, k, layer)
-        solution = self.system.equilibrium.unpack(point.unknowns)
-        place = self._place(solution)
-        condensed = self._condensed(solution, share, law, place)
-        if condensed is None:
-            law, solution = self._penalised(solution, point.share, share, law, place)
-            if penalty.augmented or len(place):
-                law, solution = self._augment(solution, share, law, place)
-            state = law.state(mesh.contact(solution.u, stops))
-        else:
-            law, solution, state = condensed
-        δ = mesh.contact(solution.u, stops)
-        position = friction.slider(δ, solution.force)
-        gap = law.displacement(δ)[:, 0] + layer * solution.force[:, 0]
-        return Point(share, position, gap, solution.force, state, solution.stacked)
-
-    def _place(self, solution: State) -> np.ndarray:
-        """(k,) positions of the parts on springs."""
-        return (self.system.rows @ solution.u)[self.system.soft]
-
-    def _condensed(self, solution, share, law, place):
-        """Solution of the condensed system, by Coulomb's exact law if augmented; None if there is no such system or
-        the solver fails."""
-        equilibrium = self.system.equilibrium
-        if not equilibrium.condensable:
-            return None
-        p, v, gap = self._loads(share, place)
-        law = replace(law, gap=gap)
-        exact = replace(law, penalty=np.full(len(gap), np.inf)) if self.stage.penalty.augmented else law
-        try:
-            solution, state, iterations = equilibrium.condensed(solution.force, p, v, exact)
-        except NoConvergence:
-            return None
-        self._note(share, 0, exact, iterations)
-        return law, solution, state
-
-    def _loads(self, share, place):
-        """Nodal forces, values and gaps at a share, resting parts on springs about `place`."""
-        p, v, gap = (a + share * (b - a) for a, b in zip(self.start, self.end))
-        v[np.searchsorted(self.system.independent, self.system.soft)] = place
-        return p, v, gap
-
-    def _newton(self, solution, share, law, place, augmentation):
-        p, v, gap = self._loads(share, place)
-        law = replace(law, gap=gap)
-        solution, iterations = self.system.equilibrium.newton(solution, p, v, law)
-        self._note(share, augmentation, law, iterations)
-        return law, solution
-
-    def _note(self, share, augmentation, law, iterations):
-        penalty = float(law.penalty[0] / law.stiffness[0])
-        self.solves.append(Solve(self.stage.plan.name, self.number, share, augmentation, penalty, tuple(iterations)))
-
-    def _penalised(self, solution, done, share, law, place):
-        """Solution at `share` by the penalty method, in shorter steps if Newton's method fails; resting parts are on
-        springs about `place`."""
-        whole = length = share - done
-        while True:
-            target = share if done + 1.5 * length > share else done + length
-            try:
-                used, solution = self._newton(solution, target, law, place, 0)
-            except NoConvergence as problem:
-                length /= 2
-                if length < SMALLEST_CUT * whole or whole == 0:
-                    raise self._failure(
-                        done, problem, "use increments in this stage, or lower the penalty"
-                    ) from problem
-                continue
-            if target == share:
-                return used, solution
-            done = target
-
-    def _augment(self, solution, share, law, place):
-        """Augment f̂ ← f until the contact forces converge and the springs of resting parts carry no force.
-
-        Springs are moved to the position of their part; for parts without contact until that motion is negligible.
-        """
-        change, stiffness, augmented = np.inf, law.stiffness, self.stage.penalty.augmented
-        springs, softness = (
-            np.searchsorted(self.system.independent, self.system.soft),
-            self.system.springs[self.system.springs > 0],
-        )
-        initial, carried_before, stride = place, np.full(len(place), np.inf), 1.0
-        for augmentation in range(1, AUGMENTATIONS + 1):
-            before = change
-            stronger = law.augmented(solution.force) if augmented else law
-            change = float(np.abs(stronger.estimate - law.estimate).max())
-            largest = max(np.abs(solution.force).max(), np.abs(solution.reaction).max())
-            carried = np.abs(solution.reaction[springs])
-            free = (carried > PRESSED * largest) & (softness * carried <= STILL)
-            moves = (carried > AUGMENTED * largest) & ~free
-            settled = change <= AUGMENTED * largest or before <= ROUNDING * largest and change > 0.5 * before
-            if settled and not moves.any():
-                return law, solution
-            if moves.any() and np.abs(place - initial).max() > OFF:
-                raise self._failure(
-                    share,
-                    f"a part that rests by contact alone has moved more than {OFF:g} mm under {carried.max():.2g} N "
-                    "without finding support",
-                    "add locators there, or friction",
-                )
-            now = solution.reaction[springs]  # a constant force means that the part slides: double the stride
-            constant = np.abs(now - carried_before).max(initial=0.0) < STAYS * carried.max(initial=0.0)
-            stride = 2 * stride if constant else 1.0
-            carried_before = now
-            stiffer = change > SLOW * before and law.penalty[0] < STIFFEST * stiffness[0] and not moves.any()
-            law = replace(stronger, penalty=(10 if stiffer else 1) * law.penalty)
-            if moves.any():
-                place = place + stride * (self._place(solution) - place)
-            try:
-                law, solution = self._newton(solution, share, law, place, augmentation)
-            except NoConvergence as problem:
-                raise self._failure(share, problem, "lower the penalty, or set augmented=False") from problem
-        raise self._failure(
-            share,
-            f"after {AUGMENTATIONS} augmentations the forces still change by {change:.1e} N",
-            "raise the penalty, or remove contacts that the welds make redundant",
-        )
-
-    def _failure(self, share, problem, remedy):
-        plan, assembly = self.stage.plan, self.stage.mesh.assembly
-        where = ""
-        if isinstance(problem, NoConvergence) and problem.contact is not None:
-            at, stops = problem.contact, self.step.stops
-            if at < len(assembly.contacts):
-                where = assembly.labels["contact"][at * assembly.contacts.dimension].rsplit(" ", 1)[0]
-            else:
-                kind, row = stops[at - len(assembly.contacts)].row
-                where = assembly.labels[kind][row]
-            where = f", worst at contact {where!r}"
-        return ContactFailure(
-            f"stage {plan.name!r}, step {self.number} of {len(plan.steps)}, "
-            f"at {share:.3g} of its load{where}: {problem}; {remedy}"
         )
