@@ -30,6 +30,7 @@ from mic.process.evaluation import Evaluation
 from mic.process.model import ReducedModel
 from mic.process.plan import plan_assembly
 from mic.process.stiffness import coefficients
+from mic.process.stiffness_choice import stiffness_sentences
 from mic.results.block_samples import BlockSamples
 from mic.results.block_statistics import Accumulator
 from mic.results.contact_sums import ContactSums
@@ -37,14 +38,14 @@ from mic.results.cost_estimate import duration, forecast
 from mic.results.fields import write_fields
 from mic.results.improved import FURTHER
 from mic.results.low_rank_forces import CompressedForces
-from mic.results.mesh_error import accuracy_table
+from mic.results.mesh_error import FinerModel, accuracy_table, mesh_changes
 from mic.results.outcome import CACHE_SIZE, BlockCache, Outcome, memory, read_outcome
 from mic.results.output_samples import OutputSamples
 from mic.results.required_accuracy import Uncertainty
 from mic.results.run_folder import Block, RunFolder, stores_pairs, versions
 from mic.results.run_identity import identity, inputs
 from mic.results.sample_tables import tables
-from mic.results.schema import ACCURACY, CONDENSED, CONTACTS, FORCES, SUMS, Table
+from mic.results.schema import ACCURACY, CONDENSED, CONTACTS, FORCES, MESH_CHANGES, SUMS, Table
 from mic.results.table_writer import write_path_study, write_summary, write_tables
 from mic.scene import Scene
 from mic.system.arguments import checked
@@ -164,14 +165,14 @@ def run(
             on_first(world, lambda: RunFolder(folder).add_to_record("versions", solver_versions(influence.values())))
             if reused := [name for name, hit in cached.items() if hit]:
                 progress.report(f"influence coefficients of {', '.join(reused)}: reused from {cache}")
+        finer = None
         if scene.report.accuracy:
             with clock("accuracy of the meshes"):
-                estimated = lambda: accuracy_table(estimate_accuracy(assembly, cache, report_line))
-                on_first(world, lambda: ACCURACY.write(folder, estimated()))
+                finer = _estimate_accuracy(folder, assembly, cache, report_line, world)
         with clock("reduced model"):
             model = shared(world, lambda: _reduce(assembly, influence))
             influence.clear()  # the model holds it
-            _report_notes(progress, model.process().redundant + frozen_gaps(model))
+            _report_notes(progress, _notes(folder, assembly, model, world))
         with clock("Monte Carlo"):
             cached_blocks = BlockCache()
             reused_samples = _sample_to_accuracy(folder, model, laws, samples, seed, progress, cached_blocks, chosen)
@@ -180,7 +181,7 @@ def run(
             return None
         for law in (law for law, count in reused_samples.items() if count):
             progress.report(f"{law}: {reused_samples[law]} of {samples} samples were already finished in {folder}")
-        return conclude(folder, clock.seconds, progress, cache, model, cached_blocks)
+        return conclude(folder, clock.seconds, progress, cache, model, cached_blocks, finer)
 
 
 def sample_into(
@@ -242,6 +243,21 @@ def _assemble(scene: Scene, cache: Path, report_line, progress: Progress, strict
     for part in (part for part in assembly.scene.parts if part.name in assembly.decks):
         _report_notes(progress, repair_summary(part, assembly.decks[part.name]))
     return assembly, [str(warning) for warning in warnings]
+
+
+def _estimate_accuracy(folder: Path, assembly: Assembly, cache: Path, report_line, world) -> FinerModel | None:
+    """Write the estimated mesh errors of the parts; returns the model on finer meshes, for the key characteristics."""
+    estimated = lambda: accuracy_table(estimate_accuracy(assembly, cache, report_line))
+    on_first(world, lambda: ACCURACY.write(folder, estimated()))
+    return FinerModel.of(assembly, cache, report_line, world)
+
+
+def _notes(folder: Path, assembly: Assembly, model: ReducedModel, world) -> list[str]:
+    """Notes on a model; what they say of its stiffness is recorded for the report."""
+    of_stiffness = stiffness_sentences(assembly, model)
+    on_first(world, lambda: RunFolder(folder).add_to_record("stiffness", {"sentences": of_stiffness}))
+    said = assembly.scene.stiffness == "auto"  # before its influence coefficients were computed
+    return [*model.process().redundant, *frozen_gaps(model), *([] if said else of_stiffness)]
 
 
 def _reduce(assembly: Assembly, influence: dict[str, InfluenceCoefficients]) -> ReducedModel:
@@ -451,6 +467,7 @@ def conclude(
     cache: Path | None = None,
     model: ReducedModel | None = None,
     cached: BlockCache | None = None,
+    finer: FinerModel | None = None,
 ) -> Outcome:
     """Compute and write statistics and fields of a results folder, finished or interrupted, from its samples.
 
@@ -466,6 +483,8 @@ def conclude(
         Model of the run, if already loaded.
     cached : mic.results.outcome.BlockCache, optional
         Blocks in memory.
+    finer : mic.results.mesh_error.FinerModel, optional
+        If given, the changes of the key characteristics on finer meshes are computed.
 
     Raises
     ------
@@ -480,6 +499,9 @@ def conclude(
                 progress.report(sentence)
         with clock("error of the path"):
             write_path_study(outcome)
+        if finer is not None:
+            with clock("accuracy of the meshes"):
+                MESH_CHANGES.write(folder, mesh_changes(outcome, finer), exact=True)
         progress.statistics_ready(outcome)
         with clock("statistics"):
             write_tables(outcome)

@@ -19,6 +19,7 @@ from mic.model.reduction import Reduction
 from mic.options import app
 from mic.process.model import ReducedModel
 from mic.process.stiffness import coefficients, derivative_sets, select_shapes
+from mic.process.stiffness_choice import choose_stiffness, stiffness_sentences
 from verification.comparison import difference, reduced_and_assembly, reduced_model
 from verification.stiffness import DeviatedStiffness
 
@@ -295,6 +296,42 @@ def test_parts_without_a_mean_shape_have_the_nominal_stiffness(built, cache):
     found, _ = reduced_and_assembly(read(lap("mean", 0.0, deviations=only_force)), cache)
     for H, nominal in zip(found.compliance.H, built[0]["nominal"].compliance.H):
         np.testing.assert_array_equal(H, nominal)
+
+
+@pytest.mark.parametrize(
+    ("mean", "scatter", "suitable"),
+    [(0.37, 0.0, "nominal"), (0.44, 0.0, "mean"), (2.0, 0.36, "mean"), (2.0, 0.44, "first-order")],
+)
+def test_auto_chooses_by_the_deviation_over_the_thickness(mean, scatter, suitable, built, cache):
+    """In thicknesses, the reading of the upper sheet that moves most; the lower sheet grows and is not bent."""
+    nominal, assembly = built[0]["nominal"], built[1]
+    upper = assembly.parts[1]
+    moved = nominal.shape[nominal.compliance.functionals[1], 0][~upper.functionals.rotation]
+    unit = upper.thickness / np.abs(moved).max()  # N
+    force, warm = assembly.scene.deviations
+    forces = [force.model_copy(update={"mean": mean * unit, "sigma": scatter * unit})]
+    forces.append(warm.model_copy(update={"mean": 1e4, "sigma": 1e3}))
+    at = lambda **keys: with_scene(assembly, deviations=forces, **keys)
+    found = choose_stiffness(at(stiffness="auto"), nominal)
+    assert found.stiffness == found.suitable == suitable and found.part == "upper"
+    assert found.deviation == pytest.approx(np.hypot(mean, scatter), rel=0.03)
+    assert found.scatter == pytest.approx(scatter, rel=0.1)
+    advice = stiffness_sentences(at(stiffness="nominal"), nominal)
+    assert bool(advice) == (suitable != "nominal") and all('stiffness = "auto"' in one for one in advice)
+    fields = at(stiffness="auto", report=assembly.scene.report.model_copy(update={"fields": True}))
+    assert choose_stiffness(fields, nominal).stiffness == "nominal"
+    assert ("report.fields" in stiffness_sentences(fields, nominal)[0]) == bool(advice)
+
+
+@pytest.mark.slow
+def test_auto_builds_the_model_of_the_chosen_stiffness(built, cache):
+    auto, said = with_scene(built[1], stiffness="auto"), []
+    found, _ = coefficients(auto, cache, said.append)
+    assert any("that of the mean shape" in line and "upper deviates by 0." in line for line in said)
+    for stored, name in ((found, "mean"), (coefficients(built[1], cache)[0], "first-order")):
+        model = ReducedModel.build(auto, stored)
+        np.testing.assert_array_equal(model.compliance.H[1], built[0][name].compliance.H[1])
+        assert (model.slopes is None) == (name == "mean")
 
 
 THICK = [{"name": "T", "kind": "thickness", "part": "upper", "sigma": 0.02}]

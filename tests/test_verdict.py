@@ -17,7 +17,7 @@ from mic.report.style import change
 from mic.report.verdict import verdict
 from mic.results.error_sources import error_budget
 from mic.results.outcome import read_outcome
-from mic.results.schema import ACCURACY, CONTRIBUTORS, DENSITY, LINEARITY, ORDERS, RARE, REMEDIES
+from mic.results.schema import CONTRIBUTORS, DENSITY, LINEARITY, MESH_CHANGES, ORDERS, RARE, REMEDIES
 from mic.results.statistic_tables import whole_yield
 from mic.runs import run
 
@@ -153,12 +153,14 @@ def test_each_source_of_error_shows_its_estimate(copied):
     density = {"law": "coulomb", "measurement": ["M1", "M2"], "pairs": 24, "denser": 50, "nominal_change": 0.0}
     density |= {"mean_change": [0.001, -0.004], "six_sigma_change": [0.002, -0.003], "failed": 0}
     DENSITY.write(copied, pd.DataFrame(density))
-    mesh = dict.fromkeys(ACCURACY.names, 0.0) | {"part": "lower", "nodes": 9, "finer_nodes": 9}
-    ACCURACY.write(copied, pd.DataFrame([mesh | {"quantity": "M1", "set_down": 0.01, "located": 0.02}]))
+    mesh = dict.fromkeys(MESH_CHANGES.names, 0.0) | {"law": "coulomb", "measurement": ["M1", "M2"]}
+    mesh |= {"mean_change": [-0.003, 0.001], "six_sigma_change": [0.001, -0.002]}
+    mesh |= dict.fromkeys(("nodes", "finer_nodes", "samples", "failed"), 9)
+    MESH_CHANGES.write(copied, pd.DataFrame(mesh)[MESH_CHANGES.names])
     budget = {one.name: one for one in error_budget(outcome, "coulomb")}
     assert budget["order of the process"].six_sigma == pytest.approx(0.017)
     assert (budget["contact pairs"].mean, budget["contact pairs"].where) == (pytest.approx(0.004), "M2")
-    assert budget["meshes"].six_sigma == pytest.approx(0.02 * table.loc["M1", "six_sigma"])
+    assert (budget["meshes"].mean, budget["meshes"].six_sigma, budget["meshes"].where) == (0.003, 0.002, "M2")
     assert all(one.measured for one in budget.values())
     said = verdict(outcome).sentences[-1]
     total = float(np.sqrt(sum(one.six_sigma**2 for one in budget.values())))

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import shlex
+from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -35,6 +37,7 @@ from mic.plausibility import (
 from mic.process.description import opening, sentences
 from mic.process.plan import plan_assembly
 from mic.process.stiffness import derivative_sets, list_sources, select_shapes
+from mic.process.stiffness_choice import choose_stiffness, stiffness_sentences
 from mic.report.style import number, percent
 from mic.results.cost_estimate import forecast
 from mic.results.run_folder import RunFolder
@@ -384,8 +387,7 @@ def _cost(assembly, plans, results) -> list[str]:
         f"one factorisation per part, unless it is cached: {nodes}",
         f"reduced model: {sum(sizes)} functionals, {megabytes:.0f} MB of influence coefficients",
     ]
-    if scene.stiffness != "nominal":
-        lines.append(_stiffness(assembly, results))
+    lines += _stiffness(assembly, results)
     resolved = [plan for plan in plans if plan.resolves and len(contacts)]
     followed = any(LAWS[law].followed for law in laws) and any(plan.path == "followed" for plan in resolved)
     if resolved:
@@ -405,23 +407,35 @@ def _cost(assembly, plans, results) -> list[str]:
     return [*lines, fields if scene.report.fields else "no fields are requested: no field solves"]
 
 
-def _stiffness(assembly, results) -> str:
+def _stiffness(assembly, results) -> list[str]:
     """Cost of the stiffness of deviated shapes: exact if the nominal coefficients are cached, else an upper bound."""
-    if assembly.scene.stiffness == "mean":
-        return "stiffness of the mean shape: a second set of influence coefficients for each part"
-    text = "stiffness to first order in {}: {}; each sample needs its own model, which takes many times as long"
+    stiffness, nominal, lines = assembly.scene.stiffness, None, []
+    if stiffness == "mean":
+        return ["stiffness of the mean shape: a second set of influence coefficients for each part"]
     if len(assembly.contacts) <= MAX_PAIRS and results.all_cached:
-        try:
+        with suppress(MissingProvider):
             nominal = Reduction.build(assembly, influence_coefficients(assembly, cache_folder())[0])
+    if stiffness == "nominal":
+        return stiffness_sentences(assembly, nominal) if nominal is not None else []
+    if stiffness == "auto":
+        if nominal is None:
+            return ["stiffness: chosen by the run, by the deviation of the parts over their thickness"]
+        choice = choose_stiffness(assembly, nominal)
+        lines, stiffness = [str(choice)], choice.stiffness
+        assembly = replace(assembly, scene=assembly.scene.model_copy(update={"stiffness": stiffness}))
+        if stiffness != "first-order":
+            return lines
+    text = "stiffness to first order in {}: {}; each sample needs its own model, which takes many times as long"
+    with suppress(MissingProvider):
+        if nominal is not None:
             shapes = select_shapes(assembly, nominal)
-        except MissingProvider:
-            pass
-        else:
             sets = {part.fingerprint(): part for part in shapes.additional_parts(assembly)}
             missing = sum(not is_cached(part, cache_folder()) for part in sets.values())
-            return text.format(shapes, f"{len(sets)} further sets of influence coefficients, {missing} to be computed")
+            found = f"{len(sets)} further sets of influence coefficients, {missing} to be computed"
+            return [*lines, text.format(shapes, found)]
     names, count = derivative_sets(assembly)
-    return text.format(f"up to {list_sources(names)}", f"at most {count} further sets of influence coefficients")
+    found = text.format(f"up to {list_sources(names)}", f"at most {count} further sets of influence coefficients")
+    return [*lines, found]
 
 
 def _print_accuracy(console, assembly):

@@ -15,10 +15,10 @@ from mic.contact.solution import advice_on
 from mic.errors import RunError, Stopped
 from mic.execution.ranks import communicator, on_first
 from mic.report.background_pictures import BackgroundPictures
-from mic.report.style import change, number
+from mic.report.style import change, number, signed_micrometres
 from mic.results.excel import write_excel
 from mic.results.run_folder import EXCEL, RunFolder
-from mic.results.schema import CONTRIBUTORS, LINEARITY
+from mic.results.schema import CONTRIBUTORS, LINEARITY, MESH_CHANGES
 from mic.runs import conclude, finished, hold
 from mic.runs import run as run_scene
 from mic.scene import load_scene
@@ -141,6 +141,7 @@ def _report(console, outcome, progress):
     laws = outcome.summary()["laws"]
     _print_zones(console, laws, "rms_tangential", "RMS tangential displacement, mm")
     _print_zones(console, laws, "rms_slip", "RMS slip under load, mm")
+    _print_mesh_changes(console, outcome.study(MESH_CHANGES))
     for name, law in laws.items():
         _print_validity(console, name, law, outcome.failures(name))
     found = verdict(outcome)
@@ -173,6 +174,14 @@ def _print_zones(console, laws, motion, title):
     if shown:
         note = "; path error: change with a tighter load path" if with_path else ""
         console.table(title + note, ("zone", *(f"{law}: mean / 6σ" for law in shown)), rows)
+
+
+def _print_mesh_changes(console, table):
+    """Expected change of each key characteristic on ever finer meshes, if it was requested."""
+    figures = ("mean_change", "six_sigma_change")
+    rows = [] if table is None else table.to_dict("records")
+    cells = [(row["measurement"], row["law"], *(signed_micrometres(row[name]) for name in figures)) for row in rows]
+    console.table("Expected changes on ever finer meshes, µm", ("key characteristic", "law", "mean", "6σ"), cells)
 
 
 def _print_validity(console, name, law, failures):

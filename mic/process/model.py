@@ -57,10 +57,15 @@ class ReducedModel(Reduction):
             If the coefficients do not include that stiffness.
         """
         nominal = super().build(assembly, influence)
-        if assembly.scene.stiffness == "nominal":
+        stiffness = assembly.scene.stiffness
+        if stiffness == "auto":  # the coefficients tell what was chosen
+            each = influence.values()
+            stiffness = "nominal" if any(one.deviated is None for one in each) else "mean"
+            stiffness = "first-order" if all(one.slopes is not None for one in each) else stiffness
+        if stiffness == "nominal":
             return nominal
         fields, own, slopes = {}, {}, {}
-        follows = assembly.scene.stiffness == "first-order"
+        follows = stiffness == "first-order"
         for part in assembly.parts:
             deviated, along = influence[part.name].deviated, influence[part.name].slopes
             if deviated is None or len(deviated[1].H) != len(part.functionals) or (follows and along is None):

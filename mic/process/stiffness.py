@@ -39,6 +39,7 @@ from mic.model.shape import dilation
 from mic.model.shape_derivatives import ShapeDerivatives
 from mic.model.sources import sources
 from mic.process.actions import Joints
+from mic.process.stiffness_choice import choose_stiffness
 
 __all__ = [
     "Shapes",
@@ -127,9 +128,17 @@ def coefficients(
     samples to first order, also their derivatives (:attr:`InfluenceCoefficients.slopes`).
     """
     found, cached = influence_coefficients(assembly, cache, progress, comm)
+    first_rank = comm is None or comm.rank == 0
+    if assembly.scene.stiffness == "auto":
+        choice = choose_stiffness(assembly, Reduction.build(assembly, found)) if first_rank else None
+        choice = choice if comm is None else comm.bcast(choice)
+        assert choice is not None  # sent by the first rank
+        if progress:
+            progress(str(choice))
+        scene = assembly.scene.model_copy(update={"stiffness": choice.stiffness})
+        assembly = replace(assembly, scene=scene)
     if assembly.scene.stiffness == "nominal":
         return found, cached
-    first_rank = comm is None or comm.rank == 0
     shapes = select_shapes(assembly, Reduction.build(assembly, found)) if first_rank else None
     shapes = shapes if comm is None else comm.bcast(shapes)
     assert shapes is not None  # sent by the first rank

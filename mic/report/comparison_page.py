@@ -14,7 +14,7 @@ from matplotlib.lines import Line2D
 from mic.report.change_pictures import AFTER, BEFORE, change_picture
 from mic.report.picture import MOST_PANELS, Picture, draw_limits, named_panels, png, svg
 from mic.report.space_pictures import draw_fields
-from mic.report.style import LIMIT_COLOUR, RC, number, percent
+from mic.report.style import LIMIT_COLOUR, RC, number, percent, signed_micrometres
 from mic.report.template import render
 from mic.results.field_changes import FieldChange
 from mic.statistics.estimates import density
@@ -74,7 +74,9 @@ def sentences(found: Comparison) -> list[str]:
         significant.sort(key=lambda row: -abs(row[f"{figure}_change"]) / row["tolerance"])
         each = []
         for row in significant[:NAMED]:
-            change, low, high = (_micrometres(row[f"{figure}_change{end}"]) for end in ("", "_low", "_high"))
+            change, low, high = (
+                f"{signed_micrometres(row[f'{figure}_change{end}'])} µm" for end in ("", "_low", "_high")
+            )
             each.append(f"{row['quantity']} by {change} ({low} to {high})")
         rest = f", and {len(significant) - NAMED} more" if len(significant) > NAMED else ""
         changes = f"Significant changes of {word}: {', '.join(each)}{rest}."
@@ -96,10 +98,6 @@ def _text(figure: str, value: float, digits: int = 3) -> str:
     if figure == "outside":
         return percent(value, 1)
     return number(value if figure == "cpk" else 1e3 * value, digits)
-
-
-def _micrometres(value: float) -> str:
-    return f"{'+' * (value > 0)}{number(1e3 * value, 2)} µm"
 
 
 def _densities(found: Comparison) -> Picture:

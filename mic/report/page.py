@@ -82,6 +82,7 @@ def write_report(
         estimators=estimator_sentences(outcome),
         covered=covered_share(outcome.record["samples"]),
         accuracy=read_accuracy(outcome.folder),
+        mesh_changes=outcome.study(schema.MESH_CHANGES),
         viewer=viewer,
         plotly=plotly_script() if viewer else None,
     )

@@ -23,6 +23,7 @@ __all__ = [
     "VERDICT_COLOURS",
     "change",
     "micrometres",
+    "signed_micrometres",
     "number",
     "part_colour",
     "percent",
@@ -113,6 +114,11 @@ def change(value: float | None, share: float | None = None) -> str:
 def micrometres(value: float) -> str:
     """An error (mm) in µm; ``–`` for NaN."""
     return "–" if np.isnan(value) else "< 0.01" if value < 1e-5 else number(1e3 * value, 2)
+
+
+def signed_micrometres(value: float) -> str:
+    """A change (mm) in µm, with its sign; ``–`` for NaN."""
+    return f"{'+' if value > 0 else ''}{number(1e3 * value, 2)}"
 
 
 def number(value: float | None, digits: int = 3) -> str:

@@ -8,7 +8,7 @@ from typing import Any
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup, escape
 
-from mic.report.style import LAWS, STATE_WORDS, change, micrometres, number, percent
+from mic.report.style import LAWS, STATE_WORDS, change, micrometres, number, percent, signed_micrometres
 from mic.statistics.estimates import LEVEL
 
 __all__ = ["backticks_to_code", "render"]
@@ -39,6 +39,7 @@ def render(template: str, **values: Any) -> str:
         undefined=StrictUndefined,
     )
     environment.filters |= {"number": number, "change": change, "micrometres": micrometres, "code": backticks_to_code}
+    environment.filters |= {"signed_micrometres": signed_micrometres}
     environment.globals |= {"level": f"{100 * LEVEL:.0f} %", "looks": LAWS, "state_words": STATE_WORDS}
     environment.filters |= {"percent": lambda x: percent(x, 1), "records": lambda table: table.to_dict("records")}
     return environment.get_template(template).render(**values)

@@ -192,7 +192,9 @@ def _further(outcome: Outcome, law: str, rows: list[dict[Any, Any]], judged: Cap
 
 def _trust(outcome: Outcome, law: str, budget: list[Source]) -> list[str]:
     """Estimators, estimated errors, and samples that do not count."""
-    known, sentences, improved = [one for one in budget if one.measured], [], outcome.improved(law)
+    known, improved = [one for one in budget if one.measured], outcome.improved(law)
+    of_stiffness = outcome.record.get("stiffness", {}).get("sentences", ())
+    sentences = [f"{sentence[0].upper()}{sentence[1:]}." for sentence in of_stiffness]
     if improved is not None:
         better = [bool(yes) for key, yes in zip(improved.keys, improved.better) if key[0] == "measurement"]
         sentences.append(

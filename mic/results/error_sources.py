@@ -15,7 +15,7 @@ import pandas as pd
 
 from mic.contact.laws import LAWS
 from mic.results.outcome import Outcome
-from mic.results.schema import ACCURACY, DENSITY, ORDERS
+from mic.results.schema import DENSITY, MESH_CHANGES, ORDERS
 
 __all__ = ["Source", "error_budget"]
 
@@ -76,12 +76,11 @@ def _sources(outcome: Outcome, law: str, rows: pd.DataFrame) -> Iterator[Source]
     residual = outcome.worst_residual(law)
     largest = residual * rows[["min", "max"]].abs().max(axis=1)
     yield _source("contact residuals", largest, largest, f"largest residual, {residual:.1g}, times the largest value")
-    accuracy = outcome.study(ACCURACY)
-    mesh = None if accuracy is None else accuracy.groupby("quantity")[["set_down", "located"]].max().max(axis=1)
-    if mesh is not None and set(mesh.index) & set(rows.index):
-        share = mesh.reindex(rows.index)
-        how = "estimated relative error of each characteristic's influence coefficients"
-        yield _source("meshes", share * rows["mean"].abs(), share * rows["six_sigma"], how)
+    mesh = _rows(outcome.study(MESH_CHANGES), law)
+    if mesh is not None:
+        changes = mesh.set_index("measurement").reindex(rows.index)
+        how = f"expected change on ever finer meshes, from {int(mesh['samples'].iloc[0])} samples on finer ones"
+        yield _source("meshes", changes["mean_change"], changes["six_sigma_change"], how)
     else:
         yield _unknown("meshes", "mic run with accuracy = true under [report]")
     if not outcome.stages:

@@ -269,7 +269,7 @@ class RunSamples:
         return self.study(FRICTION)
 
     def study(self, table: Table) -> pd.DataFrame | None:
-        """A table of :data:`mic.results.schema.STUDIES`, or ``ACCURACY``; None if not stored.
+        """A table of :data:`mic.results.schema.STUDIES`, or one that a run writes on request; None if not stored.
 
         A file that differs from the declaration, or is damaged, is set aside with a warning and counts as absent.
         """

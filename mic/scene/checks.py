@@ -231,7 +231,7 @@ def check_correlations(scene) -> Iterator[str]:
 
 def check_stiffness(scene) -> Iterator[str]:
     """The stiffness of other shapes needs parts of finite elements with constant thickness."""
-    if scene.stiffness == "nominal":
+    if scene.stiffness in ("nominal", "auto"):
         return
     for table, i, part in _items(scene, "parts"):
         for key in ("stiffness", "compliance"):

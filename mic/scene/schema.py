@@ -178,10 +178,10 @@ class Scene(Table):
     """shell element: `dkt-opt-curved`; `dkmt-opt-curved` for thick parts; `dkt-opt`, on flat triangles; `p2-cr`, an
     independent check; or another of the installed compliance provider"""
 
-    stiffness: Literal["nominal", "mean", "first-order"] = "nominal"
+    stiffness: Literal["nominal", "mean", "first-order", "auto"] = "nominal"
     """shape for which the stiffness is computed: nominal; mean, with gaps and normals (a second set of influence
     coefficients per part); or each sample's to first order (two more sets per relevant source, more work per
-    sample)"""
+    sample); `auto`: the cheapest of these that suits the deviations"""
 
     parts: Annotated[list[Part], Field(min_length=1)]
     fixtures: list[Fixture] = []

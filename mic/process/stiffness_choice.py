@@ -1,0 +1,134 @@
+"""Choice of the stiffness by the deviation of the parts over their thickness.
+
+Where sheets of thickness t differ by w from the shape whose stiffness they are given, the error of the key
+characteristics stays below about w/(4 t) of the largest one (`verification/nominal_stiffness`). A tenth, which a gauge
+may be off, is reached at w = 0.4 t. `stiffness = "auto"` uses the cheapest stiffness that stays below: the nominal one;
+that of the mean shape, of which w is the scatter; else each sample's to first order.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from mic.model.assembly import Assembly
+from mic.model.reduction import Reduction
+from mic.model.sources import sources
+from mic.scene.checks import check_stiffness
+from mic.statistics.draw import draw
+
+__all__ = ["StiffnessChoice", "choose_stiffness", "stiffness_sentences"]
+
+ERROR = 0.25  # error of key characteristics, relative to the largest, over the deviation in thicknesses
+ALLOWED = 0.1  # of the largest key characteristic
+SAMPLES = 200
+USED = {
+    "nominal": "the nominal one",
+    "mean": "that of the mean shape, a second set of influence coefficients for each part",
+    "first-order": (
+        "each sample's to first order, two sets of influence coefficients for each source and part that it shapes, and "
+        "several times the work for each sample"
+    ),
+}
+
+
+@dataclass(frozen=True)
+class StiffnessChoice:
+    """What ``stiffness = "auto"`` uses for a scene.
+
+    Attributes
+    ----------
+    suitable : {"nominal", "mean", "first-order"}
+        The cheapest stiffness whose expected error is at most :data:`ALLOWED`.
+    part : str
+        Part with the largest deviation over its thickness; empty if there is none.
+    deviation, scatter : float
+        Largest deviation of its shape at its functionals from nominal and from its mean, root mean square over the
+        samples, over its thickness.
+    obstacle : str
+        Why no other stiffness than the nominal one is available; empty if others are.
+    """
+
+    suitable: str
+    part: str
+    deviation: float
+    scatter: float
+    obstacle: str
+
+    def __str__(self) -> str:
+        """Say what is used and why."""
+        return f"stiffness: {USED[self.stiffness]}; {self.measure}{f'; {self.obstacle}' if self.obstacle else ''}"
+
+    @property
+    def stiffness(self) -> str:
+        """What is used: the suitable stiffness, or the nominal one if there is an obstacle."""
+        return "nominal" if self.obstacle else self.suitable
+
+    @property
+    def measure(self) -> str:
+        """Deviation and scatter in words."""
+        if not self.part:
+            return "no part deviates in shape"
+        return (
+            f"{self.part} deviates by {self.deviation:.2g} of its thickness, with a scatter of {self.scatter:.2g} of it"
+        )
+
+
+def choose_stiffness(assembly: Assembly, nominal: Reduction) -> StiffnessChoice:
+    """What ``stiffness = "auto"`` uses for an assembly.
+
+    Parameters
+    ----------
+    assembly : Assembly
+    nominal : Reduction
+        Of its nominal meshes.
+    """
+    scene = assembly.scene
+    obstacles = check_stiffness(scene.model_copy(update={"stiffness": "first-order"}))
+    deviations = draw(scene, scene.monte_carlo.seed, 0, SAMPLES)
+    worst, scatter = ("", 0.0, 0.0), 0.0
+    for part, rows in zip(assembly.parts, nominal.compliance.functionals):
+        if part.superelement is not None:
+            continue
+        sizes = _sizes(part, scene, nominal.shape[rows], deviations)
+        worst, scatter = max(worst, (part.name, *sizes), key=lambda one: one[1]), max(scatter, sizes[1])
+    limit = ALLOWED / ERROR
+    suitable = "nominal" if worst[1] <= limit else "mean" if scatter <= limit else "first-order"
+    return StiffnessChoice(suitable, *worst, "" if suitable == "nominal" else next(obstacles, ""))
+
+
+def _sizes(part, scene, shape: np.ndarray, deviations: np.ndarray) -> tuple[float, float]:
+    """Deviation and scatter of a part's shape (:class:`StiffnessChoice`); its expansion by temperature is none."""
+    grows = [part.name in source.expansion() for source in sources(scene)]
+    read = np.where(grows, 0.0, shape) @ deviations.T
+    read = read[~part.functionals.rotation]
+    if not read.size:
+        return 0.0, 0.0
+    about = read - read.mean(axis=1, keepdims=True)
+    whole, scatter = (float(np.sqrt(np.mean(np.abs(each).max(axis=0) ** 2))) for each in (read, about))
+    return whole / part.thickness, scatter / part.thickness
+
+
+def stiffness_sentences(assembly: Assembly, nominal: Reduction) -> list[str]:
+    """What ``stiffness = "auto"`` uses, or what a scene with the nominal stiffness should use; empty if that suits it.
+
+    Parameters
+    ----------
+    assembly, nominal
+        As :func:`choose_stiffness`.
+    """
+    if assembly.scene.stiffness not in ("nominal", "auto"):
+        return []
+    choice = choose_stiffness(assembly, nominal)
+    if assembly.scene.stiffness == "auto":
+        return [str(choice)]
+    if ERROR * choice.deviation <= ALLOWED:
+        return []
+    remedy = f'`stiffness = "auto"` would use {USED[choice.suitable]}'
+    if choice.obstacle:
+        remedy += f", but for this: {choice.obstacle}"
+    return [
+        f"{choice.measure}: the nominal stiffness may change key characteristics by up to about "
+        f"{100 * ERROR * choice.deviation:.0f} % of the largest; {remedy}"
+    ]
