@@ -11,6 +11,8 @@ from mic.process.model import ReducedModel
 from mic.process.plan import plan_assembly
 from mic.process.stiffness import coefficients
 from mic.scene import Scene
+from mic.scene.settings import AUTO
+from mic.setting_choice import choose
 from mic.system.arguments import checked
 from mic.system.disk_cache import cache_folder
 from mic.system.progress_bar import ProgressBar
@@ -21,6 +23,8 @@ __all__ = ["check", "reduce"]
 @checked
 def reduce(scene: Scene, cache: Path | None = None, progress: bool | None = None) -> ReducedModel:
     """Build the reduced model of a scene: meshes, contact pairs, influence coefficients. Each MPI rank builds its own.
+
+    With ``setting = "auto"``, what the scene leaves open is chosen first (:mod:`mic.setting_choice`).
 
     Parameters
     ----------
@@ -39,6 +43,8 @@ def reduce(scene: Scene, cache: Path | None = None, progress: bool | None = None
     """
     cache = cache or cache_folder()
     with ProgressBar(progress) as bar:
+        if scene.setting == AUTO:
+            scene = choose(scene, cache, bar.report).scene
         bar.report(f"{scene.name}: meshing and pairing")
         assembly = _planned(scene, cache, bar.report)
         return ReducedModel.build(assembly, coefficients(assembly, cache, bar.report)[0])

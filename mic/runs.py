@@ -48,6 +48,9 @@ from mic.results.sample_tables import tables
 from mic.results.schema import ACCURACY, CONDENSED, CONTACTS, FORCES, MESH_CHANGES, SUMS, Table
 from mic.results.table_writer import write_path_study, write_summary, write_tables
 from mic.scene import Scene
+from mic.scene.settings import AUTO
+from mic.setting_choice import Choice
+from mic.setting_choice import choose as choose_setting
 from mic.system.arguments import checked
 from mic.system.cores import available_cores
 from mic.system.files import clean
@@ -144,6 +147,9 @@ def run(
     progress = progress if isinstance(progress, Progress) else BarProgress(progress)
     with hold(folder, progress):
         clean([Path(cache) / "meshes", Path(cache) / "influence"])
+        with clock("choice of the setting"):
+            choice = on_first(world, lambda: _choice(scene, cache, progress))
+            scene = choice.scene if choice else scene
         with clock("meshes and pairs"):
             progress.report(f"{scene.name}: meshing and pairing …")
             report_line = lambda line: progress.report(f"{line} …")
@@ -158,6 +164,8 @@ def run(
                 progress.report(f"{samples} samples under {len(laws)} laws: {expected}")
             _prepare(folder, assembly, laws, samples, seed, progress, replace, warnings)
             RunFolder(folder).store_inputs(assembly)
+            if choice is not None:
+                RunFolder(folder).add_to_record("setting", choice.record())
 
         on_first(world, prepare)  # refuse an unusable folder before computing
         with clock("influence coefficients"):
@@ -224,6 +232,11 @@ def sample_into(
     with hold(folder, progress):
         on_first(communicator(), lambda: _prepare(folder, model, laws, samples, seed, progress, replace))
         return _sample_to_accuracy(folder, model, laws, samples, seed, progress, BlockCache(), choose(engine))
+
+
+def _choice(scene: Scene, cache: Path, progress: Progress) -> Choice | None:
+    """What ``setting = "auto"`` chooses; None for other scenes."""
+    return choose_setting(scene, cache, progress.report) if scene.setting == AUTO else None
 
 
 def _assemble(scene: Scene, cache: Path, report_line, progress: Progress, strict: bool) -> tuple[Assembly, list[str]]:

@@ -19,6 +19,7 @@ from mic.scene import SETTINGS, schema
 from mic.scene.keys import Table
 from mic.scene.reference import reference
 from mic.scene.samples import DESIGNS
+from mic.scene.settings import AUTO, TARGET, with_values
 
 LAP = Path(__file__).resolve().parents[1] / "meshes" / "lap_joint"
 
@@ -147,13 +148,19 @@ def test_a_setting_fills_in_only_keys_that_the_scene_omits(tmp_path):
     assert [part.size for part in scene.parts] == [draft["size"], "medium"]  # the second part gives its own
     assert scene.path.tolerance == draft["tolerance"] and scene.monte_carlo.samples == 200
     assert scene.zones[0].candidates and scene.zones[0].spacing_factor == draft["spacing_factor"]
+    assert scene.left_open == []
     stated = tomllib.loads('setting = "reference"\n' + text.partition("\n")[2])
     stated["zones"][0]["spacing"] = 5.0
     assert mic.Scene(**stated).zones[0].spacing_factor == 1.0 > SETTINGS["reference"]["spacing_factor"]
+    chosen = mic.Scene(**stated | {"setting": AUTO})
+    assert chosen.left_open == ["parts.lower", "path"] and chosen.monte_carlo.accuracy.required == {"six_sigma": TARGET}
+    changed = with_values(chosen, {"size": "coarse", "spacing_factor": 0.5, "increments": 2})
+    assert [part.size for part in changed.parts] == ["coarse", "medium"] and changed.zones[0].spacing_factor == 1.0
+    assert [stage.increments for stage in changed.stages] == [None, 2, 2, 2, None]
     assert {stage.increments for stage in scene.stages} == {None}
     assert mic.Scene(**scene.model_dump(mode="json")) == scene.model_copy(update={"folder": Path(".")})
     (tmp_path / "scene.toml").write_text(text.replace('"draft"', '"hasty"'))
-    with pytest.raises(mic.SceneError, match="setting: .*'draft', 'standard' or 'reference'.*'hasty'"):
+    with pytest.raises(mic.SceneError, match="setting: .*'draft', 'standard', 'reference' or 'auto'.*'hasty'"):
         mic.load_scene(tmp_path)
 
 
@@ -184,7 +191,7 @@ def test_the_words_of_the_schema_are_those_of_the_registries():
     assert words(schema.Stage, "kind") == set(STAGE_MOVES)
     assert words(schema.MonteCarlo, "design") == set(DESIGNS)
     settings = {word for option in words(schema.Scene, "setting") for word in get_args(option)}
-    assert settings == set(SETTINGS)
+    assert settings == {*SETTINGS, AUTO}
 
 
 def tables(kind=Table):

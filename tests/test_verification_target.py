@@ -39,7 +39,7 @@ def test_a_setting_replaces_what_the_scene_states():
     scene = mic.load_scene(examples.folder("wheelhouse"))
     assert not scene.zones[0].candidates and scene.parts[0].size == "medium"
     coarse = as_set(scene, "draft")
-    assert all(zone.candidates for zone in coarse.zones) and {part.size for part in coarse.parts} == {"coarse"}
+    assert all(zone.candidates for zone in coarse.zones) and {part.size for part in coarse.parts} == {"medium"}
     assert coarse.path.tolerance > scene.path.tolerance and coarse.stages[1].order == scene.stages[1].order
 
 

@@ -19,7 +19,7 @@ from mic.scene.optimisation import Optimisation
 from mic.scene.part import Part
 from mic.scene.process import FollowedPath, Stage
 from mic.scene.scan import Scan
-from mic.scene.settings import SETTINGS, fill_in
+from mic.scene.settings import AUTO, SETTINGS, fill_in
 from mic.scene.tables import expand_tables
 from mic.scene.weld import Weld
 from mic.scene.zone import Zone
@@ -43,7 +43,7 @@ if TYPE_CHECKING:
     SettingName = str
 else:
     DesignName = Literal[tuple(DESIGNS)]
-    SettingName = Literal[tuple(SETTINGS)]
+    SettingName = Literal[(*SETTINGS, AUTO)]
 
 
 class Report(Table):
@@ -201,6 +201,9 @@ class Scene(Table):
     optimise: Optimisation | None = None
     folder: Path = Field(Path("."), exclude=True)
     """set by load_scene: where relative file names start"""
+
+    left_open: list[str] = Field([], exclude=True)
+    """set for `setting = "auto"`: parts and zones (`parts.NAME`) and `path`, whose values a run chooses"""
 
     tables_read: list[str] = Field([], exclude=True)
     """set by load_scene: how the columns of files were read, where their headers are not the keys"""

@@ -1,4 +1,4 @@
-"""Named settings: defaults of accuracy."""
+"""Named settings: defaults of accuracy. With ``auto`` a run chooses them, see :mod:`mic.setting_choice`."""
 
 from __future__ import annotations
 
@@ -6,40 +6,81 @@ from typing import Any
 
 from mic.contact.path import Followed
 
-__all__ = ["SETTINGS", "fill_in"]
+__all__ = ["AUTO", "FOLLOWING", "SETTINGS", "TARGET", "fill_in", "with_values"]
 
 #: Element size, tolerance of the friction path, spacing of contact candidates and samples where the scene gives none.
 #: `verification/trade` measures their cost and error. The path may use half of the error of a setting: 5, 2 and 1 % of
 #: a 6σ, for the slip with the largest error. The tolerance of the contact solver is not included: it costs nothing.
 SETTINGS: dict[str, dict[str, Any]] = {
-    "draft": {"size": "coarse", "tolerance": 10 * Followed.tolerance, "spacing_factor": 0.7, "samples": 100},
+    "draft": {"size": "medium", "tolerance": 10 * Followed.tolerance, "spacing_factor": 1.0, "samples": 100},
     "standard": {"size": "fine", "tolerance": 4 * Followed.tolerance, "spacing_factor": 0.85, "samples": 500},
     "reference": {"size": "fine", "tolerance": Followed.tolerance, "spacing_factor": 0.7, "samples": 2000},
 }
+AUTO = "auto"
+TARGET = 0.05  # accuracy of 6σ that `auto` requires if the scene states none
 FOLLOWING = ("clamp", "weld", "release")  # kinds of stages that a path can be given for
+_PATH = "path"  # in `Scene.left_open`; a part or zone is there as "parts.NAME" or "zones.NAME"
 
 
 def fill_in(table: dict[str, Any]) -> dict[str, Any]:
-    """A scene's table with the defaults of its setting; malformed tables are left to the schema."""
+    """A scene's table with the defaults of its setting; malformed tables are left to the schema.
+
+    With `auto` they are those of `standard` until a run chooses, an accuracy, and the samples of `reference`;
+    `left_open` names what the scene does not state.
+    """
     name = table.get("setting")
-    setting = SETTINGS.get(name) if isinstance(name, str) else None
+    setting = SETTINGS.get("standard" if name == AUTO else name) if isinstance(name, str) else None
     if setting is None:
         return table
+    if name == AUTO:
+        setting = setting | {"samples": SETTINGS["reference"]["samples"], "accuracy": TARGET}
+    left_open = []
 
-    def filled(item, key, rivals=(), applies=True):
+    def filled(item, key, rivals=(), applies=True, what=""):
         given = not isinstance(item, dict) or any(name in item for name in (key, *rivals))  # None counts as given
-        return item if given or not applies else item | {key: setting[key]}
+        if given or not applies:
+            return item
+        if what:
+            left_open.append(what if what == _PATH else f"{what}.{item.get('name')}")
+        return item | {key: setting[key]}
 
-    def each(key, fill):
-        return {key: [fill(item) for item in table[key]]} if isinstance(table.get(key), list) else {}
+    def each(key, *filling, applies=lambda item: True):
+        items = table.get(key)
+        return {key: [filled(item, *filling, applies(item), key) for item in items]} if isinstance(items, list) else {}
 
     def generated(part):
         return isinstance(part, dict) and part.get("geometry") is not None
 
-    return (
+    given, wanted = ("table", "values"), name == AUTO and bool(table.get("measurements") and table.get("deviations"))
+    sampling = filled(table.get("monte_carlo", {}), "samples", given)
+    table = (
         table
-        | each("parts", lambda part: filled(part, "size", ("accuracy",), applies=generated(part)))
-        | each("zones", lambda zone: filled(zone, "spacing_factor", ("spacing", "pairs", "points")))
-        | {"path": filled(table.get("path", {}), "tolerance")}
-        | {"monte_carlo": filled(table.get("monte_carlo", {}), "samples", ("table", "values"))}
+        | each("parts", "size", ("accuracy",), applies=generated)
+        | each("zones", "spacing_factor", ("spacing", "pairs", "points"))
+        | {"path": filled(table.get("path", {}), "tolerance", what=_PATH)}
+        | {"monte_carlo": filled(sampling, "accuracy", (*given, "design"), wanted)}
     )
+    return table | {"left_open": left_open} if name == AUTO else table
+
+
+def with_values(scene: Any, values: dict[str, Any]) -> Any:
+    """The scene with values for what it leaves open: ``size``, ``spacing_factor``, ``tolerance`` or ``increments``."""
+
+    def each(key, change):
+        items = getattr(scene, key)
+        return {
+            key: [item.model_copy(update=change) if f"{key}.{item.name}" in scene.left_open else item for item in items]
+        }
+
+    change: dict[str, Any] = {}
+    if "size" in values:
+        change |= each("parts", {"size": values["size"]})
+    if "spacing_factor" in values:
+        change |= each("zones", {"spacing_factor": values["spacing_factor"]})
+    if _PATH in scene.left_open and "tolerance" in values:
+        change["path"] = scene.path.model_copy(update={"tolerance": values["tolerance"]})
+    if _PATH in scene.left_open and "increments" in values:
+        steps = {"increments": values["increments"]}
+        follows = lambda stage: stage.kind in FOLLOWING and stage.path is None and stage.increments is None
+        change["stages"] = [stage.model_copy(update=steps) if follows(stage) else stage for stage in scene.stages]
+    return scene.model_copy(update=change)
