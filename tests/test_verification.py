@@ -225,7 +225,7 @@ def test_the_first_page_names_failures_and_limitations_and_has_a_signature(tmp_p
     readme = (FOLDER.parent / "README.md").read_text()
     points = re.findall(r"^- (\w+ \w+)", readme[readme.index("## Limitations") :], flags=re.MULTILINE)
     assert len(points) > 10 and all(f"<li>{point}" in first for point in points)
-    words = ("commit", "machine", "date", "numpy", "Validated by", "signature", "not computed")  # the error budget
+    words = ("commit", "machine", "date", "numpy", "Verified by", "signature", "not computed")  # the error budget
     assert all(word in first for word in words)
 
 

@@ -16,8 +16,8 @@ from mic.scene import load_scene
 from verification.own_scene import verify_scene
 from verification.pdf import browser, write_pdf
 from verification.report import write_report
+from verification.run import compile_kernels, team, write_summary
 from verification.run import run as run_studies
-from verification.run import team, write_summary
 from verification.shell_contact import fclib
 from verification.shell_contact.case import cases
 from verification.shell_contact.publication import publish
@@ -77,7 +77,9 @@ def run(
     workers = team()
     if pdf:
         browser()  # raise before hours of work
-    run_studies(_chosen(names), out, quick, workers, lambda line: print(line, flush=True))
+    chosen = _chosen(names)
+    compile_kernels(workers)
+    run_studies(chosen, out, quick, workers, lambda line: print(line, flush=True))
     if workers.rank == 0:
         print(f"report: {write_report(out, pdf)}")
     failed = [entry for entry in write_summary(out) if not entry["passed"]] if workers.rank == 0 else []

@@ -13,14 +13,17 @@ from mic.process.evaluation import Evaluation
 from mic.process.model import ReducedModel
 from mic.process.stiffness import coefficients
 from mic.scene import Scene
+from verification import domain
 
 __all__ = ["Difference", "certificates", "difference", "reduced_and_assembly", "reduced_model", "relative", "zone_slip"]
 
 
 def reduced_and_assembly(scene: Scene, cache: Path) -> tuple[ReducedModel, Assembly]:
-    """Reduced model and assembly of a scene, built as in production on this process alone."""
+    """Reduced model and assembly of a scene, built as in production on this process alone; its inputs are recorded."""
     assembly = assemble(scene, cache)
-    return reduced_model(assembly, cache), assembly
+    model = reduced_model(assembly, cache)
+    domain.record(assembly, model)
+    return model, assembly
 
 
 def reduced_model(assembly: Assembly, cache: Path) -> ReducedModel:

@@ -1,7 +1,7 @@
 """Report of a run folder: one self-contained HTML file, laid out for printing.
 
-The first page has scope, errors, limits not met, limitations and signatures. One section per study, the full
-limitations and a table of all results follow.
+The first page has scope, errors, domain of applicability, limits not met, comparisons with their uncertainties,
+limitations and signatures. One section per study, the full limitations and a table of all results follow.
 """
 
 from __future__ import annotations
@@ -16,17 +16,20 @@ import jinja2
 import pandas as pd
 
 from mic.report.template import backticks_to_code
+from verification import domain
 from verification.limitations import limitations
 from verification.pdf import browser, write_pdf
 from verification.plots import panels, svg
 from verification.run import read_results, write_summary
+from verification.sampling_cost import enough
 
 __all__ = ["environment", "number", "over_limit", "table_cells", "write_report"]
 
 BUDGET = "error_budget"  # the study on the first page
 LONG = 12  # a table with more rows is collapsed on the screen
 WIDE = 9  # a table with more columns has a smaller font
-SIGNERS = ("Validated by", "Approved by")
+SIGNERS = ("Verified by", "Approved by")
+WANTED = 0.1  # accuracy of a 6σ for which the number of measured assemblies is stated
 FARTHEST = 1e4  # largest ratio of measured value and limit that a bar shows
 
 
@@ -53,13 +56,21 @@ def write_report(folder: Path, pdf: bool = False) -> Path:
         )
     entries = write_summary(folder)
     _fill_in(results)
-    points = limitations()
+    points, measured = limitations(), any(result.get("measured_assembly") for result in results)
+    covering = [result for result in results if result["passed"] and result.get("domain")]
     page = (
         environment()
         .get_template("report.html")
         .render(
+            title=f"Method {'validation' if measured else 'verification'} report",
             results=results,
             entries=entries,
+            measured=measured,
+            needed=enough(WANTED),
+            wanted=WANTED,
+            domain=_domain(covering),
+            domain_studies=[result["study"] for result in covering],
+            comparisons=_comparisons(results),
             failed=[entry for entry in entries if not entry["passed"]],
             titles={result["study"]: result["title"] for result in results},
             budget=next((result for result in results if result["study"] == BUDGET), None),
@@ -109,6 +120,23 @@ def _fill_in(results: list[dict]) -> None:
                 finding["table_number"] = next(tables)
                 finding["long"] = len(finding["rows"]["rows"]) > LONG
                 finding["wide"] = len(finding["rows"]["columns"]) > WIDE
+
+
+def _domain(results: list[dict]) -> list[dict]:
+    """Rows of the domain of applicability."""
+    found = domain.merged(result["domain"] for result in results)
+    rows = ((*domain.QUANTITIES[name], *ends) for name, ends in found.items())
+    return [dict(zip(("title", "unit", "low", "high"), row)) for row in rows]
+
+
+def _comparisons(results: list[dict]) -> list[dict]:
+    """Findings with an uncertainty, and that uncertainty."""
+    return [
+        {"study": result["study"]} | finding | finding["uncertainty"]
+        for result in results
+        for finding in result["findings"]
+        if finding.get("uncertainty")
+    ]
 
 
 def _draw(findings, folder, numbers) -> None:

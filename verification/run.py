@@ -10,25 +10,34 @@ from __future__ import annotations
 import hashlib
 import json
 import math
+import os
 import shutil
+import subprocess
+import sys
 import traceback
+from contextlib import closing
+from functools import partial
 from pathlib import Path
 
 from threadpoolctl import threadpool_limits
 
 from mic import examples
+from mic.execution.local import Local
 from mic.execution.ranks import alone, communicator
 from mic.results.run_folder import versions
+from mic.system.cores import available_cores
+from verification import domain
 from verification.cost import Cost, Meter, together
 from verification.plots import svg
 from verification.provenance import provenance
 from verification.study import FOLDER, CheckedFinding, Context, ItemFailed, Study, Team
 
-__all__ = ["read_results", "run", "shared_and_whole", "team", "write_summary"]
+__all__ = ["compile_kernels", "read_results", "run", "shared_and_whole", "team", "write_summary"]
 
 VERIFIED_CODE = (FOLDER.parent / "mic", FOLDER.parent / "fem_reference", *map(examples.folder, examples.names()))
 SOURCES = (".py", ".toml", ".html")
 MEMORY = 8.0  # GB of all processes together
+QUICK_MEMORY = 2.0  # GB: no quick study takes more
 
 
 def team() -> Team:
@@ -40,8 +49,9 @@ def run(chosen: list[Study], folder: Path, quick: bool, team: Team, say=print) -
     """Run the studies that are not finished.
 
     Studies longer than a process's share of the total time are divided over all processes first. Each process then
-    takes whole studies, the longest first that fits into the remaining memory. A study that raises an error is stored
-    as not measured, and is run again by the next call; the others still run.
+    takes whole studies, the longest first that fits into the remaining memory. Without ``mpirun``, quick studies, which
+    need little memory, are shared by forks of this process on all cores. A study that raises an error is stored as not
+    measured, and is run again by the next call; the others still run.
 
     Parameters
     ----------
@@ -77,32 +87,91 @@ def run(chosen: list[Study], folder: Path, quick: bool, team: Team, say=print) -
             say(f"{study.name}: already finished")
     pending = [study for study in chosen if not missing[study.name] and study.name not in done]
     shared, whole = shared_and_whole(pending, quick, team.size)
+    forks = Local(min(available_cores(), int(MEMORY / QUICK_MEMORY)) if quick and team.size == 1 else 1)
     meter, costs = Meter(team.rank), []
+    perform = partial(_perform, folder / "studies", marks, quick, cache, team.rank if forks.workers == 1 else None)
 
-    def execute(study: Study, workers: Team) -> None:
-        if workers.rank == 0:
-            say(f"{study.name}: started, about {study.seconds[quick]:.0f} s on one core …")
-        study_meter = Meter(team.rank)
-        checked, error = _evaluated(study, Context(quick, cache, workers))
-        study_costs = workers.of_each(study_meter.read())
-        costs.extend(study_costs if workers.rank == 0 else ())
-        if workers.rank == 0:
-            record = {"fingerprint": "" if error else marks[study.name], "quick": quick, "error": error}
-            _store(folder / "studies" / study.name, study, checked, record | _cost_record(study_costs) | provenance())
-            say("\n".join(_result_lines(study, checked, study_costs, error)))
+    def begin(study: Study) -> None:
+        say(f"{study.name}: started, about {study.seconds[quick]:.0f} s on one core …")
+
+    def end(lines: list[str], of_processes: list[Cost]) -> None:
+        costs.extend(of_processes)
+        if lines:
+            say("\n".join(lines))
 
     for study in shared:
-        execute(study, team)
-    for i in team.taken([study.memory for study in whole], MEMORY):
-        with alone():
-            execute(whole[i], Team())
+        if first:
+            begin(study)
+        end(*perform(study, team))
+    if forks.workers > 1:
+        say(f"{len(whole)} studies on {forks.workers} processes …")
+        with closing(forks.completed(perform, whole)) as completed:
+            for _, found in completed:
+                end(*found)
+    else:
+        for i in team.taken([study.memory for study in whole], MEMORY):
+            with alone():
+                begin(whole[i])
+                end(*perform(whole[i]))
     every = [cost for of_rank in team.of_each(costs) for cost in of_rank]
     if first and every:
         wall, cpu = meter.read().wall, sum(cost.cpu for cost in every)
         say(
-            f"{len(shared) + len(whole)} studies: {wall:.0f} s on {team.size} processes, {cpu:.0f} s of CPU, "
-            f"{cpu / wall:.2f} cores used; peak memory {together(every):.1f} GB"
+            f"{len(shared) + len(whole)} studies: {wall:.0f} s on {max(team.size, forks.workers)} processes, "
+            f"{cpu:.0f} s of CPU, {cpu / wall:.2f} cores used; peak memory {together(every):.1f} GB"
         )
+
+
+def compile_kernels(team: Team) -> None:
+    """Compile the contact solver if that has not been done: once, on two cores, and not on every rank.
+
+    Raises
+    ------
+    subprocess.CalledProcessError
+        On the first rank.
+    """
+    if team.rank == 0:
+        subprocess.run([sys.executable, "-m", "mic.commands.compile"], check=True)
+    team.wait()
+
+
+def _perform(
+    target: Path,
+    marks: dict[str, str],
+    quick: bool,
+    cache: Path,
+    process: int | None,
+    study: Study,
+    workers: Team | None = None,
+) -> tuple[list[str], list[Cost]]:
+    """Run and store a study; its console lines and the costs of its processes, on the first of them.
+
+    Parameters
+    ----------
+    target : Path
+        Folder of the studies.
+    marks : dict
+        Fingerprint of each study.
+    quick : bool
+    cache : Path
+    process : int or None
+        Number of this process; None: that of the system.
+    study : Study
+    workers : Team, optional
+        Default: this process alone.
+    """
+    workers = workers or Team()
+    meter = Meter(os.getpid() if process is None else process)
+    domain.collected()  # forget what other studies have recorded
+    checked, error = _evaluated(study, Context(quick, cache, workers))
+    covered = domain.merged(workers.of_each(domain.collected())) if study.judges_accuracy else {}
+    costs = workers.of_each(meter.read())
+    if workers.rank > 0:
+        return [], []
+    record = {"fingerprint": "" if error else marks[study.name], "quick": quick, "error": error}
+    record |= {"domain": covered, "measured_assembly": study.measured_assembly} | _cost_record(costs) | provenance()
+    _store(target / study.name, study, checked, record)
+    return _result_lines(study, checked, costs, error), costs
 
 
 def shared_and_whole(studies: list[Study], quick: bool, size: int) -> tuple[list[Study], list[Study]]:
@@ -186,6 +255,7 @@ def write_summary(folder: Path) -> list[dict]:
             "reason": finding.get("reason", ""),
             "unit": finding["unit"],
             "passed": finding["passed"],
+            "uncertainty": finding.get("uncertainty"),
             "error": (result.get("error") or "").strip().rpartition("\n")[2],
             **{key: result.get(key) for key in ("seconds", "cpu_seconds", "memory_gb", "began")},
             "quick": result["quick"],
@@ -237,6 +307,7 @@ def _store(target: Path, study: Study, checked: list[CheckedFinding], record: di
             "unit": acceptance.unit,
             "passed": item.passed,
             "note": finding.note,
+            "uncertainty": finding.uncertainty and finding.uncertainty.record(finding.measured),
         }
         if finding.figure is not None:
             entry["figure"] = f"{finding.name}.svg"

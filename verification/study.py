@@ -23,6 +23,7 @@ from mic.process.model import ReducedModel
 from mic.scene import Scene
 from verification.comparison import reduced_and_assembly
 from verification.cost import give_back
+from verification.validation import Uncertainty
 
 __all__ = ["Acceptance", "CheckedFinding", "Context", "Finding", "ItemFailed", "Study", "Team", "studies"]
 
@@ -46,8 +47,9 @@ class Acceptance:
         ``"1"`` for ratios.
     bound : {"at most", "at least"}
     quick : float or None
-        Limit of the quick version if its coarser meshes need another. It shows that the study runs, and is no
-        validation.
+        Limit of the quick version if its coarser meshes need another.
+    full_only : bool
+        Whether the quick version leaves the quantity out, because no small case determines it.
     reason : str
         Reason for the limit: theory, accuracy of a peer program, a standard, or a user's requirement; never the
         measured value.
@@ -60,6 +62,7 @@ class Acceptance:
     bound: Literal["at most", "at least"] = "at most"
     quick: float | None = None
     reason: str = ""
+    full_only: bool = False
 
     def at(self, quick: bool) -> float:
         """The limit of the full or the quick version."""
@@ -69,6 +72,7 @@ class Acceptance:
         """The limit as text."""
         unit = "" if self.unit == "1" else f" {self.unit}"
         other = "" if self.quick is None else f" (quick: {self.quick:g}{unit})"
+        other = " (not in the quick version)" if self.full_only else other
         return f"{self.bound} {self.limit:g}{unit}{other}"
 
 
@@ -87,6 +91,8 @@ class Finding:
     figure : matplotlib.figure.Figure or None
     table : pandas.DataFrame or None
         Column names carry the units.
+    uncertainty : verification.validation.Uncertainty or None
+        That of a comparison error; None for quantities that are none, or whose uncertainty is not estimated.
     """
 
     name: str
@@ -94,6 +100,7 @@ class Finding:
     note: str = ""
     figure: object | None = None
     table: object | None = None
+    uncertainty: Uncertainty | None = None
 
 
 @dataclass(frozen=True)
@@ -282,6 +289,10 @@ class Study:
         Text that names missing requirements, for which the study is skipped; empty if there are none.
     memory : float
         Peak memory of one process in the full version, GB.
+    judges_accuracy : bool
+        Whether its cases belong to the domain of applicability; False if they show messages, invariance or statistics.
+    measured_assembly : bool
+        Whether its reference is a measured assembly with measured inputs: validation rather than verification.
     name : str
         Name of the folder; set by :func:`studies`.
     """
@@ -295,7 +306,13 @@ class Study:
     run: Callable[[Context], list[Finding]]
     missing: Callable[[], str] = lambda: ""
     memory: float = 1.0
+    judges_accuracy: bool = True
+    measured_assembly: bool = False
     name: str = ""
+
+    def judged(self, quick: bool) -> list[Acceptance]:
+        """The limits of the full or the quick version."""
+        return [acceptance for acceptance in self.acceptance if not (quick and acceptance.full_only)]
 
     def evaluate(self, context: Context) -> list[CheckedFinding]:
         """Run the study and compare each finding with its acceptance limit.
@@ -306,7 +323,7 @@ class Study:
             If a quantity with an acceptance limit was not measured exactly once.
         """
         findings = self.run(context)
-        limits = {acceptance.name: acceptance for acceptance in self.acceptance}
+        limits = {acceptance.name: acceptance for acceptance in self.judged(context.quick)}
         if sorted(finding.name for finding in findings) != sorted(limits):
             raise ValueError(
                 f"study {self.name!r} measured {sorted(f.name for f in findings)}, but its acceptance limits are for "
@@ -319,7 +336,7 @@ class Study:
 
     def unmeasured(self, quick: bool, why: str) -> list[CheckedFinding]:
         """Findings without measured values, which meet no limit."""
-        return [CheckedFinding(Finding(limit.name, math.nan, why), limit, limit.at(quick)) for limit in self.acceptance]
+        return [CheckedFinding(Finding(item.name, math.nan, why), item, item.at(quick)) for item in self.judged(quick)]
 
     def opening(self) -> str:
         """First lines of the study's README: title, claim and reference."""

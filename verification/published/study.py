@@ -11,10 +11,23 @@ from verification.mesh.study import converge
 from verification.plots import panels
 from verification.published import cases
 from verification.study import Acceptance, Finding, Study
+from verification.validation import COVERAGE, Uncertainty
 
 #: Published values, mm: code_aster's command files ssnp154a-d and ssna122a-b, by order of their elements and friction.
 ROLLER = {(1, 0.0): -1.30690, (1, 0.1): -1.30108, (2, 0.0): -1.30802, (2, 0.1): -1.30264}
 PUNCH = {(1, 0.0): -0.1307341, (1, 0.1): -0.1285802, (2, 0.0): -0.1329412, (2, 0.1): -0.1307935}
+
+
+#: Relative 95 % uncertainty of published values: what closed forms neglect, the scatter of codes that the source
+#: allows, or the difference of published meshes of linear and quadratic elements.
+REFERENCE = {
+    "plate": 0.05,
+    "hertz": 0.015,
+    "cattaneo": 0.007,
+    "roller": max(abs(ROLLER[1, mu] / ROLLER[2, mu] - 1) for mu in (0.0, 0.1)),
+    "punch": max(abs(PUNCH[1, mu] / PUNCH[2, mu] - 1) for mu in (0.0, 0.1)),
+    "punch-friction": abs((PUNCH[1, 0.1] - PUNCH[1, 0.0]) / (PUNCH[2, 0.1] - PUNCH[2, 0.0]) - 1),
+}
 
 
 @dataclass(frozen=True)
@@ -122,7 +135,8 @@ def cattaneo():
     ]
 
 
-CASES = {"SSNV503": shoe, "SSNV128": plate, "SSNP154": roller, "SSNA122": punch, "Cattaneo and Mindlin": cattaneo}
+CASES = {"SSNP154": roller, "SSNA122": punch, "SSNV503": shoe, "SSNV128": plate, "Cattaneo and Mindlin": cattaneo}
+QUICK = ("SSNV503", "SSNV128", "Cattaneo and Mindlin")
 
 
 def traction_figure():
@@ -147,7 +161,8 @@ def traction_figure():
 
 
 def run(context):
-    found = [one for made in context.team.map(lambda case: case(), CASES.values()) for one in made]
+    cases = [case for name, case in CASES.items() if not context.quick or name in QUICK]
+    found = [one for made in context.team.map(lambda case: case(), cases) for one in made]
     limits = {item.name: item.limit for item in STUDY.acceptance}
     rows = [
         {
@@ -167,8 +182,9 @@ def run(context):
     for name in dict.fromkeys(one.name for one in found):
         own = [one for one in found if one.name == name]
         figure = traction_figure() if name == "cattaneo" else None
-        part = table[table["number"] == name].drop(columns="number")
-        made.append(Finding(name, max(one.error for one in own), NOTES.get(name, ""), figure, part))
+        part, worst = table[table["number"] == name].drop(columns="number"), max(own, key=lambda one: one.error)
+        uncertainty = Uncertainty(num=worst.own / COVERAGE, reference=REFERENCE.get(name, 0.0) / COVERAGE)
+        made.append(Finding(name, worst.error, NOTES.get(name, ""), figure, part, uncertainty))
     return [*made, Finding("own", max(one.own / limits[one.name] for one in found))]
 
 
@@ -215,24 +231,28 @@ STUDY = Study(
             "SSNP154, a roller on a block: relative error of Hertz's half width and pressure.",
             0.015,
             reason="The half-space neglects (a/R)² = 0.015.",
+            full_only=True,
         ),
         Acceptance(
             "roller",
             "SSNP154: relative error of the displacement of the block's top.",
             0.027,
             reason="The reference has large displacements; Hertz's largest strain is 2.7 %.",
+            full_only=True,
         ),
         Acceptance(
             "punch",
             "SSNA122, a punch with a rounded edge: relative error of the displacement below it.",
             0.017,
             reason="The difference of the two published meshes.",
+            full_only=True,
         ),
         Acceptance(
             "punch-friction",
             "SSNA122: relative error of friction's effect on that displacement.",
             0.003,
             reason="The difference of the two published meshes, 0.3 %.",
+            full_only=True,
         ),
         Acceptance(
             "cattaneo",
@@ -247,7 +267,7 @@ STUDY = Study(
             reason="A reference errs by at most a fifth of the limit.",
         ),
     ),
-    seconds=(25, 30),
+    seconds=(50, 15),
     memory=1.1,
     run=run,
 )
