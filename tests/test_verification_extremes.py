@@ -49,7 +49,7 @@ def test_cells_are_right_and_refusals_remedied(context, monkeypatch):
     assert twins["outcome"] == "right"
     narrow = STRIP | {"sliver": 2.5e-5, "t/L": 1e-4, "element size / width": 1.0}
     assert study.try_drawn(context, cell("strip on a stop", **narrow))["outcome"] == "right"
-    monkeypatch.setattr(part, "without_slivers", lambda surface: None)
+    monkeypatch.setattr(part, "local_freedoms", lambda surface, thickness: None)
     refused = study.try_drawn(context, cell("strip on a stop", **narrow | {"sliver": 2e-5}))
     assert refused["outcome"] == "refused" and refused["with its remedy"] == "right", refused
 

@@ -7,7 +7,6 @@ determinate support vanish under self-equilibrated loads, so that the choice cha
 
 from __future__ import annotations
 
-import logging
 from functools import cached_property
 from typing import Any
 
@@ -21,16 +20,14 @@ from scipy.sparse.csgraph import connected_components
 
 from fem_reference.shell import compat
 from fem_reference.shell.element import ELEMENTS, Material, opt_beta0
-from fem_reference.shell.factorisation import Factorisation, FactorisationError, OutOfMemory, upper_triangle
+from fem_reference.shell.factorisation import Factorisation, FactorisationError, upper_triangle
 from fem_reference.shell.influence import influence_matrix
 from fem_reference.shell.interpolation import P1
-from fem_reference.shell.sliver_elements import SLIVER, without_slivers
+from fem_reference.shell.local_freedoms import LocalFreedoms, local_freedoms
 from mic.compliance.functional import Functionals
 from mic.geometry.surface import Surface
 
 __all__ = ["RIGID_MOTION_TOLERANCE", "ShellPart"]
-
-_log = logging.getLogger(__name__)
 
 POINTS = 20_000  # patch points assembled at a time: each has entries for all freedoms of its triangle
 RIGID_MOTION_TOLERANCE = 1e-2  # relative; exceeded at t/L ~ 1e-5 on curved shells
@@ -65,6 +62,8 @@ class ShellPart:
     comm : MPI.Comm
         Processes that share the assembled stiffness. The tables (`functional_matrix`, `rigid_modes`, …) are whole on
         each of them, in the same global order of freedoms; that order depends on the number of processes.
+    connected : bool
+        Whether the surface must be in one piece, as a part that is solved must be.
 
     Raises
     ------
@@ -80,6 +79,7 @@ class ShellPart:
         poisson: float,
         element: str = "dkt-opt-curved",
         comm: MPI.Comm = MPI.COMM_SELF,
+        connected: bool = True,
     ):
         if element not in ELEMENTS:
             raise ValueError(f"element {element!r}: choose one of {', '.join(ELEMENTS)}")
@@ -95,14 +95,13 @@ class ShellPart:
                 f"point {unused[0]} belongs to no triangle ({len(unused)} such points): mic.geometry.repair.repair "
                 "drops them"
             )
-        pieces = _pieces(surface.triangles)
+        pieces = _pieces(surface.triangles) if connected else 1
         if pieces > 1:
             raise ValueError(
                 f"the surface is in {pieces} pieces that share no edge: make each a part of its own, or join them"
             )
         self.surface, self.element, self.comm = surface, element, comm
         self._kind, self._normals = ELEMENTS[element], None
-        self._substitute: ShellPart | None = None
         self.thickness, self.young, self.poisson = float(thickness), float(young), float(poisson)
         self._build_tables()
 
@@ -342,9 +341,12 @@ class ShellPart:
 
         Rotations are scaled by the largest distance from the centroid, so that all six modes have the same weight.
         """
-        candidates = self.vertex_displacement_dofs.ravel()
+        candidates = self.vertex_displacement_dofs
+        if self._local is not None:
+            candidates = candidates[~self._local.relative]
+        candidates = candidates.ravel()
         size = np.linalg.norm(self.surface.points - self.centroid, axis=1).max()
-        modes = self.rigid_modes[candidates] / np.array([1, 1, 1, size, size, size])
+        modes = self._rigid_modes[candidates] / np.array([1, 1, 1, size, size, size])
         _, r, pivots = scipy.linalg.qr(modes.T, mode="economic", pivoting=True)
         assert abs(r[5, 5]) > 1e-6 * abs(r[0, 0]), "vertices on a line cannot pin a part"
         return np.sort(candidates[pivots[:6]])
@@ -354,9 +356,51 @@ class ShellPart:
         return np.setdiff1d(np.arange(self.ndof), self.pins)
 
     @cached_property
+    def _local(self) -> LocalFreedoms | None:
+        """Freedoms of a solve, in place of those along the scene's axes; None if these cost no digits."""
+        plain = self._kind.displacement is P1 and self._kind.rotation is P1 and self.comm.size == 1
+        return local_freedoms(self.surface, self.thickness) if plain else None
+
+    @cached_property
+    def _absolute(self) -> csr_matrix | None:
+        """(ndof, ndof) T that gives the freedoms from those of a solve; None if they are the same."""
+        return None if self._local is None else self._by_freedom(self._local.absolute())
+
+    @cached_property
+    def _rigid_modes(self) -> np.ndarray:
+        """(ndof, 6) the rigid modes in the freedoms of a solve: relative ones do not move."""
+        if self._local is None:
+            return self.rigid_modes
+        modes, vertex = np.zeros_like(self.rigid_modes), np.flatnonzero(~self._local.relative)
+        turn = self._local.axes[vertex].transpose(0, 2, 1)
+        for own in (self._vertex_dofs[vertex, :3], self._vertex_dofs[vertex, 3:]):
+            modes[own] = turn @ self.rigid_modes[own]
+        return modes
+
+    def _by_freedom(self, matrix: csr_matrix) -> csr_matrix:
+        """A matrix (6n, 6n) by vertex, in the order of the freedoms."""
+        matrix, place = matrix.tocoo(), self._vertex_dofs.ravel()
+        return coo_matrix((matrix.data, (place[matrix.row], place[matrix.col])), (self.ndof, self.ndof)).tocsr()
+
+    def _solved_stiffness(self) -> csr_matrix:
+        """K in the freedoms of a solve."""
+        if self._local is None:
+            return self.stiffness_csr()
+        flat, normals = self._local.flattened, None
+        if self._kind.normals is not None:
+            corner = np.take_along_axis(self._kind.normals(self.surface), self._local.order[:, :, None], axis=1)
+            normals = corner @ self._local.triangle_axes
+        count = len(flat)
+        apart = Surface(flat.reshape(-1, 3), np.arange(3 * count).reshape(count, 3), normals)
+        part = ShellPart(apart, self.thickness, self.young, self.poisson, self.element, connected=False)
+        place = part._vertex_dofs.ravel()
+        blocks = part.stiffness_csr()[place][:, place].tobsr((18, 18)).data
+        return self._by_freedom(self._local.stiffness(blocks))
+
+    @cached_property
     def _pinned(self) -> tuple[csr_matrix, csr_matrix]:
         """Upper triangle of K_ff, and K_fp, for free freedoms f and pins p; only half of K is stored."""
-        rows = self.stiffness_csr()[self._free]
+        rows = self._solved_stiffness()[self._free]
         return upper_triangle(rows[:, self._free]), rows[:, self.pins]
 
     @cached_property
@@ -368,7 +412,7 @@ class ShellPart:
     @property
     def memory(self) -> float:
         """Peak memory of the factorisation, MB."""
-        return self._solver_factors.memory
+        return self._factorisation.memory
 
     def _check_conditioning(self, factorisation: Factorisation) -> None:
         """Check six solves with a known solution: the part follows rigid motions of its pins.
@@ -376,8 +420,8 @@ class ShellPart:
         With free freedoms f and pins p, K_ff R_f = −K_fp R_p. Smooth rigid motions show the largest loss of digits, and
         a part with a mechanism does not follow at all.
         """
-        exact = self.rigid_modes[self._free]
-        followed = factorisation.solve(-self._pinned[1] @ self.rigid_modes[self.pins])
+        exact = self._rigid_modes[self._free]
+        followed = factorisation.solve(-self._pinned[1] @ self._rigid_modes[self.pins])
         error = (abs(followed - exact).max(axis=0) / abs(exact).max(axis=0)).max()
         if not error < RIGID_MOTION_TOLERANCE:
             raise FactorisationError(
@@ -385,47 +429,6 @@ class ShellPart:
                 f"{RIGID_MOTION_TOLERANCE:.0e}): the part has a mechanism, is too thin for its size in double "
                 "precision, or has elements that are too narrow; mesh it again"
             )
-
-    @property
-    def _solver_factors(self) -> Factorisation:
-        """The factors of the part, or of its substitute without sliver elements."""
-        if self._substitute is None:
-            try:
-                return self._factorisation
-            except FactorisationError as refusal:
-                self._substitute_without_slivers(refusal)
-        return self._substitute._factorisation
-
-    def _substitute_without_slivers(self, refusal: FactorisationError) -> None:
-        """Set up the part without its sliver elements, and the map from its freedoms to those of this part.
-
-        Used only if the part itself cannot be solved. Raises `refusal` if there is no such substitute.
-        """
-        plain = self._kind.displacement is P1 and self._kind.rotation is P1 and self.comm.size == 1
-        found = without_slivers(self.surface) if plain and not isinstance(refusal, OutOfMemory) else None
-        if found is None:
-            raise refusal
-        left, number = found
-        self._substitute = part = ShellPart(left, self.thickness, self.young, self.poisson, self.element)
-        d = self.surface.points - left.points[number]
-        own, theirs = ((each._vertex_dofs[:, :3], each._vertex_dofs[:, 3:]) for each in (self, part))
-        rows, columns, values = [], [], []
-        for axis in range(3):
-            rows += [own[0][:, axis], own[1][:, axis]]
-            columns += [theirs[0][number, axis], theirs[1][number, axis]]
-            values += 2 * [np.ones(len(d))]
-            for sign, turn, along in ((1.0, (axis + 1) % 3, (axis + 2) % 3), (-1.0, (axis + 2) % 3, (axis + 1) % 3)):
-                rows.append(own[0][:, axis])  # (θ × d) of this axis
-                columns.append(theirs[1][number, turn])
-                values.append(sign * d[:, along])
-        every = (np.concatenate(values), (np.concatenate(rows), np.concatenate(columns)))
-        self._from_substitute = coo_matrix(every, (self.ndof, part.ndof)).tocsr()
-        _log.warning(
-            "%d elements are too narrow for double precision and were removed: sides shorter than %g of the longest "
-            "side of their triangle were collapsed",
-            len(self.surface.triangles) - len(left.triangles),
-            SLIVER,
-        )
 
     @cached_property
     def _vertex_dofs(self) -> np.ndarray:
@@ -439,32 +442,22 @@ class ShellPart:
 
         Forces in N and N mm, freedoms in mm and rad.
         """
-        nodal_forces = np.asarray(nodal_forces, dtype=float)
-        factors = self._solver_factors
-        if self._substitute is not None:
-            return self._from_substitute @ self._substitute.solve(self._from_substitute.T @ nodal_forces)
-        freedoms = np.zeros_like(nodal_forces)
-        freedoms[self._free] = factors.solve(nodal_forces[self._free])
-        return freedoms
+        loads = np.asarray(nodal_forces, dtype=float)
+        loads = loads if self._absolute is None else self._absolute.T @ loads
+        freedoms = np.zeros_like(loads)
+        freedoms[self._free] = self._factorisation.solve(loads[self._free])
+        return freedoms if self._absolute is None else self._absolute @ freedoms
 
     def influence(self, functionals: Functionals) -> tuple[np.ndarray, np.ndarray]:
         """Compliance H (n, n) of the pinned part at the functionals, and their values G (n, 6) of the rigid modes.
 
-        Forces f (n,) with Gᵀ f = 0 move the functionals by H f + G q, where q (6,) is the rigid motion. If sliver
-        elements cost too many digits, H is that of the part without them (`fem_reference.shell.sliver_elements`).
+        Forces f (n,) with Gᵀ f = 0 move the functionals by H f + G q, where q (6,) is the rigid motion.
         """
         L = self.functional_matrix(functionals)
-        if self._substitute is None:
-            try:
-                return self._influence(L), L @ self.rigid_modes
-            except FactorisationError as refusal:
-                self._substitute_without_slivers(refusal)
-        return self._substitute._influence((L @ self._from_substitute).tocsr()), L @ self.rigid_modes
-
-    def _influence(self, L: csr_matrix) -> np.ndarray:
-        H, self._factorisation = influence_matrix(self._pinned[0], L[:, self._free])
+        solved = L if self._absolute is None else (L @ self._absolute).tocsr()
+        H, self._factorisation = influence_matrix(self._pinned[0], solved[:, self._free])
         self._check_conditioning(self._factorisation)
-        return H
+        return H, L @ self.rigid_modes
 
     def field(self, functionals: Functionals, forces: np.ndarray) -> np.ndarray:
         """Displacements and rotations (n_points, 6, r) at the vertices of the pinned part.
