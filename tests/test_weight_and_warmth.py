@@ -10,8 +10,11 @@ import pytest
 from support.decks import write_deck
 
 import mic
+from mic.compliance.blocks import Blocks
 from mic.geometry.structured import extrude
 from mic.model.assembly import assemble
+from mic.model.rigid_motion import rigid_readings
+from mic.model.shape import shape_readings
 from mic.model.sources import sources
 from mic.process.drive import drive
 from mic.process.plan import plan_stages
@@ -103,6 +106,20 @@ def test_a_warm_strip_is_longer_by_its_expansion_and_free_of_stress(tmp_path):
 
 
 IN_PLANE = {"name": "M3", "part": "upper", "point": [130, 12.5, 1], "direction": [1, 0, 0], "lower": -1, "upper": 1}
+
+
+def test_only_the_named_part_expands_from_the_pin_that_holds_it(cache):
+    """In x, the pins hold the lower strip at 5 mm and the upper one at 155 mm; it is read at 60 and at 130 mm."""
+    parts = ({"part": "lower"}, {"part": "upper"}, {})
+    table = lap([{"name": f"T{i}", "kind": "temperature", "sigma": 1.0} | part for i, part in enumerate(parts)])
+    table["measurements"] = [IN_PLANE | {"name": "M4", "part": "lower", "point": [60, 12.5, 0]}, IN_PLANE]
+    assembly = assemble(read(table), cache)
+    G = tuple(rigid_readings(part) for part in assembly.parts)
+    shape, forces = shape_readings(assembly, Blocks(tuple(np.zeros((len(each), len(each))) for each in G), G))
+    lower, upper = α * (60 - 5), α * (130 - 155)
+    grown = [[lower, 0.0, lower], [0.0, upper, upper]]
+    np.testing.assert_allclose(assembly.rows["measurement"] @ shape, grown, rtol=1e-4, atol=1e-12)
+    assert np.abs(assembly.rows["locator"] @ shape).max() < 1e-12 and not forces.any()
 
 
 @pytest.mark.fem
