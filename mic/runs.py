@@ -147,13 +147,10 @@ def run(
     progress = progress if isinstance(progress, Progress) else BarProgress(progress)
     with hold(folder, progress):
         clean([Path(cache) / "meshes", Path(cache) / "influence"])
-        with clock("choice of the setting"):
-            choice = on_first(world, lambda: _choice(scene, cache, progress))
-            scene = choice.scene if choice else scene
         with clock("meshes and pairs"):
             progress.report(f"{scene.name}: meshing and pairing …")
             report_line = lambda line: progress.report(f"{line} …")
-            assembly, warnings = on_first(world, lambda: _assemble(scene, cache, report_line, progress, strict))
+            assembly, warnings, choice = on_first(world, lambda: _assemble(scene, cache, report_line, progress, strict))
             scene = assembly.scene  # that of the first process, in case the file has changed
         laws, samples, seed = scene.report.laws, scene.monte_carlo.samples, scene.monte_carlo.seed
 
@@ -163,9 +160,7 @@ def run(
             if expected.seconds > LONG:
                 progress.report(f"{samples} samples under {len(laws)} laws: {expected}")
             _prepare(folder, assembly, laws, samples, seed, progress, replace, warnings)
-            RunFolder(folder).store_inputs(assembly)
-            if choice is not None:
-                RunFolder(folder).add_to_record("setting", choice.record())
+            _store_inputs(folder, assembly, choice)
 
         on_first(world, prepare)  # refuse an unusable folder before computing
         with clock("influence coefficients"):
@@ -234,13 +229,18 @@ def sample_into(
         return _sample_to_accuracy(folder, model, laws, samples, seed, progress, BlockCache(), choose(engine))
 
 
-def _choice(scene: Scene, cache: Path, progress: Progress) -> Choice | None:
-    """What ``setting = "auto"`` chooses; None for other scenes."""
-    return choose_setting(scene, cache, progress.report) if scene.setting == AUTO else None
+def _store_inputs(folder: Path, assembly: Assembly, choice: Choice | None) -> None:
+    RunFolder(folder).store_inputs(assembly)
+    if choice is not None:
+        RunFolder(folder).add_to_record("setting", choice.record())
 
 
-def _assemble(scene: Scene, cache: Path, report_line, progress: Progress, strict: bool) -> tuple[Assembly, list[str]]:
-    """The assembly with a valid process plan, and its warnings, which are reported at once."""
+def _assemble(
+    scene: Scene, cache: Path, report_line, progress: Progress, strict: bool
+) -> tuple[Assembly, list[str], Choice | None]:
+    """The assembly with a valid process plan, its warnings, which are reported at once, and what `auto` has chosen."""
+    choice = choose_setting(scene, cache, progress.report) if scene.setting == AUTO else None
+    scene = choice.scene if choice else scene
     try:
         assembly = assemble(scene, cache, progress=report_line, check=plan_assembly)
         plan_assembly(assembly)
@@ -255,7 +255,7 @@ def _assemble(scene: Scene, cache: Path, report_line, progress: Progress, strict
         progress.report(f"warning: {warning}")
     for part in (part for part in assembly.scene.parts if part.name in assembly.decks):
         _report_notes(progress, repair_summary(part, assembly.decks[part.name]))
-    return assembly, [str(warning) for warning in warnings]
+    return assembly, [str(warning) for warning in warnings], choice
 
 
 def _estimate_accuracy(folder: Path, assembly: Assembly, cache: Path, report_line, world) -> FinerModel | None:

@@ -291,7 +291,7 @@ def _trial(own: _Samples, finer: _Samples, count: int, share: float) -> Trial:
             found, scale = change(b[kind, name], a[kind, name]), six_sigma[kind, name]
             if kind == ZONE and change is mean_change:  # has an origin, unlike a key characteristic
                 scale = max(scale, b[kind, name].mean())
-            error, half = abs(found.value) / scale, (found.high - found.low) / 2 / scale
+            error, half = float(abs(found.value) / scale), float((found.high - found.low) / 2 / scale)
             if not error + half <= worst[0] + worst[1]:
                 worst = (error, half, f"{words} of {kind} {name}")
     return Trial(own.name, finer.name, *worst, int(valid.sum()), own.seconds, share)

@@ -25,14 +25,15 @@ _PATH = "path"  # in `Scene.left_open`; a part or zone is there as "parts.NAME" 
 def fill_in(table: dict[str, Any]) -> dict[str, Any]:
     """A scene's table with the defaults of its setting; malformed tables are left to the schema.
 
-    With `auto` they are those of `standard` until a run chooses, an accuracy, and the samples of `reference`;
-    `left_open` names what the scene does not state.
+    With `auto` they are those of `standard` until a run chooses, an accuracy, the samples of `reference`, and the
+    stiffness that suits the deviations; `left_open` names what the scene does not state.
     """
     name = table.get("setting")
     setting = SETTINGS.get("standard" if name == AUTO else name) if isinstance(name, str) else None
     if setting is None:
         return table
     if name == AUTO:
+        table = {"stiffness": "auto"} | table
         setting = setting | {"samples": SETTINGS["reference"]["samples"], "accuracy": TARGET}
     left_open = []
 
