@@ -5,7 +5,7 @@ import pytest
 from scipy.stats import norm
 
 from mic.statistics import estimates
-from mic.statistics.capability import cautious_capability, looks_normal, normal_share_outside
+from mic.statistics.capability import centred_capability, looks_normal, normal_share_outside
 from mic.statistics.decision import CAPABLE, NOT_CAPABLE, NOT_DECIDED, decide, decide_share
 
 TARGET, WRONG = 1.33, 0.05  # wrong verdicts at most
@@ -42,7 +42,7 @@ def drawn(population, samples, characteristics=1, seed=0):
 
 def verdicts(x, upper):
     """The verdict of each repetition, with the upper limit (k,) near and the lower far away."""
-    cpk = cautious_capability(x, -1e3, np.broadcast_to(upper, x.shape[1:]))
+    cpk = centred_capability(x, -1e3, np.broadcast_to(upper, x.shape[1:]))
     return [decide(*ends, TARGET, len(x)).verdict for ends in zip(cpk.value, cpk.low, cpk.high)]
 
 
@@ -67,7 +67,7 @@ def test_many_characteristics_do_not_add_up_to_a_wrong_verdict():
 
 def test_clear_cases_are_decided():
     x = drawn("normal", 100)
-    assert set(verdicts(x, 3 * 2.2)) == {CAPABLE} and set(verdicts(x, 3 * 0.7)) == {NOT_CAPABLE}
+    assert set(verdicts(x, 3 * 2.6)) == {CAPABLE} and set(verdicts(x, 3 * 0.7)) == {NOT_CAPABLE}
 
 
 @pytest.mark.parametrize("population, cpk", [("normal", 1.2), ("normal", 1.5), ("contact", 1.5)])
@@ -75,7 +75,7 @@ def test_the_stated_number_of_samples_decides_where_the_estimate_is_true(populat
     """Samples whose Cpk is the true one state a number; that many decide nine times in ten."""
     x = drawn(population, 60)[:, :, 0]
     x = (x - x.mean(axis=0)) / x.std(axis=0, ddof=1)
-    estimate = cautious_capability(x, -1e3, 3 * cpk)
+    estimate = centred_capability(x, -1e3, 3 * cpk)
     assert np.allclose(estimate.value, cpk)
     needed = [decide(*ends, TARGET, 60).needed for ends in zip(estimate.value, estimate.low, estimate.high)]
     typical = int(np.nanmedian(needed))
@@ -99,7 +99,7 @@ def test_without_spread_and_without_interval():
     unknown = decide([2.0], [nan], [nan], 1.33, 9)
     assert unknown.verdict == NOT_DECIDED and np.isnan(unknown.needed)
     assert decide([1.33], [1.0], [1.7], 1.33, 9).needed == inf
-    one = cautious_capability([0.5], 0, 1)
+    one = centred_capability([0.5], 0, 1)
     assert decide(one.value, one.low, one.high, 1.33, 1).verdict == NOT_DECIDED
 
 

@@ -1,5 +1,6 @@
 """Statistics against textbook numbers, scipy's distributions, and the coverage that an interval promises."""
 
+import math
 import warnings
 
 import numpy as np
@@ -12,15 +13,37 @@ from mic.statistics.capability import capability, centred_capability, outside
 TEN = np.arange(1.0, 11.0)  # mean 5.5, s = 3.0276504
 
 
+def chi_squared_share(x, freedom):
+    """Share of a chi-squared distribution below x, by Simpson's rule in √x."""
+    r, step = np.linspace(0, x**0.5, 20001, retstep=True)
+    density = 2 * r ** (freedom - 1) * np.exp(-(r**2) / 2) / (2 ** (freedom / 2) * math.gamma(freedom / 2))
+    return step / 3 * (density[0] + density[-1] + 4 * density[1:-1:2].sum() + 2 * density[2:-1:2].sum())
+
+
 def test_mean_and_sigma_of_ten_numbers():
     mean, sigma = st.mean(TEN), st.sigma(TEN)
-    # t(0.975, 9) = 2.262157, chi2(0.025, 9) = 2.700389, chi2(0.975, 9) = 19.022768 from printed tables
+    # t(0.975, 9) = 2.262157 from printed tables; no skewness
     s = 3.0276504
     assert mean.value == 5.5
-    half, low, high = 2.262157 * s / 10**0.5, s * (9 / 19.022768) ** 0.5, s * (9 / 2.700389) ** 0.5
+    half = 2.262157 * s / 10**0.5
     assert [mean.low, mean.high] == pytest.approx([5.5 - half, 5.5 + half], rel=1e-6)
-    assert [sigma.value, sigma.low, sigma.high] == pytest.approx([s, low, high], rel=1e-6)
+    assert sigma.value == pytest.approx(s, rel=1e-7)
+    # Σ d² = 82.5, Σ d⁴ = 1208.625, and two more d = 4.5: κ = 2.98072
+    freedom = 20 / (10 * (1208.625 + 2 * 4.5**4) / 82.5**2 - 3 + 20 / 9)
+    for end, tail in ((sigma.low, 0.975), (sigma.high, 0.025)):
+        assert chi_squared_share(freedom * (sigma.value / end) ** 2, freedom) == pytest.approx(tail, abs=1e-6)
     assert (mean.used, mean.excluded) == (10, 0)
+
+
+def test_mean_of_skewed_numbers():
+    """Hall's cubic of the studentised mean, g(T) = T + γT²/3√n + γ²T³/27n + γ/6√n, is Student's t at both ends."""
+    x = TEN**3
+    found, d = st.mean(x), x - x.mean()
+    skewness, error = (d**3).mean() / (d**2).mean() ** 1.5, x.std(ddof=1) / 10**0.5
+    assert found.high - found.value > 1.3 * (found.value - found.low), "the long tail is above"
+    for end, quantile in ((found.low, 2.262157), (found.high, -2.262157)):
+        T, a = (found.value - end) / error, skewness / 10**0.5
+        assert T + a * T**2 / 3 + a**2 * T**3 / 27 + a / 6 == pytest.approx(quantile, rel=1e-6)
 
 
 def test_level_of_confidence_is_honoured():
@@ -45,11 +68,13 @@ def test_capability_of_known_samples():
     s = 2 * (100 / 99) ** 0.5
     cp, cpk = capability(x, -1, 17), centred_capability(x, -1, 17)
     assert cp.value == pytest.approx(18 / (6 * s), rel=1e-12)
-    interval = cp.value * np.sqrt(scipy.stats.chi2.ppf([0.025, 0.975], 99) / 99)
-    assert [cp.low, cp.high] == pytest.approx(interval, rel=1e-10)
+    # κ = 1 of two values, and two more as far: 1.02 times (99/100)² (100/99)² = 1.02; no skewness
+    freedom = 200 / (1.02 - 3 + 200 / 99)
+    ends = np.sqrt(scipy.stats.chi2.ppf([0.025, 0.975], freedom) / freedom)
+    assert [cp.low, cp.high] == pytest.approx(cp.value * ends, rel=1e-10)
     assert cpk.value == pytest.approx(6 / (3 * s), rel=1e-12)
-    half = 1.959964 * (1 / 900 + cpk.value**2 / 198) ** 0.5
-    assert [cpk.low, cpk.high] == pytest.approx([cpk.value - half, cpk.value + half], rel=1e-6)
+    halves = np.hypot(1.984217 / 30, cpk.value * (ends - 1))  # t(0.975, 99) = 1.984217
+    assert [cpk.low, cpk.high] == pytest.approx(cpk.value + [-1, 1] * halves, rel=1e-6)
 
 
 @pytest.mark.parametrize("count, n", [(0, 1), (1, 1), (5, 10), (3, 500), (497, 500)])
@@ -78,7 +103,7 @@ def test_failed_samples_are_excluded_and_counted_column_by_column():
     assert st.mean(x).value[0] == pytest.approx(5.5)
 
 
-@pytest.mark.parametrize("x", [[], [np.nan], [3.0], [3.0] * 5, [0.1] * 7])
+@pytest.mark.parametrize("x", [[], [np.nan], [3.0], [3.0] * 5, [0.1] * 7, [np.nan, 1.0] * 3])
 def test_degenerate_samples_claim_no_certainty(x):
     with warnings.catch_warnings():
         warnings.simplefilter("error")
@@ -100,47 +125,62 @@ def test_cpk_without_spread_is_infinite_with_the_sign_of_the_margin():
     assert np.isnan(centred_capability([1.0, 1.0], 0, 1).value)
 
 
-# Coverage is checked by repetition: over R sets its standard deviation is sqrt(0.95 0.05 / R).
-REPEATED, TRUE_MEAN, TRUE_SIGMA = 8000, 2.0, 0.7
-TOLERANCE = 4 * (0.95 * 0.05 / REPEATED) ** 0.5
+def test_what_the_intervals_hold_for_follows_from_the_number_of_samples():
+    assert st.confidence([0, 2, 3, 19, 20, 49, 50, 500]) == pytest.approx(
+        [np.nan, np.nan, 0.8, 0.8, 0.9, 0.9, 0.95, 0.95], nan_ok=True
+    )
+    assert st.rarest_event([0, 3, 10, 60, 500]) == pytest.approx([1, 1, 1, 1 / 6, 0.02])
+    two = np.array([1.0, 2.0])
+    assert np.isnan([st.mean(two).low, st.sigma(two).high, centred_capability(two, 0, 9).low]).all()
 
 
-def _sets(n):
-    return np.random.default_rng(n).normal(TRUE_MEAN, TRUE_SIGMA, (n, REPEATED))
-
-
-def _coverage(low, high, truth):
-    return np.mean((low <= truth) & (truth <= high))
-
-
-EXACT = {
-    "mean": (st.mean, TRUE_MEAN),
-    "six_sigma": (st.six_sigma, 6 * TRUE_SIGMA),
-    "cp": (lambda x: capability(x, 0, 5), 5 / (6 * TRUE_SIGMA)),
+#: Draws, mean and standard deviation; least number of samples that shows the rarest event.
+SHIFT, SNAP, KINK = (2 * np.pi) ** -0.5, 0.02, 1.2815516  # the last is exceeded once in ten
+POPULATIONS = {
+    "normal": (lambda rng, size: rng.standard_normal(size), 0.0, 1.0, 3),
+    "uniform": (lambda rng, size: rng.uniform(-1, 1, size), 0.0, 3**-0.5, 3),
+    "lognormal": (lambda rng, size: rng.lognormal(0, 0.5, size), 1.1331485, 0.6039005, 3),
+    "hinge": (
+        lambda rng, size: np.where((z := rng.standard_normal(size)) < 0, 0.2 * z, z),
+        0.8 * SHIFT,
+        (0.52 - 0.64 * SHIFT**2) ** 0.5,
+        20,
+    ),
+    "rare contact": (  # E (z - k)+ = 0.0473438, E z (z - k)+ = 0.1, E (z - k)+² = 0.0393261
+        lambda rng, size: 0.1 * (z := rng.standard_normal(size)) + 3 * np.maximum(z - KINK, 0),
+        3 * 0.0473438,
+        (0.01 + 9 * (0.0393261 - 0.0473438**2) + 0.6 * 0.1) ** 0.5,
+        100,
+    ),
+    "snap": (
+        lambda rng, size: rng.standard_normal(size) + 6 * (rng.random(size) < SNAP),
+        6 * SNAP,
+        (1 + 36 * SNAP * (1 - SNAP)) ** 0.5,
+        500,
+    ),
 }
 
 
-@pytest.mark.parametrize("name", EXACT)
-@pytest.mark.parametrize("n", [3, 50])
-def test_exact_intervals_cover_the_truth_as_often_as_they_promise(name, n):
-    estimate, truth = EXACT[name]
-    found = estimate(_sets(n))
-    assert abs(_coverage(found.low, found.high, truth) - 0.95) < TOLERANCE
-
-
-def test_bissells_interval_covers_to_its_own_accuracy():
-    found = centred_capability(_sets(100), 0, 5)  # limits to one side, where the approximation is meant to hold
-    assert abs(_coverage(found.low, found.high, TRUE_MEAN / (3 * TRUE_SIGMA)) - 0.95) < TOLERANCE + 0.005
-
-
-def test_intervals_hold_for_skewed_samples_with_heavy_tails():
-    """Zone slips look like this; the intervals of a normal population would cover 0.82 and 0.78 of the time."""
-    shape = 2.2
-    mean, sigma = shape, shape**0.5
-    x = np.random.default_rng(4).gamma(shape, 1.0, (500, 4000))
-    found, cpk = st.sigma(x), centred_capability(x, mean - 20 * sigma, mean + 4 * sigma)
-    assert 0.91 < _coverage(found.low, found.high, sigma) < 0.97
-    assert 0.91 < _coverage(cpk.low, cpk.high, 4 / 3) < 0.97
+@pytest.mark.parametrize("population", POPULATIONS)
+def test_intervals_hold_as_often_as_they_claim(population):
+    """Four standard errors of the repetitions are granted; intervals that are needlessly wide fail, too."""
+    draw, mean, sigma, least = POPULATIONS[population]
+    for n, repeated in ((3, 3000), (20, 3000), (60, 3000), (150, 1200), (500, 500)):
+        if n < least:
+            continue
+        x = draw(np.random.default_rng(n), (n, repeated))
+        found = [
+            (st.mean(x), mean),
+            (st.six_sigma(x), 6 * sigma),
+            (capability(x, mean - 9 * sigma, mean + 3 * sigma), 2),
+            (centred_capability(x, mean - 9 * sigma, mean + 2.5 * sigma), 2.5 / 3),
+            (centred_capability(x, mean - 4 * sigma, mean + 9 * sigma), 4 / 3),
+        ]
+        margin = 4 * (0.95 * 0.05 / repeated) ** 0.5
+        for k, (estimate, truth) in enumerate(found):
+            covered = np.mean((estimate.low <= truth) & (truth <= estimate.high))
+            assert covered > st.confidence(n) - margin, (n, k)
+            assert covered < 0.98 + margin or n < 60, (n, k)
 
 
 def pieces_together(x, count):
@@ -162,13 +202,14 @@ def test_samples_in_pieces_have_the_estimates_of_the_whole(count):
     for estimate in (st.mean, st.sigma, st.six_sigma, st.minimum, st.maximum):
         one, other = estimate(x), estimate(pieces)
         for name in ("value", "low", "high"):
-            np.testing.assert_allclose(getattr(other, name), getattr(one, name), rtol=1e-12)
+            np.testing.assert_allclose(
+                getattr(other, name), getattr(one, name), rtol=1e-10
+            )  # the extremes less the mean of 1e6
         assert (other.used == one.used).all() and (other.excluded == one.excluded).all()
     for one, other in zip(st.tails(x), st.tails(pieces)):
         np.testing.assert_allclose(other, one, rtol=1e-12, atol=1e-14)
-    assert st.tails(x)[2].any(), "no heavy tail, so Bonett's interval was not compared"
     cpk, same = centred_capability(x, -2, 2e6), centred_capability(pieces, -2, 2e6)
-    np.testing.assert_allclose([same.value, same.low, same.high], [cpk.value, cpk.low, cpk.high], rtol=1e-12)
+    np.testing.assert_allclose([same.value, same.low, same.high], [cpk.value, cpk.low, cpk.high], rtol=1e-10)
     np.testing.assert_array_equal(whole.n, pieces.n)
 
 

@@ -12,7 +12,7 @@ import pandas as pd
 from mic.results.run_samples import RunSamples
 from mic.results.schema import RARE
 from mic.results.statistic_tables import GROUPS, whole_yield
-from mic.statistics.capability import cautious_capability, looks_normal, normal_share_outside
+from mic.statistics.capability import looks_normal, normal_share_outside
 from mic.statistics.control_variate import FOLDS
 from mic.statistics.decision import Decision, decide, decide_share
 from mic.statistics.estimates import LEVEL, Estimate
@@ -109,10 +109,7 @@ def _cpk(outcome: RunSamples, law: str, table: pd.DataFrame) -> tuple[Estimate, 
     value, low, high = (rows[name].to_numpy(dtype=float) for name in ("cpk", "cpk_low", "cpk_high"))
     freedom: Any = min(math.ceil(len(outcome.sample_numbers(law)) / outcome.together), GROUPS) - 1
     if outcome.together == 1:
-        moments, (lower, upper) = outcome.accumulators[law].moments["measurements",], _bounds(outcome)
-        alone, improved = cautious_capability(moments, lower, upper), rows["alone_cpk"].notna().to_numpy()
-        value, low, high = np.where(improved, (value, low, high), (alone.value, alone.low, alone.high))
-        freedom = np.where(improved, FOLDS - 1.0, math.inf)
+        freedom = np.where(rows["alone_cpk"].notna(), FOLDS - 1.0, math.inf)
     return Estimate(value, low, high, rows["samples"].to_numpy(), np.zeros(len(rows), dtype=int)), freedom
 
 

@@ -5,18 +5,19 @@
 References
 ----------
 .. [1] A. F. Bissell: How reliable is your capability index?, Applied Statistics 39 (1990) 331-340.
+.. [2] G. Y. Zou, A. Donner: Construction of confidence limits about effect measures: a general approach, Stat. Med. 27
+       (2008) 1693-1702.
 """
 
 from __future__ import annotations
 
 import numpy as np
-from scipy.special import ndtr, ndtri
+from scipy.special import ndtr, ndtri, stdtrit
 
-from mic.statistics.estimates import LEVEL, Estimate, Moments, mean, sigma, six_sigma, tails
+from mic.statistics.estimates import LEVEL, Estimate, Moments, sigma, six_sigma, tails
 
 __all__ = [
     "capability",
-    "cautious_capability",
     "centred_capability",
     "looks_normal",
     "normal_share_outside",
@@ -43,45 +44,25 @@ def capability(x, lower, upper, level: float = LEVEL) -> Estimate:
 
 
 def centred_capability(x, lower, upper, level: float = LEVEL) -> Estimate:
-    """Cpk = min(upper - mean, mean - lower) / 3σ, with Bissell's interval [1]_.
+    """Cpk = min(upper - mean, mean - lower) / 3σ.
 
-    ``Cpk ± z sqrt(1/(9 n) + Cpk²/(2 (n - 1)))`` for samples without heavy tails. For heavy tails, the variance of the
-    ratio is taken to first order: ``(1/9 + Cpk² (κ - 1)/4 ± Cpk γ/3) / n`` with skewness γ and kurtosis κ, plus if the
-    upper limit is the nearer one. Without spread, Cpk is +∞ if the mean is within the limits and -∞ otherwise.
+    The interval adds the squares of what the intervals of mean and σ contribute to each of its ends [2]_, and their
+    covariance to first order, ``± t² Cpk γ / 3n`` with the skewness γ, plus if the upper limit is the nearer one.
+    Without spread, Cpk is +∞ if the mean is within the limits and -∞ otherwise.
     """
     x = Moments.of(x)
-    average, s = mean(x, level), np.asarray(sigma(x, level).value)
-    n, m = average.used, average.value
-    above, below = np.asarray(upper, dtype=float) - m, m - np.asarray(lower, dtype=float)
+    spread, (skewness, _) = sigma(x, level), tails(x)
+    s, n = np.asarray(spread.value), np.maximum(x.n, 2)
+    above, below = np.asarray(upper, dtype=float) - x.mean, x.mean - np.asarray(lower, dtype=float)
     with np.errstate(divide="ignore", invalid="ignore"):
         value = np.minimum(above, below) / (3 * s)
-    finite = np.where(np.isfinite(value), value, np.nan)
-    skewness, kurtosis, heavy = tails(x)
-    sign = np.where(above <= below, 1, -1)
-    normal = 1 / (9 * np.maximum(n, 1)) + finite**2 / (2 * np.maximum(n - 1, 1))
-    general = (1 / 9 + finite**2 * (kurtosis - 1) / 4 + sign * finite * skewness / 3) / np.maximum(n, 1)
-    half = ndtri(0.5 + level / 2) * np.sqrt(np.where(heavy, general, normal))
-    return Estimate.of(x, value, finite - half, finite + half)
-
-
-def cautious_capability(x, lower, upper, level: float = LEVEL) -> Estimate:
-    """Cpk as :func:`centred_capability`, with an interval for decisions on samples that are not normal.
-
-    Few samples of a skewed population or of one with long tails show neither, and the interval is too narrow. Here the
-    variance of Cpk is that for a skewness and a kurtosis larger by `z` standard errors than those of the samples, and
-    at least that of normal samples.
-    """
-    x = Moments.of(x)
-    cpk = centred_capability(x, lower, upper, level)
-    z, n = ndtri(0.5 + level / 2), np.maximum(x.n, 2)
-    with np.errstate(invalid="ignore"):
-        value = np.where(np.isfinite(cpk.value), cpk.value, np.nan)
-        sign = np.where(np.asarray(upper, dtype=float) - x.mean <= x.mean - np.asarray(lower, dtype=float), 1, -1)
-    skewness, kurtosis, _ = tails(x)
-    skewness, kurtosis = sign * skewness + z * np.sqrt(6 / n), kurtosis + z * np.sqrt(24 / n)
-    general = (1 / 9 + value**2 * (kurtosis - 1) / 4 + value * skewness / 3) / (n - 1)
-    half = z * np.sqrt(np.fmax(general, 1 / (9 * n) + value**2 / (2 * (n - 1))))
-    return Estimate.of(x, cpk.value, value - half, value + half)
+        finite = np.where(np.isfinite(value), value, np.nan)
+        quantile_square = stdtrit(n - 1, 0.5 + level / 2) ** 2
+        of_mean = quantile_square / n * (1 / 9 + np.where(above <= below, 1, -1) * finite * skewness / 3)
+        down, up = (
+            np.sqrt(np.maximum(of_mean + (finite * (1 - s / end)) ** 2, 0.0)) for end in (spread.high, spread.low)
+        )
+    return Estimate.of(x, value, finite - down, finite + up)
 
 
 def outside(x, lower, upper) -> np.ndarray:
@@ -107,7 +88,7 @@ def looks_normal(x, level: float = LEVEL) -> np.ndarray:
         Probability that all k of normal samples pass.
     """
     x = Moments.of(x)
-    skewness, kurtosis, _ = tails(x)
+    skewness, kurtosis = tails(x)
     n = np.maximum(x.n, 1)
     z = ndtri(1 - (1 - level) / (4 * max(np.size(n), 1)))
     near = (np.abs(skewness) <= z * np.sqrt(6 / n)) & (np.abs(kurtosis - 3) <= z * np.sqrt(24 / n))

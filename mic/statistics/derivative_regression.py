@@ -26,7 +26,7 @@ import numpy as np
 from scipy.special import stdtrit
 
 from mic.statistics import estimates
-from mic.statistics.estimates import LEVEL, jackknife_error
+from mic.statistics.estimates import ADDED, LEVEL, jackknife_error
 
 __all__ = ["RegressionEstimates", "estimates_with_derivatives"]
 
@@ -165,9 +165,9 @@ def _intervals(values, gradients, y, slopes, level: float) -> tuple[np.ndarray, 
     mean, sigma, explained = _cross_fit(*arrays)
     without = [_cross_fit(*(array[group != g] for array in arrays)) for g in range(groups)]
     quantile = stdtrit(FOLDS - 1, 0.5 + level / 2)  # samples of a fold share their coefficients
-    half = quantile * jackknife_error(np.array([fit[0] for fit in without]))
+    half = quantile * jackknife_error(np.array([fit[0] for fit in without]), ADDED)
     with np.errstate(divide="ignore", invalid="ignore"):
-        factor = np.exp(quantile * jackknife_error(np.log([fit[1] for fit in without])))
+        factor = np.exp(quantile * jackknife_error(np.log([fit[1] for fit in without]), ADDED))
     return np.array([mean, mean - half, mean + half]), np.array([sigma, sigma / factor, sigma * factor]), explained
 
 

@@ -4,15 +4,20 @@ Every estimate takes samples along the first axis of ``x``, (n,) or (n, k), or t
 not finite (failed samples) are excluded and counted. Undefined estimates are NaN: one sample, or samples without
 spread, give no interval.
 
+Kinks, jumps and skewed inputs make samples with long tails, of which few samples show too little. So the variance of
+each estimate of a spread is that of the samples and of :data:`ADDED` more, as far from the mean as the farthest. An
+event that no sample shows cannot be included: :func:`rarest_event` and :func:`confidence` state what the intervals hold
+for, by the number of samples. The samples themselves cannot lower the claim: intervals miss where they look harmless.
+
 References
 ----------
-.. [1] G. Casella, R. L. Berger: Statistical Inference, 2nd ed., 2002, section 9.2 (t and chi-squared intervals).
+.. [1] P. Hall: On the removal of skewness by transformation, J. R. Stat. Soc. B 54 (1992) 221-228.
 .. [2] C. J. Clopper, E. S. Pearson: The use of confidence or fiducial limits illustrated in the case of the binomial,
        Biometrika 26 (1934) 404-413.
 .. [3] S. S. Wilks: Determination of sample sizes for setting tolerance limits, Ann. Math. Statist. 12 (1941) 91-96.
 .. [4] D. W. Scott: Multivariate Density Estimation, 2nd ed., 2015, section 6.2.
-.. [5] D. G. Bonett: Approximate confidence interval for standard deviation of nonnormal distributions, Comput. Stat.
-       Data Anal. 50 (2006) 775-782.
+.. [5] F. E. Satterthwaite: An approximate distribution of estimates of variance components, Biometrics Bull. 2 (1946)
+       110-114.
 .. [6] P. Pébay: Formulas for robust, one-pass parallel computation of covariances and arbitrary-order statistical
        moments, Sandia report SAND2008-6212, 2008.
 .. [7] J. Shao, D. Tu: The Jackknife and Bootstrap, 1995, section 2.3 (grouped jackknife).
@@ -22,21 +27,26 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, fields
+from typing import Any
 
 import numpy as np
-from scipy.special import betaincinv, chdtri, ndtri, stdtrit
+from scipy.special import betaincinv, chdtri, stdtrit
 
 __all__ = [
+    "ADDED",
     "LEVEL",
     "Estimate",
     "Moments",
+    "confidence",
     "covered_share",
     "density",
     "grouped_jackknife",
     "jackknife_error",
+    "jackknife_interval",
     "maximum",
     "mean",
     "minimum",
+    "rarest_event",
     "share",
     "sigma",
     "six_sigma",
@@ -44,6 +54,9 @@ __all__ = [
 ]
 
 LEVEL = 0.95
+ADDED = 2  # samples as far from the mean as the farthest
+SHOWN = 10  # samples that must show an event for the intervals to include it
+CLAIMS = ((50, 0.95), (20, 0.9), (3, 0.8))  # least number of samples, and what 95 % intervals then hold for, at least
 EPS = np.finfo(float).eps
 
 
@@ -166,24 +179,24 @@ class Moments:
 
 
 def mean(x, level: float = LEVEL) -> Estimate:
-    """Mean, with Student's t interval [1]_; NaN without samples."""
+    """Mean, with Student's t interval corrected for skewness [1]_; NaN without samples, no interval of fewer than 3."""
     moments = Moments.of(x)
-    n, m, s = moments.n, moments.mean, moments.deviation
-    half = _t_quantile(n, level) * np.where(s > 0, s, np.nan) / np.sqrt(np.maximum(n, 1))
-    return Estimate.of(moments, m, m - half, m + half)
+    n, m = moments.n, moments.mean
+    low, high = (_skewness_corrected(sign * _t_quantile(n, level), moments) for sign in (1, -1))
+    error = _known_spread(moments) / np.sqrt(np.maximum(n, 1))
+    return Estimate.of(moments, m, m - low * error, m - high * error)
 
 
 def sigma(x, level: float = LEVEL) -> Estimate:
     """Standard deviation (n - 1 in the denominator).
 
-    The interval is the chi-squared one of a normal population [1]_. For samples with heavy tails, where that is too
-    narrow, it is Bonett's, which uses the kurtosis of the samples [5]_.
+    The interval is the chi-squared one with ``ν = 2 n / (κ - 3 + 2 n/(n - 1))`` degrees of freedom [5]_, n - 1 for a
+    normal population. The kurtosis κ is that of the samples and of :data:`ADDED` more as far as the farthest.
     """
     moments = Moments.of(x)
-    s = moments.deviation
     low, high = _sigma_factors(moments, level)
-    spread = np.where(s > 0, s, np.nan)
-    return Estimate.of(moments, s, low * spread, high * spread)
+    spread = _known_spread(moments)
+    return Estimate.of(moments, moments.deviation, low * spread, high * spread)
 
 
 def six_sigma(x, level: float = LEVEL) -> Estimate:
@@ -242,23 +255,40 @@ def share(count, n, level: float = LEVEL) -> Estimate:
     return Estimate(*(_scalar_or_array(a) for a in (value, low, high, n.astype(int), excluded)))
 
 
-def jackknife_error(without: np.ndarray) -> np.ndarray:
+def jackknife_error(without: np.ndarray, added: int = 0) -> np.ndarray:
     """Jackknife standard error ``s² = (R − 1)/R Σ (θ_(r) − θ̄)²`` [7]_.
 
     Parameters
     ----------
     without : (R, ...) array
         θ_(r): the statistic without group r of the samples.
+    added : int
+        Further groups as far as the farthest.
     """
-    R = len(without)
-    return np.sqrt((R - 1) / R * ((without - without.mean(axis=0)) ** 2).sum(axis=0))
+    R, square = len(without), (without - without.mean(axis=0)) ** 2
+    return np.sqrt((R - 1) / R * (square.sum(axis=0) + added * square.max(axis=0)))
+
+
+def jackknife_interval(value, without: np.ndarray, level: float = LEVEL, added: int = ADDED) -> tuple[Any, Any]:
+    """Ends of the interval of a smooth statistic: that of the mean of its pseudo-values ``R θ − (R − 1) θ_(r)`` [7]_.
+
+    Parameters
+    ----------
+    value : float or array
+        θ
+    without, added
+        As :func:`jackknife_error`, R > 1.
+    """
+    R, error = len(without), jackknife_error(without, added)
+    values = Moments.of(R * value - (R - 1) * without)
+    low, high = (_skewness_corrected(sign * _t_quantile(R, level), values) for sign in (1, -1))
+    return value - low * error, value - high * error
 
 
 def grouped_jackknife(x, group, statistic: Callable, positive: bool = False, level: float = LEVEL) -> Estimate:
     """A statistic of samples whose groups are independent, such as those of Latin hypercubes.
 
-    The interval is that of the grouped jackknife (:func:`jackknife_error`), with Student's t of R − 1 degrees of
-    freedom for R groups; NaN if the groups do not differ.
+    The interval is :func:`jackknife_interval`; NaN if the groups do not differ.
 
     Parameters
     ----------
@@ -273,13 +303,14 @@ def grouped_jackknife(x, group, statistic: Callable, positive: bool = False, lev
     x, group = np.asarray(x, dtype=float), np.asarray(group)
     value, groups = statistic(x), np.unique(group[np.isfinite(x)])
     scale, inverse = (np.log, np.exp) if positive else (np.asarray, np.asarray)
-    R, half = len(groups), np.nan
-    if R > 1 and np.isfinite(value) and (value > 0 or not positive):
+    low, high = np.nan, np.nan
+    if len(groups) > 1 and np.isfinite(value) and (value > 0 or not positive):
         with np.errstate(divide="ignore", invalid="ignore"):
-            error = float(jackknife_error(np.array([scale(statistic(x[group != r])) for r in groups])))
-        half = float(stdtrit(R - 1, 0.5 + level / 2)) * error if np.isfinite(error) and error > 0 else np.nan
-    centre = scale(value) if np.isfinite(half) else np.nan
-    return Estimate.of(x, value, inverse(centre - half), inverse(centre + half))
+            without = np.array([scale(statistic(x[group != r])) for r in groups])
+            ends = jackknife_interval(scale(value), without, level)
+        if np.isfinite(ends).all() and ends[0] < ends[1]:
+            low, high = map(inverse, ends)
+    return Estimate.of(x, value, low, high)
 
 
 def density(x, points) -> np.ndarray:
@@ -306,43 +337,62 @@ def density(x, points) -> np.ndarray:
     return np.exp(-0.5 * z**2).sum(axis=1) / (n * width * np.sqrt(2 * np.pi))
 
 
-def tails(x) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Skewness, kurtosis, and whether the tails are heavy.
-
-    Heavy: the kurtosis exceeds that of a normal population by more than two standard errors.
-
-    Returns
-    -------
-    skewness, kurtosis : (k,) array
-        0 and 1 without spread.
-    heavy : (k,) bool array
-    """
+def tails(x) -> tuple[np.ndarray, np.ndarray]:
+    """Skewness and kurtosis (k,), 0 and 1 without spread."""
     moments = Moments.of(x)
     n = np.maximum(moments.n, 1)
     varies = moments.deviation > 0
     second = np.where(varies, moments.m2, 1.0) / n
     skewness = np.where(varies, moments.m3 / n / second**1.5, 0.0)
-    kurtosis = np.where(varies, moments.m4 / n / second**2, 1.0)
-    return skewness, kurtosis, kurtosis - 3 > 2 * np.sqrt(24 / n)
+    return skewness, np.where(varies, moments.m4 / n / second**2, 1.0)
+
+
+def confidence(n) -> np.ndarray:
+    """Share of the 95 % intervals of `n` samples that hold, at least, for what :func:`rarest_event` includes.
+
+    NaN for fewer than three samples.
+    """
+    n = np.asarray(n)
+    return np.select([n >= least for least, _ in CLAIMS], [level for _, level in CLAIMS], np.nan)
+
+
+def rarest_event(n) -> np.ndarray:
+    """Share of the assemblies that must do something for the intervals of `n` samples to include it.
+
+    One in ten samples of 100, so that about ten show it. Rarer jumps, and contacts that close more rarely, may show in
+    too few samples, or in none.
+    """
+    return np.minimum(SHOWN / np.maximum(np.asarray(n, dtype=float), 1.0), 1.0)
 
 
 def _t_quantile(n, level):
     return np.where(n > 1, stdtrit(np.maximum(n - 1, 1), 0.5 + level / 2), np.nan)
 
 
-def _sigma_factors(moments, level):
+def _known_spread(moments: Moments) -> np.ndarray:
+    """Standard deviation that gives an interval: of three samples or more, and not 0; else NaN."""
+    s = moments.deviation
+    return np.where((moments.n > 2) & (s > 0), s, np.nan)
+
+
+def _skewness_corrected(quantile: np.ndarray, moments: Moments) -> np.ndarray:
+    """Hall's transformation of a quantile of the studentised mean [1]_."""
+    skewness, _ = tails(moments)
+    root_n = np.sqrt(np.maximum(moments.n, 1))
+    u = quantile - skewness / (6 * root_n)
+    root = np.cbrt(1 + skewness / root_n * u)
+    return 3 * u / (1 + root + root**2)
+
+
+def _sigma_factors(moments: Moments, level: float) -> tuple[np.ndarray, ...]:
     """Ends of the interval of σ, as multiples of the estimate."""
-    n = moments.n
-    freedom = np.maximum(n - 1, 1)
-    known = np.where(n > 1, 1.0, np.nan)
-    _, kurtosis, heavy = tails(moments)
-    z = ndtri(0.5 + level / 2)
-    c = n / np.maximum(n - z, 1)
-    spread = z * c * np.sqrt(np.where(heavy, kurtosis - (n - 3) / np.maximum(n, 1), 0.0) / freedom)
-    return tuple(
-        known * np.where(heavy, np.sqrt(c) * np.exp(sign * spread / 2), np.sqrt(freedom / chdtri(freedom, tail)))
-        for sign, tail in ((-1, (1 - level) / 2), (1, (1 + level) / 2))
-    )
+    n = np.maximum(moments.n, 2)
+    varies = moments.deviation > 0
+    second = np.where(varies, moments.m2, 1.0)
+    farthest = np.where(varies, np.maximum(moments.high - moments.mean, moments.mean - moments.low), 0.0)
+    kurtosis = n * (np.where(varies, moments.m4, 0.0) + ADDED * farthest**4) / second**2
+    freedom = 2 * n / np.where(varies, kurtosis - 3 + 2 * n / (n - 1), 1.0)
+    return tuple(np.sqrt(freedom / chdtri(freedom, tail)) for tail in ((1 - level) / 2, (1 + level) / 2))
 
 
 def _scalar_or_array(array):

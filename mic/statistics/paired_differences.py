@@ -3,14 +3,13 @@
 Scatter that both assemblies share cancels in the difference, so its interval is narrower than those of the two
 statistics. Samples run along the first axis; pairs with a value that is not finite are excluded. Intervals of
 statistics that are smooth in the samples are those of the jackknife [1]_ over groups
-(:func:`mic.statistics.estimates.jackknife_error`), with Student's t of R − 1 degrees of freedom for R groups;
-independent samples are groups of one.
+(:func:`mic.statistics.estimates.jackknife_interval`); independent samples are groups of one.
 
 References
 ----------
 .. [1] J. Shao, D. Tu: The Jackknife and Bootstrap, 1995, sections 1.2 and 2.3.
-.. [2] A. Agresti, Y. Min: Simple improved confidence intervals for comparing matched proportions, Statist. Med. 24
-       (2005) 729-740.
+.. [2] R. G. Newcombe: Improved confidence intervals for the difference between binomial proportions based on paired
+       data, Statist. Med. 17 (1998) 2635-2650.
 """
 
 from __future__ import annotations
@@ -20,7 +19,7 @@ from collections.abc import Callable
 import numpy as np
 from scipy.special import ndtri, stdtrit
 
-from mic.statistics.estimates import LEVEL, Estimate, jackknife_error
+from mic.statistics.estimates import ADDED, LEVEL, Estimate, jackknife_interval, share
 
 __all__ = [
     "centred_capability_change",
@@ -46,7 +45,7 @@ def mean_change(a, b, group=None, level: float = LEVEL) -> Estimate:
         Groups of samples of a sampling design; default: independent samples.
     """
     statistic = lambda mean, sigma: mean
-    return _difference(a, b, group, statistic, statistic, level)
+    return _difference(a, b, group, statistic, statistic, level, added=0)
 
 
 def six_sigma_change(a, b, group=None, level: float = LEVEL) -> Estimate:
@@ -76,9 +75,9 @@ def centred_capability_change(a, b, limits_a, limits_b, group=None, level: float
 def share_change(a, b, group=None, level: float = LEVEL) -> Estimate:
     """Share of true samples of `b` minus that of `a`.
 
-    With ``n₀₁`` samples true in `b` only and ``n₁₀`` in `a` only, it is ``(n₀₁ − n₁₀)/n``. Its interval is Wald's with
-    half a sample added to each of the four cells [2]_, which is valid even if no sample differs; with groups, it is
-    that of :func:`mean_change`.
+    With ``n₀₁`` samples true in `b` only and ``n₁₀`` in `a` only, it is ``(n₀₁ − n₁₀)/n``. Its interval adds the
+    squares of those of both shares (Clopper and Pearson) and their covariance [2]_, which is valid even if no sample
+    differs; with groups, it is that of :func:`mean_change`.
 
     Parameters
     ----------
@@ -91,15 +90,18 @@ def share_change(a, b, group=None, level: float = LEVEL) -> Estimate:
     n, more, less = len(a), float((b > a).sum()), float((b < a).sum())
     if not n:
         return Estimate.of(a, np.nan, np.nan, np.nan)
-    value = (more - less) / (n + 2)
-    spread = np.sqrt(more + less + 1 - (more - less) ** 2 / (n + 2)) / (n + 2)
-    half = float(ndtri(0.5 + level / 2)) * spread
-    return Estimate.of(a, (more - less) / n, max(value - half, -1.0), min(value + half, 1.0))
+    value, of_b, of_a = (more - less) / n, share(more, n, level), share(less, n, level)
+    covariance = 2 * float(ndtri(0.5 + level / 2)) ** 2 * of_a.value * of_b.value / n
+    down, up = (
+        np.sqrt((one.value - one.low) ** 2 + (other.high - other.value) ** 2 + covariance)
+        for one, other in ((of_b, of_a), (of_a, of_b))
+    )
+    return Estimate.of(a, value, max(value - down, -1.0), min(value + up, 1.0))
 
 
 def standard_error(change: Estimate, level: float = LEVEL) -> float:
-    """Standard error from which the interval of a change of independent samples was computed."""
-    return float((change.high - change.value) / stdtrit(change.used - 1, 0.5 + level / 2))
+    """Standard error that corresponds to the width of the interval of a change of independent samples."""
+    return float((change.high - change.low) / (2 * stdtrit(change.used - 1, 0.5 + level / 2)))
 
 
 def jackknife(y, statistic: Callable[[np.ndarray], float], level: float = LEVEL, groups: int = 50) -> Estimate:
@@ -123,12 +125,13 @@ def jackknife(y, statistic: Callable[[np.ndarray], float], level: float = LEVEL,
     R = min(groups, len(y))
     group = np.arange(len(y)) % R
     without = np.array([statistic(y[group != r]) for r in range(R)])
-    half = stdtrit(R - 1, 0.5 + level / 2) * jackknife_error(without)
     value = statistic(y)
-    return Estimate.of(used, value, value - half, value + half)
+    return Estimate.of(used, value, *jackknife_interval(value, without, level))
 
 
-def _difference(a, b, group, statistic_a: Statistic, statistic_b: Statistic, level: float) -> Estimate:
+def _difference(
+    a, b, group, statistic_a: Statistic, statistic_b: Statistic, level: float, added: int = ADDED
+) -> Estimate:
     """Difference of two statistics; NaN for fewer than three samples."""
     a, b = np.asarray(a, dtype=float), np.asarray(b, dtype=float)
     valid = np.isfinite(a) & np.isfinite(b)
@@ -142,9 +145,8 @@ def _difference(a, b, group, statistic_a: Statistic, statistic_b: Statistic, lev
             statistic_b(*moments_b) - statistic_a(*moments_a)
             for moments_a, moments_b in zip(_moments(a, group), _moments(b, group))
         )
-        R, error = len(without), jackknife_error(without)
-    half = stdtrit(R - 1, 0.5 + level / 2) * error if R > 1 and np.isfinite(error) else np.nan
-    return Estimate.of(used, whole, whole - half, whole + half)
+        ends = jackknife_interval(whole, without, level, added) if len(without) > 1 else (np.nan, np.nan)
+    return Estimate.of(used, whole, *(ends if np.isfinite(ends).all() else (np.nan, np.nan)))
 
 
 def _moments(x: np.ndarray, group: np.ndarray):
