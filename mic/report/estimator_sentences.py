@@ -5,16 +5,17 @@ from __future__ import annotations
 from mic.contact.laws import LAWS
 from mic.report.style import percent
 from mic.results.outcome import Outcome
+from mic.statistics.estimates import SEEN, confidence, rarest_event
 
-__all__ = ["estimator_sentences", "sample_count"]
+__all__ = ["claimed_confidence", "estimator_sentences", "interval_claim", "sample_count"]
 
+FEWEST = 3  # samples that give an interval
 FUNCTIONS = {
     "plain": "a constant",
     "linear": "a linear function of the deviations",
     "quadratic": "a quadratic function of the deviations",
     "spline": "a spline of the deviations",
 }
-UNSEEN = 3.0  # over the number of samples: what more assemblies show, 95 of 100 such sets of samples show
 
 
 def sample_count(outcome: Outcome, law: str) -> str:
@@ -39,6 +40,26 @@ def estimator_sentences(outcome: Outcome) -> list[str]:
     if accuracy is not None:
         sentences.append(f"{outcome.uncertainty(accuracy.required).sentence(outcome.record['samples'])}.")
     return sentences
+
+
+def claimed_confidence(outcome: Outcome) -> str:
+    """Share of the intervals of the run that hold, at least, in words."""
+    return percent(float(confidence(min((len(outcome.sample_numbers(law)) for law in outcome.laws), default=0))))
+
+
+def interval_claim(outcome: Outcome, law: str) -> str:
+    """What the intervals of the key characteristics hold for."""
+    improved, samples = outcome.improved(law), len(outcome.sample_numbers(law))
+    if improved is not None and all(yes for key, yes in zip(improved.keys, improved.better) if key[0] == "measurement"):
+        return _unseen(outcome, law)
+    if samples < FEWEST:
+        return f"Fewer than {FEWEST} samples give no intervals."
+    share = float(rarest_event(samples))
+    whom = f"what {percent(share, 1)} or more of the assemblies do" if share < 1 else "what all assemblies do"
+    return (
+        f"Intervals: at least {percent(float(confidence(samples)))} of them hold, for {whom}; {samples} samples may "
+        "show too little of anything rarer."
+    )
 
 
 def _of_law(outcome: Outcome, law: str) -> str:
@@ -82,9 +103,9 @@ def _unseen(outcome: Outcome, law: str) -> str:
     """What the samples may not show."""
     improved, samples = outcome.improved(law), len(outcome.sample_numbers(law))
     cheap = improved.estimates.cheap_samples if improved else 0
-    share, beyond = percent(min(1.0, UNSEEN / samples), 1), ""
+    share, beyond = percent(float(rarest_event(samples, SEEN)), 1), ""
     if cheap:
-        seen = percent(UNSEEN / cheap, 1)
+        seen = percent(float(rarest_event(cheap, SEEN)), 1)
         beyond = f"; those in one step show behaviour of {seen} or more, unless the load path causes it"
     among = f"{samples}{_followed(law) * (cheap > 0)} samples"
     return f"Behaviour of fewer than {share} of the assemblies may be unseen in {among}{beyond}."

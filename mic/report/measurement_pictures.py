@@ -57,6 +57,6 @@ def measurement_picture(outcome: Outcome, context: Context) -> Picture | None:
 
 
 def _interval(row, name: str, words) -> str:
-    """The 95 % interval of a figure in brackets, or an empty string."""
+    """The interval of a figure in brackets, or an empty string."""
     low, high = row[f"{name}_low"], row[f"{name}_high"]
-    return f" (95 %: {words(low)} to {words(high)})" if low == low and high == high else ""
+    return f" ({percent(row['confidence'])}: {words(low)} to {words(high)})" if low == low and high == high else ""

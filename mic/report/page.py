@@ -11,7 +11,7 @@ from mic.process.description import alignments
 from mic.report import driver_sentences
 from mic.report.background_pictures import BackgroundPictures
 from mic.report.context import Context, read_context, study_tables
-from mic.report.estimator_sentences import estimator_sentences
+from mic.report.estimator_sentences import claimed_confidence, estimator_sentences
 from mic.report.picture_registry import PICTURES, draw_all
 from mic.report.style import LAWS, zone_colour
 from mic.report.template import render
@@ -80,6 +80,7 @@ def write_report(
         zones=zones,
         trend=_trend(zones, context.stage),
         estimators=estimator_sentences(outcome),
+        claimed=claimed_confidence(outcome),
         covered=covered_share(outcome.record["samples"]),
         accuracy=read_accuracy(outcome.folder),
         mesh_changes=outcome.study(schema.MESH_CHANGES),

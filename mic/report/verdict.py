@@ -9,7 +9,7 @@ import numpy as np
 
 from mic.plausibility import Results, find_warnings_of_results
 from mic.report.driver_sentences import adjusted, named
-from mic.report.estimator_sentences import sample_count
+from mic.report.estimator_sentences import interval_claim, sample_count
 from mic.report.style import change, number, probability
 from mic.results.capability_verdict import COUNTED, NORMAL, SUBSET, CapabilityVerdict, capability_verdict
 from mic.results.error_sources import Source, error_budget
@@ -201,6 +201,7 @@ def _trust(outcome: Outcome, law: str, budget: list[Source]) -> list[str]:
             f"Estimated from {sample_count(outcome, law)}, with surrogates of {sum(better)} of {len(better)} key "
             "characteristics."
         )
+    sentences.append(interval_claim(outcome, law))
     if known:
         each = np.array([[one.mean, one.six_sigma] for one in known])
         mean, six_sigma = (change(float(x)).lstrip("+") for x in np.sqrt(np.nansum(each**2, axis=0)))

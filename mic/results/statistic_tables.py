@@ -78,6 +78,8 @@ def zone_statistics(outcome: RunSamples) -> pd.DataFrame:
                     "friction": _coefficient(zone, LAWS[law], stage),
                     "samples": samples,
                     "one_step_samples": improved.estimates.cheap_samples if improved else 0,
+                    "confidence": float(estimates.confidence(samples)),
+                    "rarest_event": float(estimates.rarest_event(samples)),
                 }
                 for motion in MOTIONS:
                     row |= _mean_and_spread(f"_{motion}", of_zone[motion])
@@ -147,6 +149,8 @@ def measurement_statistics(outcome: RunSamples) -> pd.DataFrame:
                 "lower": item.lower,
                 "upper": item.upper,
                 "samples": moments[0].used,
+                "confidence": float(estimates.confidence(x.n)),
+                "rarest_event": float(estimates.rarest_event(x.n)),
             }
             for name, estimate in zip(MEASURED, moments):
                 row |= _interval(name, estimate)
@@ -176,6 +180,10 @@ def _improved(outcome: RunSamples, law: str) -> list[dict[str, Any]]:
         for k, item in enumerate(chosen):
             columns[item.name] |= {"improved": of.kind[k], "explained": float(of.explained[k])}
             columns[item.name]["one_step_samples"] = of.cheap_samples
+            columns[item.name] |= {
+                "confidence": estimates.LEVEL,
+                "rarest_event": float(estimates.rarest_event(max(of.samples, of.cheap_samples), estimates.SEEN)),
+            }
             for name, estimate in zip(IMPROVED, found):
                 columns[item.name] |= _interval(f"improved_{name}", estimate.at(k))
     return list(columns.values())

@@ -30,14 +30,16 @@ def summary(
 
     The zone values of each law are those of the first stage that resolves contact, clamping in the default process;
     ``"stages"`` holds every stage. ``"headline"`` holds the best estimates, with surrogates or of the samples alone.
-    Intervals ``…_ci`` are at 95 %; the effect of a tighter load path is ``…_path`` in mm and ``…_path_share``
-    (:data:`mic.results.schema.PATH`). With a design that makes samples in groups, only key characteristics have
-    intervals (:func:`mic.statistics.estimates.grouped_jackknife`). Undefined values, such as slip under load without
-    friction, are None.
+    Intervals ``…_ci`` are at 95 %; ``"confidence_level"`` is the share that holds, at least, which is less for fewer
+    than 50 samples (:func:`mic.statistics.estimates.confidence`), for what ``"rarest_event"`` of the assemblies do. The
+    effect of a tighter load path is ``…_path`` in mm and ``…_path_share`` (:data:`mic.results.schema.PATH`). With a
+    design that makes samples in groups, only key characteristics have intervals
+    (:func:`mic.statistics.estimates.grouped_jackknife`). Undefined values, such as slip under load without friction,
+    are None.
     """
     study = outcome.path_study
     best_measurements, best_zones = headline(measurement_table), headline(zone_table)
-    laws = {}
+    laws, fewest = {}, min((len(outcome.sample_numbers(law)) for law in outcome.laws), default=0)
     for law in outcome.laws:
         zones: dict[str, Any] = {}
         for row, best in zip(_rows(zone_table, law), _rows(best_zones, law)):
@@ -78,7 +80,7 @@ def summary(
             "not_built_samples": outcome.unbuilt,
             "rescued_samples": outcome.rescued,
             "missing_samples": outcome.missing,
-            "confidence_level": estimates.LEVEL,
+            "confidence_level": float(estimates.confidence(fewest)),
             "laws": laws,
             "versions": outcome.record["versions"],
             "wall_time": outcome.record.get("wall_time", {}),

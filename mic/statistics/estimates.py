@@ -35,6 +35,7 @@ from scipy.special import betaincinv, chdtri, stdtrit
 __all__ = [
     "ADDED",
     "LEVEL",
+    "SEEN",
     "Estimate",
     "Moments",
     "confidence",
@@ -56,6 +57,7 @@ __all__ = [
 LEVEL = 0.95
 ADDED = 2  # samples as far from the mean as the farthest
 SHOWN = 10  # samples that must show an event for the intervals to include it
+SEEN = 3  # with surrogates; then 95 of 100 sets of samples show it once or more
 CLAIMS = ((50, 0.95), (20, 0.9), (3, 0.8))  # least number of samples, and what 95 % intervals then hold for, at least
 EPS = np.finfo(float).eps
 
@@ -356,13 +358,19 @@ def confidence(n) -> np.ndarray:
     return np.select([n >= least for least, _ in CLAIMS], [level for _, level in CLAIMS], np.nan)
 
 
-def rarest_event(n) -> np.ndarray:
+def rarest_event(n, shown: float = SHOWN) -> np.ndarray:
     """Share of the assemblies that must do something for the intervals of `n` samples to include it.
 
-    One in ten samples of 100, so that about ten show it. Rarer jumps, and contacts that close more rarely, may show in
-    too few samples, or in none.
+    That which about ten of the samples show. Rarer jumps, and contacts that close more rarely, may show in too few
+    samples, or in none.
+
+    Parameters
+    ----------
+    n : int or array
+    shown : float
+        Number of samples; :data:`SEEN` with surrogates.
     """
-    return np.minimum(SHOWN / np.maximum(np.asarray(n, dtype=float), 1.0), 1.0)
+    return np.minimum(shown / np.maximum(np.asarray(n, dtype=float), 1.0), 1.0)
 
 
 def _t_quantile(n, level):
