@@ -1,11 +1,12 @@
 """Choice of element sizes, contact candidates and load path for a scene with ``setting = "auto"``.
 
-Half of the required accuracy of 6σ is for the load path, half for meshes and contact candidates. Each candidate is
-compared, the cheapest first, with a finer one on the same samples: a path with one of a quarter of the smallest
-tolerance, meshes and contact candidates with the next finer ones. Sampling scatter cancels in these differences, so
-that few samples suffice. Mean and 6σ of key characteristics and of the zones' tangential displacement count, if their
-6σ is at least a tenth of the largest of their kind. A candidate is accepted if the difference and its 95 % uncertainty
-together are within its half; if the difference alone is, more samples are drawn.
+The error of the load path and that of meshes and contact candidates are independent and add in quadrature: each may be
+1/√2 of the required accuracy of 6σ. Each candidate is compared, the cheapest first, with a finer one on the same
+samples: a path with one of a quarter of the smallest tolerance, meshes and contact candidates with the next finer ones.
+Sampling scatter cancels in these differences, so that few samples suffice. Mean and 6σ of key characteristics and of
+the zones' tangential displacement count, if their 6σ is at least a tenth of the largest of their kind, relative to that
+6σ, or to the mean of a zone if that is larger. A candidate is accepted if the difference and its 95 % uncertainty
+together are within that share; if the difference alone is, more samples are drawn.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from math import sqrt
 from pathlib import Path
 from typing import Any
 
@@ -138,7 +140,7 @@ def choose(scene: Scene, cache: Path, report: Callable[[str], None] | None = Non
     found: list[Trial] = []
 
     def compare(own: _Samples, finer: _Samples) -> Trial:
-        found.append(_compare(own, finer, target / 2))
+        found.append(_compare(own, finer, target / sqrt(2.0)))
         if report is not None:
             report(f"auto: {found[-1].sentence()}")
         return found[-1]

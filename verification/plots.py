@@ -24,11 +24,13 @@ STYLE = {
 }
 
 
-def panels(count: int, width: float = 5.2, height: float = 3.8):
-    """A figure of `count` panels side by side; sizes in inches of each panel."""
+def panels(count: int, width: float = 5.2, height: float = 3.8, stacked: bool = False):
+    """A figure of `count` panels side by side, or stacked; sizes in inches of each panel."""
+    rows, columns = (count, 1) if stacked else (1, count)
+    size = width * columns, height * rows
     with plt.rc_context(STYLE):
-        figure, axes = plt.subplots(1, count, figsize=(width * count, height), squeeze=False, layout="constrained")
-    return figure, list(axes[0])
+        figure, axes = plt.subplots(rows, columns, figsize=size, squeeze=False, layout="constrained")
+    return figure, list(axes.ravel())
 
 
 def svg(figure) -> bytes:
