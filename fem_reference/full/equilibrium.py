@@ -71,6 +71,8 @@ _REFINEMENTS = 6  # iterative refinements of a condensed solution by the residua
 _LINE_SEARCH = 0.8  # no line search if a full step reduces the work below this fraction of its initial value
 CONDENSED = 5000  # largest number of contact forces to condense onto: their compliance matrix takes 200 MB
 _ICNTL_EXTRA_MEMORY, _INFOG_STATUS = 14, 1  # MUMPS
+_EXTRA_MEMORY = (80, 400, 2000)  # per cent more than estimated, tried in turn: many supported freedoms delay pivots
+_TOO_LITTLE_MEMORY = (-8, -9)  # statuses that more extra memory remedies
 
 
 class NoConvergence(RuntimeError):
@@ -266,6 +268,9 @@ class Equilibrium:
 
     @cached_property
     def _ksp(self) -> PETSc.KSP:
+        return self._solver(_EXTRA_MEMORY[0])
+
+    def _solver(self, extra_memory: int) -> PETSc.KSP:
         ksp = PETSc.KSP().create(self.parts.comm)
         ksp.setOperators(self._matrix)
         ksp.setType("preonly")
@@ -274,7 +279,7 @@ class Equilibrium:
         pc.setFactorSolverType("mumps")
         pc.setFactorSetUpSolverType()
         self._factor = pc.getFactorMatrix()
-        self._factor.setMumpsIcntl(_ICNTL_EXTRA_MEMORY, 80)
+        self._factor.setMumpsIcntl(_ICNTL_EXTRA_MEMORY, extra_memory)
         return ksp
 
     def __del__(self):
@@ -357,6 +362,13 @@ class Equilibrium:
         self._scatter(right, given)
         self._ksp.solve(given, solved)
         status = self._factor.getMumpsInfog(_INFOG_STATUS)
+        for extra in _EXTRA_MEMORY[1:]:
+            if status not in _TOO_LITTLE_MEMORY:
+                break
+            self._ksp.destroy()  # a failed one does not factorise again
+            self._ksp = self._solver(extra)
+            self._ksp.solve(given, solved)
+            status = self._factor.getMumpsInfog(_INFOG_STATUS)
         if status < 0:
             raise NoConvergence(
                 f"MUMPS cannot factorise the tangent: INFOG(1) = {status}, INFOG(2) = {self._factor.getMumpsInfog(2)}"

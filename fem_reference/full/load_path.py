@@ -331,7 +331,7 @@ class LoadPath:
         raise self._failure(
             share,
             f"after {AUGMENTATIONS} augmentations the forces still change by {change:.1e} N",
-            "raise the penalty, or remove contacts that the welds make redundant",
+            "raise the penalty, or remove contacts that welds or supports make redundant",
         )
 
     def _failure(self, share, problem, remedy) -> ContactFailure:

@@ -34,6 +34,7 @@ __all__ = [
     "cell_points",
     "compile_form",
     "lagrange_6",
+    "linear_function",
     "p2_crouzeix_raviart",
     "quadratic_plane",
     "shell_mesh",
@@ -101,6 +102,17 @@ def p2_crouzeix_raviart(mesh: dmesh.Mesh) -> fem.FunctionSpace:
     displacement = basix.ufl.element("Lagrange", "triangle", 2, shape=(3,))
     rotation = basix.ufl.element("CR", "triangle", 1, shape=(3,))
     return _function_space(mesh, basix.ufl.mixed_element([displacement, rotation]))
+
+
+def linear_function(mesh: dmesh.Mesh, components: int, name: str) -> fem.Function:
+    """A linear Lagrange function that is zero: a scalar for no components, else a vector."""
+    if _LEGACY:
+        cell = mesh.ufl_cell()
+        scalar = ufl.FiniteElement("Lagrange", cell, 1)
+        element = ufl.VectorElement("Lagrange", cell, 1, dim=components) if components else scalar
+    else:
+        element = basix.ufl.element("Lagrange", "triangle", 1, shape=(components,) if components else ())
+    return fem.Function(_function_space(mesh, element), name=name)
 
 
 def quadratic_plane(mesh: dmesh.Mesh) -> fem.FunctionSpace:
