@@ -204,3 +204,17 @@ def test_normals_between_the_corners_are_those_between_their_ends():
     assert found.points[found.triangles] == pytest.approx(
         np.einsum("kij,kjl->kil", found.corners, points[triangles][found.of]), abs=1e-12
     )
+
+
+def test_a_divided_sliver_has_no_flat_triangle():
+    """Half of a long side beside the whole other one would lie on a line."""
+    x, y = np.meshgrid([0.0, 5.0, 10.0, 15.0], [0.0, 5.0, 5.0001, 10.0], indexing="ij")
+    a = (4 * np.arange(3)[:, None] + np.arange(3)).ravel()
+    triangles = np.concatenate([np.column_stack([a, a + 4, a + 5]), np.column_stack([a, a + 5, a + 1])])
+    points = np.column_stack([x.ravel(), y.ravel(), 0 * x.ravel()])
+    normals = np.tile([0.0, 0.0, 1.0], (len(triangles), 3, 1))
+    found = divided(points, triangles, normals, np.array([[7.0, 2.0, 0.0]]), np.array([2.0]), np.array([2.5]))
+    surface = Surface(found.points, found.triangles)
+    shortest, longest = surface.edge_lengths.min(axis=1), surface.edge_lengths.max(axis=1)
+    flat = 2 * surface.areas / longest < 0.02 * shortest
+    assert len(found.triangles) > len(triangles) and not flat.any()

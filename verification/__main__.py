@@ -24,6 +24,7 @@ from verification.shell_contact.publication import publish
 from verification.study import studies
 from verification.target import advice, choose, share_of, table
 
+AGAIN = 3  # samples that are solved again for the numerical uncertainty
 PDF = typer.Option("--pdf", help="Also write report.pdf, printed by chromium or chrome.")
 
 app = typer.Typer(
@@ -120,7 +121,9 @@ def scene(
 
     The report starts with the error budget: path, order, pairs, mesh, nominal stiffness and sampling, estimated on the
     same samples. Samples for full solves are selected by their Monte Carlo results: one typical, then alternately
-    extreme and random ones. Stored results are reused: call again to complete an interrupted run, or with more samples.
+    extreme and random ones. Three of them are solved again scaled, rotated, mirrored, renumbered, permuted, on a
+    tighter path and by whole finite elements: the largest disagreement about a number is its numerical uncertainty.
+    Stored results are reused: call again to complete an interrupted run, or with more samples.
     Under `mpirun -n N` the work is distributed over N processes.
     """
     workers = team()
@@ -139,7 +142,8 @@ def scene(
             table(tried).to_csv(folder / "target.csv", index=False)
             print(advice(tried, target))
         return
-    verify_scene(loaded, folder, cache_folder(), samples, not nominal, workers, lambda line: print(line, flush=True))
+    say = lambda line: print(line, flush=True)
+    verify_scene(loaded, folder, cache_folder(), samples, not nominal, workers, say, again=AGAIN)
     if workers.rank == 0:
         page = folder / "report.html"
         print(f"report: {write_pdf(page) if pdf else page}")

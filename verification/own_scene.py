@@ -2,8 +2,8 @@
 
 The folder contains ``production/`` (the Monte Carlo run, as `mic run` writes it), ``reduced/`` (the same with one
 increment per step, if the scene follows a path), ``full/`` and ``budget/`` (one file per full solve and per source of
-error, from which an interrupted run resumes), ``summary.json``, ``samples.csv``, ``estimates.csv``, ``budget.csv`` and
-``report.html``.
+error, from which an interrupted run resumes), ``symmetry/`` (one per way in which samples are solved again),
+``summary.json``, ``samples.csv``, ``estimates.csv``, ``budget.csv``, ``uncertainty.csv`` and ``report.html``.
 """
 
 from __future__ import annotations
@@ -46,6 +46,7 @@ from verification.plots import panels, svg
 from verification.report import environment, table_cells
 from verification.stiffness import DeviatedStiffness
 from verification.study import Team
+from verification.symmetry.uncertainty import Solved, lines, numerical_uncertainty, sentences
 from verification.two_level import two_level
 
 __all__ = ["Choice", "choose", "verify_scene"]
@@ -185,6 +186,7 @@ def verify_scene(
     team: Team,
     say=print,
     sources: Collection[str] = EVERY,
+    again: int = 0,
 ) -> dict:
     """Verify the Monte Carlo of a scene by full solves of some samples; returns the content of ``summary.json``.
 
@@ -205,6 +207,9 @@ def verify_scene(
         Receives lines of text on the first rank.
     sources : collection of str
         Sources of error from :data:`verification.budget.EVERY`; empty for no error budget.
+    again : int
+        Number of the chosen samples that are solved again in other ways for the numerical uncertainty
+        (:mod:`verification.symmetry.uncertainty`).
 
     Raises
     ------
@@ -237,6 +242,13 @@ def verify_scene(
             model = dataclasses.replace(model)  # without its cached preparations, to free memory
             mark = f"{_model_key(case.model)} {seed} {samples} {versions()['mic-contact']}"
             items += estimate(case, folder / "budget", mark, team, sources, say)
+        uncertainty = None
+        if again:
+            report("numerical uncertainty: the same samples scaled, rotated, mirrored, renumbered, permuted …")
+            numbers = [choice.sample for choice in chosen[:again]]
+            deviations = np.concatenate([draw(scene, seed, number, 1) for number in numbers])
+            solved_again = Solved(original, scene, assembly, model, deviations, truth, cache)
+            uncertainty = numerical_uncertainty(solved_again, folder / "symmetry", team, say)
     if team.rank > 0:
         return {}
     budget = None
@@ -252,6 +264,7 @@ def verify_scene(
     summary = _record(scene, chosen, full, seconds, team.size) | {
         "truth": {"law": truth, "deviated_meshes": deviated},
         "budget": None if budget is None else _budget_record(scene.name, budget, items),
+        "numerical_uncertainty": uncertainty and _uncertainty_record(folder, *uncertainty, numbers, report),
         "per_sample": per_sample.to_dict("records"),
         "statistics": table.to_dict("records"),
     }
@@ -291,6 +304,19 @@ def _reduction(case, model, truth, deviated, solved, team) -> Item:
         return Item("reduction", f"not estimated: {problem}", seconds, None)
     full = pd.DataFrame([_full_quantities(model, result) for _, result in solved])
     return Item("reduction", how, seconds, largest_difference(pd.DataFrame(reduced).reset_index(drop=True), full))
+
+
+def _uncertainty_record(folder, table, refused, numbers, report) -> dict:
+    """Write ``uncertainty.csv``, print its rows, and return the entry of ``summary.json``."""
+    table.to_csv(folder / "uncertainty.csv")
+    said, rows = sentences(table, refused, len(numbers)), lines(table)
+    for sentence in said:
+        report(sentence)
+    shown = rows.assign(
+        value=[f"{x:.6g}" for x in rows["value"]], uncertainty=[f"{x:.1e}" for x in rows["uncertainty"]]
+    )
+    report(shown.drop(columns="relative").to_string(index=False))
+    return {"sentences": said, "samples": numbers, "rows": rows.to_dict("records")}
 
 
 def _budget_record(name, budget, items) -> dict:
@@ -514,6 +540,8 @@ def _page(summary, per_sample, table, truth, budget, items) -> str:
         drawn["bars"] = base64.b64encode(svg(budget_figure([(summary["scene"], budget, items)]))).decode()
         drawn["sources"] = table_cells(budget_rows(items, budget))
         drawn["quantities"] = table_cells(quantity_rows(budget))
+    if summary["numerical_uncertainty"]:
+        drawn["uncertainty"] = table_cells(pd.DataFrame(summary["numerical_uncertainty"]["rows"]))
     return (
         environment()
         .get_template("own_scene.html")

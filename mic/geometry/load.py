@@ -47,6 +47,8 @@ class LoadedPart:
         generated mesh, by name.
     deck : Deck, optional
         Contents of the mesh file besides the mesh; None for a generated mesh.
+    superelement : mic.compliance.superelement.Superelement, optional
+        The matrix that replaces the mesh in the solution; None to read it from the files that the part states, if any.
     """
 
     part: Any
@@ -54,6 +56,7 @@ class LoadedPart:
     drawn: Surface
     inputs: dict[str, str | None]
     deck: Deck | None = None
+    superelement: Any = None
 
 
 def load_part(part: Any, folder: Path, cache: Path, size: float | None = None) -> LoadedPart:

@@ -30,6 +30,7 @@ FOUR = np.array([(0, 3, 5), (3, 1, 4), (5, 4, 2), (3, 4, 5)])  # children: corne
 TWO = np.array([[(0, 3, 2), (3, 1, 2)], [(1, 4, 0), (4, 2, 0)], [(2, 5, 1), (5, 0, 1)]])  # by the edge that is divided
 SHIFT = 32  # bits: the key of an edge is its lower vertex, shifted, plus its higher vertex
 UNSURE = 1e-9  # difference of barycentric coordinates above the rounding errors of two methods
+NARROW = 0.1  # a side shorter than this share of the longest is short; half a long side then makes a flat triangle
 EVEN = 1e-6  # relative difference below which sizes and distances are equal
 
 
@@ -145,8 +146,8 @@ def divided(
     """Divide triangles near places until none exceeds the size required there.
 
     The size of a triangle of area A is √(2 A). Large triangles are divided into four. Neighbours follow if two of their
-    edges are divided, or one twice; if one edge is, they are bisected. The shape stays: new vertices are midpoints of
-    edges, and the normals there are means of the ends'.
+    edges are divided, one is twice, or a long one of a narrow triangle is; at another edge they are bisected.
+    The shape stays: new vertices are midpoints of edges, and the normals there are means of the ends'.
 
     Parameters
     ----------
@@ -200,7 +201,7 @@ class _AdaptiveMesh:
         return found
 
     def unbalanced(self) -> np.ndarray:
-        """(k,) bool: which triangles have two divided edges, or one that is divided twice."""
+        """(k,) bool: which triangles have two divided edges, one divided twice, or a long one and are narrow."""
         sides = self.triangles[:, EDGES]
         middle = self._middles(sides)
         divided_edge = middle >= 0
@@ -208,7 +209,10 @@ class _AdaptiveMesh:
         for end in (0, 1):
             half = np.stack([sides[:, :, end], np.maximum(middle, 0)], axis=2)
             twice |= divided_edge & (self._middles(half) >= 0)
-        return (divided_edge.sum(axis=1) > 1) | twice.any(axis=1)
+        length = np.linalg.norm(self.points[sides[:, :, 1]] - self.points[sides[:, :, 0]], axis=2)
+        long = length >= NARROW * length.max(axis=1, keepdims=True)
+        flat = (divided_edge & long).any(axis=1) & ~long.all(axis=1)
+        return (divided_edge.sum(axis=1) > 1) | twice.any(axis=1) | flat
 
     def divide(self, chosen) -> None:
         """Divide the chosen triangles into four each."""

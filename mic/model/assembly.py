@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
@@ -10,7 +11,7 @@ from mic.compliance.functional import Functionals
 from mic.compliance.part import Part
 from mic.compliance.superelement import Superelement
 from mic.errors import Problems
-from mic.geometry.load import load_fixture, load_part
+from mic.geometry.load import LoadedPart, load_fixture, load_part
 from mic.geometry.surface import Patch, Surface
 from mic.model.assembly_rows import assembly_rows, matrix_files
 from mic.model.assembly_types import Assembly, AssemblyRows, Contacts, GapPoints
@@ -24,10 +25,34 @@ from mic.system.files import Format, fingerprint
 from mic.system.matrix_product import one_thread
 from mic.system.memoise import memoise
 
-__all__ = ["Assembly", "Contacts", "GapPoints", "assemble"]
+__all__ = ["Assembly", "Contacts", "GapPoints", "PlacedScene", "assemble", "assemble_placed", "load_placed"]
 
 FORMAT = Format("set of parts and contact pairs", 1, ABSENT)
 MOST = 64  # cached assemblies
+
+
+@dataclass(frozen=True)
+class PlacedScene:
+    """A scene in memory: its surfaces, and its items placed on them.
+
+    Attributes
+    ----------
+    scene : Scene
+        With values from the mesh files, points and directions as vectors, modes expanded, samples as values.
+    loaded : tuple of LoadedPart
+    fixtures : dict of str to Surface
+        Of the fixtures that have meshes.
+    inputs : dict of str to str
+        Hashes of the input files.
+    messages : tuple of str
+        About placed items, measured shapes and fields.
+    """
+
+    scene: Scene
+    loaded: tuple[LoadedPart, ...]
+    fixtures: Mapping[str, Surface]
+    inputs: dict[str, str | None]
+    messages: tuple[str, ...]
 
 
 @one_thread
@@ -68,8 +93,30 @@ def assemble(
 
 
 def _assembled(scene: Scene, cache: Path, every_node: bool, sizes: Mapping[str, float]) -> Assembly:
-    """The assembly on meshes of given sizes; parts and rows come from the cache if possible."""
-    problems, loaded = Problems(), []
+    """The assembly on meshes of given sizes."""
+    problems = Problems()
+    return assemble_placed(load_placed(scene, cache, sizes, problems), cache, every_node, sizes, problems)
+
+
+@one_thread
+def load_placed(scene: Scene, cache: Path, sizes: Mapping[str, float], problems: Problems) -> PlacedScene:
+    """Load the surfaces of a scene, place its items on them, expand its modes and take its samples.
+
+    Parameters
+    ----------
+    scene : Scene
+    cache : Path
+    sizes : mapping of str to float
+        Element sizes, mm, of the parts that state an accuracy, as :attr:`Assembly.sizes`.
+    problems : Problems
+        Collects the errors of items; afterwards the scene lacks these items.
+
+    Raises
+    ------
+    SceneError
+        If a mesh is missing or unusable.
+    """
+    loaded: list[LoadedPart] = []
     fixtures: dict[str, Surface] = {}
     inputs: dict[str, str | None] = {}
     for part in scene.parts:
@@ -94,6 +141,37 @@ def _assembled(scene: Scene, cache: Path, every_node: bool, sizes: Mapping[str, 
             scene, sample_files = take_samples(scene)
             inputs |= sample_files
     inputs |= expanded.inputs | matrix_files(scene)
+    return PlacedScene(scene, tuple(loaded), fixtures, inputs, placed + expanded.messages)
+
+
+@one_thread
+def assemble_placed(
+    placed: PlacedScene,
+    cache: Path,
+    every_node: bool = False,
+    sizes: Mapping[str, float] | None = None,
+    problems: Problems | None = None,
+) -> Assembly:
+    """The assembly of a placed scene; parts and rows come from the cache if possible.
+
+    Parameters
+    ----------
+    placed : PlacedScene
+    cache, every_node
+        As :func:`assemble`.
+    sizes : mapping of str to float, optional
+        Recorded as :attr:`Assembly.sizes`.
+    problems : Problems, optional
+        Those of loading and placing.
+
+    Raises
+    ------
+    SceneError
+        With one line for each of these problems and of those of the rows.
+    """
+    scene, loaded, fixtures = placed.scene, placed.loaded, placed.fixtures
+    problems = Problems() if problems is None else problems
+    surfaces = {one.part.name: one.surface for one in loaded}
     meshes = [
         None if array is None else fingerprint(array.tobytes())
         for surface in (*surfaces.values(), *fixtures.values())
@@ -107,7 +185,7 @@ def _assembled(scene: Scene, cache: Path, every_node: bool, sizes: Mapping[str, 
         assembly_rows(unsampled, loaded, surfaces, fixtures, every_node, problems)
     rows, identity = memoise(
         Cache(cache, "assemblies", FORMAT, MOST),
-        [bare.model_dump_json(), every_node, inputs, meshes],
+        [bare.model_dump_json(), every_node, placed.inputs, meshes],
         surfaces,
         (AssemblyRows, Part, Surface, Functionals, Patch, Superelement, Contacts, GapPoints),
         lambda: assembly_rows(bare, loaded, surfaces, fixtures, every_node, problems),
@@ -115,10 +193,10 @@ def _assembled(scene: Scene, cache: Path, every_node: bool, sizes: Mapping[str, 
     return Assembly(
         **vars(rows),
         scene=scene,
-        inputs=inputs,
-        sizes=sizes,
-        decks={name: deck for name, deck in decks.items() if deck is not None},
-        placed=placed + expanded.messages,
+        inputs=placed.inputs,
+        sizes=sizes or {},
+        decks={one.part.name: one.deck for one in loaded if one.deck is not None},
+        placed=placed.messages,
         surfaces=surfaces,
         identity=identity,
     )

@@ -153,8 +153,8 @@ def _superelement(scene: Scene, loaded: LoadedPart) -> Superelement | None:
     part = loaded.part
     key = "stiffness" if part.stiffness is not None else "compliance"
     name = getattr(part, key)
-    if name is None:
-        return None
+    if name is None or loaded.superelement is not None:
+        return loaded.superelement
     if scene.report.fields or scene.report.accuracy:
         raise SceneError(
             f"part {part.name!r}: {key}: a superelement has displacements at its own nodes only; leave fields and "

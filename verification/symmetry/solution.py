@@ -1,0 +1,86 @@
+"""Numbers of a few samples of a placed scene, as it stands or transformed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+import pandas as pd
+from scipy.optimize import linear_sum_assignment
+
+from mic.model.assembly import PlacedScene, assemble_placed
+from mic.process.model import ReducedModel
+from verification.comparison import reduced_model
+from verification.symmetry.numbers import numbers
+from verification.symmetry.transformation import Transformation
+
+__all__ = ["Solution", "solve"]
+
+
+@dataclass(frozen=True)
+class Solution:
+    """Numbers of some samples, in the units of the scene as it stands.
+
+    Attributes
+    ----------
+    numbers : dict of str to DataFrame
+        By law, as :func:`verification.symmetry.numbers.numbers`.
+    points : (m, 3) array
+        Contact pairs of the scene as it stands, mm.
+    """
+
+    numbers: dict[str, pd.DataFrame]
+    points: np.ndarray
+
+
+def solve(
+    placed: PlacedScene,
+    deviations: np.ndarray,
+    transformation: Transformation | None = None,
+    points: np.ndarray | None = None,
+    cache: Path | None = None,
+) -> Solution:
+    """Solve samples under all laws of the scene's report.
+
+    Parameters
+    ----------
+    placed : PlacedScene
+    deviations : (n, p) array
+        Of the scene as it stands.
+    transformation : Transformation, optional
+        Solve the transformed scene, and transform its numbers back.
+    points : (m, 3) array, optional
+        Contact pairs of the scene as it stands, in whose order those of the transformed one are listed.
+    cache : Path, optional
+        Cache folder; default: a temporary one.
+
+    Raises
+    ------
+    SceneError, ArithmeticError
+        If the scene cannot be solved, or has another number of contact pairs.
+    """
+    change = transformation or Transformation("as it stands")
+    with TemporaryDirectory() as temporary:
+        folder = cache or Path(temporary)
+        assembly = assemble_placed(change.apply(placed) if transformation else placed, folder)
+        model = reduced_model(assembly, folder)
+    found, order = model.contacts.point, np.arange(len(model.contacts))
+    if points is not None:
+        if len(points) != len(found):
+            raise ArithmeticError(f"{len(found)} contact pairs are found, and {len(points)} in the scene as it stands")
+        order = _matched(change.points(points), found)
+    values = change.deviations(placed.scene, deviations)
+    return Solution({law: _numbers(model, law, values, change, order) for law in placed.scene.report.laws}, found)
+
+
+def _numbers(model: ReducedModel, law: str, values, change, order) -> pd.DataFrame:
+    backend = model.scene.monte_carlo.backend
+    table = numbers(model, model.process(law, backend=backend).attempt(values), order)
+    return table.div([change.factor(unit) for unit in table.index.get_level_values("unit")], axis=0)
+
+
+def _matched(points: np.ndarray, found: np.ndarray) -> np.ndarray:
+    """(m,) which of the found points (m, 3) each of the points (m, 3) is, one to one."""
+    return linear_sum_assignment(np.linalg.norm(points[:, None] - found, axis=-1))[1]
