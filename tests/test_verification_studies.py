@@ -6,6 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pandas as pd
 import pytest
+from matplotlib.text import Text
 from scipy.sparse import csr_matrix, diags
 
 from mic.model.assembly import assemble
@@ -22,7 +23,9 @@ from verification.nominal_stiffness import study as nominal
 from verification.path import study as path
 from verification.scenes import shipped, with_path
 from verification.study import Context, Team
+from verification.trade import picture as trade_picture
 from verification.trade import study as trade
+from verification.trade import versions as trade_versions
 
 pytestmark = pytest.mark.fem
 
@@ -236,8 +239,10 @@ def test_the_stiffness_of_the_mean_shape_and_its_derivatives(cache, monkeypatch)
     monkeypatch.setattr(nominal.DeviatedStiffness, "at", remembered)
 
     def left():
-        means = pd.DataFrame([{"assembly": "lap_joint"} | row for row in nominal.systematic(built, 1.0, 2, cache)])
-        return [nominal.ratios(means, name).max(axis=None) for name in ("mean", "first order")]
+        means = pd.DataFrame(
+            [{"assembly": "lap_joint"} | row for row in nominal.systematic(built, 1.0, 0.25, 2, cache)]
+        )
+        return [nominal.ratios(means, name).max(axis=None) for name in ("mean", "first-order")]
 
     right = nominal.followed
 
@@ -258,7 +263,7 @@ def test_the_stiffness_of_the_mean_shape_and_its_derivatives(cache, monkeypatch)
 
 
 def test_settings_reach_the_trade():
-    versions = trade.versions_of("lap_joint", trade.QUICK["lap_joint"])
+    versions = trade_versions.versions_of("lap_joint", trade_versions.QUICK["lap_joint"])
     for setting, given in SETTINGS.items():
         scene = versions["setting", setting]
         assert {part.size for part in scene.parts} == {given["size"]} and scene.path.tolerance == given["tolerance"]
@@ -266,8 +271,10 @@ def test_settings_reach_the_trade():
     assert versions["path", "increments 1"].stages[1].increments == 1
     assert versions["pairs", "pairs 34"].zones[0].pairs == 34
     exact = versions["truth", "all finer"]
-    assert exact.parts[0].size == 0.625 and exact.path.tolerance == trade.FINE
+    assert exact.parts[0].size == 0.625 and exact.path.tolerance == trade_versions.FINE
     assert exact.zones[0].spacing_factor < SETTINGS["reference"]["spacing_factor"]
+    assert versions["law", "associated"].report.laws == ["associated"]
+    assert versions["truth", "pairs, coarse"].zones[0].spacing_factor > exact.zones[0].spacing_factor
 
 
 def test_the_trade_finds_the_worst_figure_of_each_kind_and_the_error_of_the_reference():
@@ -284,9 +291,18 @@ def test_the_trade_finds_the_worst_figure_of_each_kind_and_the_error_of_the_refe
     assert found["error of 6σ"] == pytest.approx(0.04)
     first = trade.errors(own[:20], exact)  # of the first samples against the same
     assert first["error of 6σ"] == pytest.approx(0.04) and first["±, slips"] > 0
-    lines = pd.DataFrame([{"scene": "lap_joint", "knob": "truth", "value": "but path"} | found])
-    left = trade.own_error(lines, trade.QUICK).iloc[0]
-    assert left["left of key characteristics"] == pytest.approx(0.04 / 5)
+    over = trade.over(own[["measurement:M1", "measurement:M2"]] * 1e-3, exact * 1e-3, 0.01)
+    spread = 6e-3 * exact.drop(3).std(ddof=1)  # mm; 1 % of it is less than the 2 µm that decide
+    assert over["measurement:M2"] == pytest.approx(0.04 * spread["measurement:M2"] / 2e-3)
+
+
+def test_the_error_of_the_reference_is_that_of_its_coarser_versions():
+    fine = pd.DataFrame({"slip:clamp:lap": np.random.default_rng(2).normal(size=30)})
+    shares = {"element size": 1.03, "pairs": 1.02, "path": 0.95}
+    found = {("lap_joint", "truth", f"{source}, fine"): {"values": fine} for source in shares}
+    found |= {("lap_joint", "truth", f"{source}, coarse"): {"values": fine * share} for source, share in shares.items()}
+    left = trade.own_error(found, trade_versions.QUICK, 0.01).set_index("source")["left"]
+    assert left.to_dict() == pytest.approx({"element size": 1.0, "pairs": 3.4, "path": 1.0})
 
 
 def test_sampling_error_is_that_of_normal_samples():
@@ -317,9 +333,30 @@ def test_cheapest_version_keeps_the_target():
     )
 
 
-def test_pareto_front():
-    lines = versions((0.2, 1, 0), (0.3, 2, 0), (0.1, 3, 0), (0.1, 4, 0), (0.01, 9, 0))
-    assert trade.front(lines, 100) == [0, 2, 4]
+def test_pareto_front_and_settings_that_are_not_on_it():
+    assert trade_picture.front(np.array([1, 2, 3, 4, 9]), np.array([0.2, 0.3, 0.1, 0.1, 0.01])) == [0, 2, 4]
+    lines = pd.DataFrame(
+        [
+            ("setting", "draft", 10, 0.05, 0.01),
+            ("setting", "standard", 20, 0.02, 0.01),
+            ("pairs", "few", 5, 0.01, 0.02),
+        ],
+        columns=["knob", "value", "seconds", "error", "half"],
+    )
+    assert trade.dominated(lines) == ["draft by few"]
+    assert not trade.dominated(lines.assign(seconds=lines["seconds"].replace(5, 9.5)))  # within the scatter of time
+
+
+def test_labels_of_the_trade_do_not_overlap():
+    """Even of twenty points at one place; as drawn, texts are measured anew."""
+    values = [f"size {k}, factor {k / 7:.3g}" for k in range(20)]
+    table = pd.DataFrame({"knob": "pairs", "value": values, "seconds": 10.0, "error": 0.02, "half": 0.001})
+    figure = trade_picture.picture({"one": table})
+    figure.canvas.draw()
+    texts = [text for text in figure.axes[0].texts if text.get_text() in values]
+    boxes = [Text.get_window_extent(text, figure.canvas.get_renderer()) for text in texts]  # without its line
+    assert len(boxes) == 20
+    assert not any(boxes[i].overlaps(boxes[j]) for i in range(20) for j in range(i))
 
 
 @pytest.mark.parametrize("elsewhere, kept", [(0.0, True), (1e-4, False)])
