@@ -10,16 +10,19 @@ from verification.analytic.leaves import Leaves, deflections, slips
 from verification.analytic.sheet import Sheet, dragged_ends, incline_reaction, stop_force
 from verification.plots import panels
 from verification.study import Acceptance, Finding, Study
+from verification.validation import COVERAGE, Uncertainty
 
 
 def layered_cantilever(context):
     """Deflection before, at and after the slip load, unloading, and the loop that friction opens."""
-    leaves = Leaves(size=5.0, columns=20) if context.quick else Leaves(size=2.5, columns=40)
+    coarse = Leaves(size=5.0, columns=20)
+    leaves = coarse if context.quick else Leaves(size=2.5, columns=40)
     ratio = np.array([0.5, 0.9, 1.0, 1.1, 1.5, 2.0, 1.0, 0.0, -1.0, -2.0, -1.0, 0.0, 1.0, 2.0])
     peak = int(np.argmax(ratio))
     loads = ratio * leaves.slip_load
     found, exact = deflections(leaves, context, loads), leaves.exact(loads)
     error = np.abs(found - exact).max() / np.abs(exact).max()
+    unsure = None if context.quick else mesh_uncertainty(found, deflections(coarse, context, loads), exact)
     P, d = 2 * loads[peak:], found[peak:]  # the whole beam carries 2 P
     area, expected = abs(np.sum(np.diff(d) * (P[1:] + P[:-1]) / 2)), leaves.loop_area(loads[peak])
     stuck = found[0] / loads[0] / leaves.stuck_compliance
@@ -53,9 +56,15 @@ def layered_cantilever(context):
             "what one beam of double depth would; sliding freely it would yield by four times as much.",
             figure,
             table,
+            unsure,
         ),
         Finding("hysteresis", abs(area / expected - 1), f"Loop of {area:.4g} N mm, closed form {expected:.4g} N mm."),
     ]
+
+
+def mesh_uncertainty(fine, coarse, exact) -> Uncertainty:
+    """That of a simulation whose mesh and pairs are half as dense in `coarse`: their difference bounds its error."""
+    return Uncertainty(num=float(np.abs(fine - coarse).max() / np.abs(exact).max()) / COVERAGE)
 
 
 def welded_leaves(context):
@@ -90,13 +99,15 @@ def welded_leaves(context):
 
 def stacked_beams(context):
     """Two beams under a load that presses them onto each other, while it grows and while it falls."""
-    stack = stacked.Stack(size=5.0, columns=20) if context.quick else stacked.Stack()
+    coarse = stacked.Stack(size=5.0, columns=20)
+    stack = coarse if context.quick else stacked.Stack()
     shares = np.array([0.5, 1.0, 0.75, 0.5, 0.25])
     falling = np.array([False, False, True, True, True])
     found = stacked.deflections(stack, context, shares)
     free, held = stack.free(shares * stack.load), stack.held(shares * stack.load)
     exact = free + np.where(falling, held, -held)
     largest = exact.max()
+    unsure = None if context.quick else mesh_uncertainty(found, stacked.deflections(coarse, context, shares), exact)
     figure, (axis,) = panels(1)
     axis.plot(np.r_[0, exact[:2], exact[2:], 0], np.r_[0, shares[:2], shares[2:], 0], "k-", lw=1, label="closed form")
     axis.plot(found, shares, "o", color="tab:red", ms=5, label="reduced model")
@@ -113,6 +124,7 @@ def stacked_beams(context):
             f"{1 - stack.turned:.2f} of the largest load.",
             figure,
             pd.DataFrame({"load / largest": shares, "deflection, mm": found, "closed form, mm": exact}),
+            unsure,
         )
     ]
 
