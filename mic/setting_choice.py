@@ -36,7 +36,7 @@ from mic.statistics.draw import draw
 from mic.statistics.paired_differences import mean_change, six_sigma_change
 from mic.system.cores import available_cores
 
-__all__ = ["Choice", "Trial", "choose", "leading"]
+__all__ = ["Choice", "Trial", "choose", "leading", "quantities"]
 
 SAMPLES, MOST = 24, 96  # first and largest number of samples of a comparison
 ZONE = "tangential displacement"
@@ -245,13 +245,13 @@ class _Samples:
         if count > done:
             scene = self._model.scene
             evaluation = self._process.attempt(draw(scene, scene.monte_carlo.seed, 0, count)[done:])
-            new = _quantities(self._model, evaluation)
+            new = quantities(self._model, evaluation)
             self._values = pd.concat([self._values, new], ignore_index=True)
             self.seconds = (time.process_time() - start) / (count - done)
         return self._values[:count]
 
 
-def _quantities(model: ReducedModel, evaluation: Evaluation) -> pd.DataFrame:
+def quantities(model: ReducedModel, evaluation: Evaluation) -> pd.DataFrame:
     """Key characteristics and tangential displacements of zones, columns ("kind", name), mm; NaN in failed samples."""
     scene, contacts, columns = model.scene, model.contacts, {}
     for k, item in enumerate(scene.measurements[: evaluation.measurements.shape[1]]):
@@ -266,9 +266,9 @@ def _quantities(model: ReducedModel, evaluation: Evaluation) -> pd.DataFrame:
     return frame
 
 
-def leading(six_sigma: pd.Series) -> pd.Index:
-    """Quantities (kind, name) whose 6σ is at least :data:`LEADING` times the largest of their kind."""
-    most = six_sigma.groupby(level=0).transform("max")
+def leading(six_sigma: pd.Series, kind: pd.Index) -> pd.Index:
+    """Quantities whose 6σ is at least :data:`LEADING` times the largest of their kind."""
+    most = six_sigma.groupby(kind).transform("max")
     return six_sigma.index[(six_sigma > 0) & (six_sigma >= LEADING * most)]
 
 
@@ -288,7 +288,7 @@ def _trial(own: _Samples, finer: _Samples, count: int, share: float) -> Trial:
     a, b = a[valid], b[valid]
     six_sigma = 6 * b.std(ddof=1)
     worst = (0.0, 0.0, "no quantity varies") if valid.any() else (np.inf, 0.0, "all samples failed")
-    for kind, name in leading(six_sigma):
+    for kind, name in leading(six_sigma, six_sigma.index.get_level_values(0)):
         for words, change in (("mean", mean_change), ("6σ", six_sigma_change)):
             found, scale = change(b[kind, name], a[kind, name]), six_sigma[kind, name]
             if kind == ZONE and change is mean_change:  # has an origin, unlike a key characteristic

@@ -45,7 +45,7 @@ def test_the_cheapest_path_within_the_target_is_chosen_and_its_error_stated(cach
 @pytest.mark.slow
 def test_a_path_is_judged_by_the_difference_of_the_same_samples(cache, monkeypatch):
     """A difference of no sample accepts the coarsest path for any target; a planted one is found in size."""
-    plain = setting_choice._quantities
+    plain = setting_choice.quantities
 
     def planted(model, evaluation):
         found = plain(model, evaluation)
@@ -53,7 +53,7 @@ def test_a_path_is_judged_by_the_difference_of_the_same_samples(cache, monkeypat
 
     monkeypatch.setattr(setting_choice, "PATHS", ({"increments": 64}, setting_choice.JUDGE))
     honest = choose(scene(0.02), cache).trials[0]
-    monkeypatch.setattr(setting_choice, "_quantities", planted)
+    monkeypatch.setattr(setting_choice, "quantities", planted)
     trial = choose(scene(0.02), cache).trials[0]
     assert honest.accepted and not trial.accepted
     assert trial.error == pytest.approx(0.02, abs=honest.error + 1e-3)

@@ -16,13 +16,16 @@ from support import cheap_studies
 from support.processes import on_processes
 from typer.testing import CliRunner
 
+from mic.model.assembly import assemble
 from verification import __main__ as program
+from verification import domain
 from verification import run as runs
 from verification.cost import Cost, together
 from verification.pdf import NoBrowser
 from verification.plots import panels
 from verification.report import over_limit, write_report
 from verification.study import FOLDER, Acceptance, CheckedFinding, Context, Finding, Study, Team, studies
+from verification.validation import Uncertainty
 
 pytestmark = pytest.mark.fem
 
@@ -64,6 +67,46 @@ def test_a_number_is_judged(bound, measured, passed):
 def test_quick_runs_may_have_their_own_limit():
     own = Acceptance("x", "c", 1.0, quick=2.0)
     assert Acceptance("x", "c", 1.0).at(True) == own.at(False) == 1.0 and own.at(True) == 2.0
+
+
+def test_quantities_of_full_runs_are_left_out_of_quick_ones(tmp_path):
+    means, full = cheap_studies.studies()[0], Acceptance("sum", "Small.", 0.01, full_only=True)
+    study = replace(means, acceptance=(means.acceptance[0], full), run=lambda context: [Finding("mean", 0.0)])
+    assert [one.finding.name for one in study.evaluate(Context(True, tmp_path, Team()))] == ["mean"]
+    assert [one.finding.name for one in study.unmeasured(True, "failed")] == ["mean"]
+    with pytest.raises(ValueError, match="'sum'"):
+        study.evaluate(Context(False, tmp_path, Team()))
+
+
+def test_quick_studies_on_several_processes_give_the_results_of_one(tmp_path, monkeypatch):
+    some = cheap_studies.studies()[:2]
+    for cores in (1, 2):
+        monkeypatch.setattr(runs, "available_cores", lambda cores=cores: cores)
+        lines = finished(some, tmp_path / str(cores), True)
+        assert ("2 studies on 2 processes …" in lines) == (cores == 2)
+        runs.write_summary(tmp_path / str(cores))
+    assert entries(tmp_path / "1") == entries(tmp_path / "2")
+
+
+def test_the_validation_metric_is_the_error_over_its_uncertainty():
+    unsure = Uncertainty(num=0.3, input=0.4, reference=1.2)
+    assert unsure.total == pytest.approx(1.3) and unsure.metric(-2.6) == pytest.approx(2.0)
+    assert unsure.record(-2.6)["model_error"] == pytest.approx(2.6 + 2 * 1.3)
+    assert Uncertainty().metric(0.0) == 0.0 and Uncertainty().record(0.1)["metric"] is None
+
+
+def test_the_domain_is_that_of_the_assemblies_that_were_built(lap_model, lap_scene, cache):
+    domain.collected()
+    assembly = assemble(lap_scene, cache)
+    with domain.unrecorded():
+        domain.record(assembly, lap_model)
+    assert not domain.collected()
+    domain.record(assembly, lap_model)
+    found = domain.merged([domain.collected(), {"thickness": (0.5, 0.8)}])
+    assert found["thickness"] == (0.5, 1.0) and found["friction"] == (0.27, 0.27) and "bend" not in found
+    assert found["slenderness"] == found["size"] and found["size"][0] == pytest.approx(np.hypot(100, 25), rel=0.01)
+    assert found["deviation"][1] == pytest.approx(3 * max(item.sigma for item in lap_scene.deviations[-1:]), rel=20)
+    assert not domain.collected()
 
 
 def test_every_limit_has_a_reason_other_than_its_measurement():
@@ -227,6 +270,30 @@ def test_the_first_page_names_failures_and_limitations_and_has_a_signature(tmp_p
     assert len(points) > 10 and all(f"<li>{point}" in first for point in points)
     words = ("commit", "machine", "date", "numpy", "Verified by", "signature", "not computed")  # the error budget
     assert all(word in first for word in words)
+
+
+def test_the_first_page_states_domain_and_comparisons_and_is_no_validation(tmp_path, lap_model, lap_scene, cache):
+    found = [Finding("mean", 0.05, uncertainty=Uncertainty(num=0.03, reference=0.04)), Finding("sum", 0.001)]
+
+    assembly = assemble(lap_scene, cache)
+
+    def measured(context):
+        domain.record(assembly, lap_model)
+        return found
+
+    study = replace(cheap_studies.studies()[0], run=measured)
+    finished([study], tmp_path / "out")
+    first = first_page(write_report(tmp_path / "out").read_text())
+    assert "<h1>Method verification report</h1>" in first and "No measured assembly is among the data" in first
+    assert "thickness: 1 to 1 mm" in first and "1 studies that meet their limits (means)" in first
+    assert (
+        "".join(f'<td class="n">{text}</td>' for text in ("0.03", "0", "0.04", "0.05", "1", "≤ 0.15", "0.1")) in first
+    )
+    finished([replace(study, measured_assembly=True, name="validation")], tmp_path / "own")
+    first = first_page(write_report(tmp_path / "own").read_text())
+    assert "<h1>Method validation report</h1>" in first and "No measured assembly" not in first
+    finished([replace(study, run=lambda context: [Finding("mean", 0.5), Finding("sum", 0.5)])], tmp_path / "bad")
+    assert "Domain of applicability" not in write_report(tmp_path / "bad").read_text()  # of what failed
 
 
 def test_the_first_page_shows_the_error_budget(tmp_path):

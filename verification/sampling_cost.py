@@ -13,6 +13,7 @@ from scipy.stats import norm
 from mic.process.model import ReducedModel
 from mic.results.improved import FURTHER, improve
 from mic.results.output_samples import OutputSamples
+from mic.setting_choice import leading as largest_of_each
 from mic.statistics.control_variate import LEAST_ALONE
 from mic.statistics.draw import draw
 from mic.statistics.estimates import LEVEL, six_sigma
@@ -21,7 +22,6 @@ from verification.budget import values
 __all__ = ["FEW", "SamplingCost", "enough", "leading", "measure_sampling"]
 
 FEW = 50  # followed samples, the first block of a run
-LEADING = 0.1  # quantities with a 6σ below this fraction of the largest of their kind are ignored
 
 
 @dataclass(frozen=True)
@@ -70,10 +70,8 @@ def enough(target: float) -> int:
 
 
 def leading(six_sigma: pd.Series) -> pd.Index:
-    """Quantities whose 6σ is at least :data:`LEADING` times the largest of their kind."""
-    kind = six_sigma.index.str.partition(":").get_level_values(0)
-    most = six_sigma.groupby(kind).transform("max")
-    return six_sigma.index[(six_sigma > 0) & (six_sigma >= LEADING * most)]
+    """Quantities "kind:name" whose 6σ is among the largest of their kind."""
+    return largest_of_each(six_sigma, six_sigma.index.str.partition(":").get_level_values(0))
 
 
 def measure_sampling(model: ReducedModel, law: str, seed: int) -> SamplingCost:
