@@ -238,6 +238,18 @@ def test_the_wheelhouse_with_candidates_is_the_papers_but_for_its_pairs():
     assert paper.model_dump(exclude=names) == watched.model_dump(exclude=names)
 
 
+def test_the_scene_nearest_to_the_paper_is_the_wheelhouse_but_for_its_choices():
+    names = {"name": True, "description": True, "optimise": True, "monte_carlo": {"accuracy"}, "report": True}
+    names |= {"zones": {"__all__": {"pairs", "points"}}, "clamps": {"__all__": {"radius"}}, "correlations": True}
+    names |= {"deviations": {"__all__": {"mean", "sigma"}}, "stages": {1: {"order"}}}
+    shipped, nearest = (mic.load_scene(MESHES / "wheelhouse" / file) for file in ("scene.toml", "table1.toml"))
+    assert shipped.model_dump(exclude=names) == nearest.model_dump(exclude=names)
+    mean, sigma = (np.array([getattr(item, key) for item in nearest.deviations]) for key in ("mean", "sigma"))
+    np.testing.assert_allclose(mean, 0.975 * np.array([item.mean for item in shipped.deviations]), rtol=5e-4)
+    np.testing.assert_allclose(sigma, 0.051 * np.abs(mean), rtol=5e-4)
+    np.testing.assert_array_equal(nearest.correlations[0].matrix, np.outer(np.sign(mean), np.sign(mean)))
+
+
 @pytest.mark.fem
 def test_check_reports_the_change_of_characteristics_with_denser_pairs(cache, tmp_path, monkeypatch):
     monkeypatch.setenv("COLUMNS", "80")  # a narrow terminal cuts nothing

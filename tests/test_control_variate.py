@@ -54,6 +54,14 @@ def test_linear_outputs_are_exact(n):
     assert quantile.low[0] < 2.0 + 3.0 * ndtri(0.99865) < quantile.high[0]
 
 
+def test_inputs_that_determine_each_other_count_once():
+    """Fully correlated inputs: the estimates are those of the one that they share."""
+    x, wide = np.random.default_rng(3).standard_normal((LEAST_ALONE, 1)), np.array([[1.0, -1.0, 1.0]])
+    one, all_three = (surrogate_estimates(x @ a, hinge(x @ wide), population(512, 1) @ a) for a in (wide[:, :1], wide))
+    assert one.kind == all_three.kind
+    assert all_three.sigma().value == pytest.approx(one.sigma().value, rel=1e-9)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(("cheap", "times"), [(0, 150), (160, 40)], ids=["samples alone", "with a cheap model"])
 def test_intervals_cover_a_kink(cheap, times):

@@ -35,7 +35,7 @@ def test_a_copy_holds_all_files_and_gives_the_same_meshes(tmp_path, cache):
     out = examples.copy("lap_joint", tmp_path / "deep" / "mine")
     assert {path.name for path in out.iterdir()} == {"scene.toml", "geometry.py"}
     wheelhouse = examples.copy("wheelhouse", tmp_path / "wheelhouse")
-    more = {"watched.toml", "README.md", "paper.toml", "meshes.npz"}
+    more = {"watched.toml", "table1.toml", "README.md", "paper.toml", "meshes.npz"}
     assert {path.name for path in wheelhouse.iterdir()} == {"scene.toml", "geometry.py"} | more
     copied, shipped = (assemble(mic.load_scene(path), cache) for path in (out, examples.folder("lap_joint")))
     for one, other in zip(copied.parts, shipped.parts):

@@ -220,6 +220,19 @@ def test_layout_keeps_off_the_zones():
         assert all(first < angle < last for angle in wheelhouse.CLAMPS[zone])
 
 
+def test_the_scene_nearest_to_the_paper_presses_on_its_pairs():
+    """`table1.toml`: seven of a zone's 34 pairs lie under each clamp, within its pad."""
+    with open(examples.folder("wheelhouse") / "table1.toml", "rb") as file:
+        scene = tomllib.load(file)
+    for zone in scene["zones"]:
+        points = np.array(zone["points"])
+        assert np.abs(points - wheelhouse.pressed_points(zone["name"])).max() < 5.1e-4
+        for clamp in scene["clamps"]:
+            if clamp["name"].startswith(zone["name"]):
+                distance = np.linalg.norm(points - clamp["point"], axis=1)
+                assert (distance < clamp["radius"]).sum() == 7
+
+
 def test_layout_prints_as_toml(capsys):
     wheelhouse.main()
     tables = tomllib.loads(capsys.readouterr().out)

@@ -433,6 +433,10 @@ def _mesh_strips(u_range, v_lines, v_samples, sizes, spots):
 WELDS = {"W1": -86.0, "W2": -38.0, "W3": 24.0, "W4": 54.0, "W5": 92.0}  # arch angle, degrees
 ZONES = {"CZ1": (-78.0, -46.0), "CZ2": (-26.0, 14.0), "CZ3": (60.0, 84.0)}  # front, top, rear: arch angles, degrees
 CLAMPS = {"CZ1": (-70.0, -54.0), "CZ2": (-16.0, 4.0), "CZ3": (66.0, 78.0)}  # two in each zone
+PAD_RING = 7.0  # mm: a clamp presses on a point at its centre and on six at this distance (`table1.toml`)
+# The other 20 points of a zone: (share of its length, mm from the flange's root); its clamps are at 0.25 and 0.75.
+BESIDE_PADS = [(u, s) for u in (0.03, 0.13, 0.37, 0.45, 0.55, 0.63, 0.87, 0.97) for s in (4.0, 20.0)]
+BESIDE_PADS += [(u, FLANGE_WIDTH / 2) for u in (0.08, 0.41, 0.59, 0.92)]
 X, Z = (1.0, 0.0, 0.0), (0.0, 0.0, 1.0)
 _EDGE = (
     3.0 / FLANGE_WIDTH
@@ -487,6 +491,22 @@ MEASUREMENTS = {
     "M7": ("outer", "wall", 50.0, 0.85),
     "M8": ("inner", "tread", 22.0, 0.3),
 }
+
+
+def pressed_points(zone: str) -> np.ndarray:
+    """(34, 3) contact points of a zone in `table1.toml`, mm: seven under each of its clamps, 20 elsewhere."""
+    first, last = ZONES[zone]
+    angles, heights = [], []
+    for clamp in CLAMPS[zone]:
+        inner, _, _ = flange_point([clamp - 0.5, clamp + 0.5], FLANGE_WIDTH / 2)
+        degree = np.linalg.norm(inner[1] - inner[0])  # mm along the flange
+        around = np.radians(np.arange(30.0, 390.0, 60.0))
+        angles += [clamp, *(clamp + PAD_RING * np.cos(around) / degree)]
+        heights += [FLANGE_WIDTH / 2, *(FLANGE_WIDTH / 2 + PAD_RING * np.sin(around))]
+    angles += [first + share * (last - first) for share, _ in BESIDE_PADS]
+    heights += [height for _, height in BESIDE_PADS]
+    inner, outer, _ = flange_point(angles, heights)
+    return (inner + outer) / 2
 
 
 def layout() -> dict[str, list[dict]]:

@@ -50,6 +50,7 @@ __all__ = ["FOLDS", "LEAST", "LEAST_ALONE", "SurrogateEstimates", "surrogate_est
 
 LEAST, LEAST_ALONE = 50, 200  # samples of the model, with a cheap model and without
 FOLDS = 8
+DEPENDENT = 1e-9  # variance, of standardised inputs, of a combination that the others determine
 ADDED = 2  # samples as far as the farthest
 UNSEEN = 0.5  # of the largest error of the cheap model's surrogate: error of the cheap model that no sample shows
 PRIOR = 0.1  # variance of the cheap model that speaks for β = 1, in samples
@@ -318,6 +319,12 @@ def surrogate_estimates(
     if len(y) < (LEAST if cheap else LEAST_ALONE) or not varying.any():
         return None
     x, further_x, points = ((z[..., varying] - centre[varying]) / spread[varying] for z in (x, further_x, population))
+    flat = points.reshape(-1, points.shape[-1])
+    variance, axes = np.linalg.eigh(flat.T @ flat / len(flat))
+    independent = variance > DEPENDENT
+    if not independent.all():
+        turned = axes[:, independent] / np.sqrt(variance[independent])
+        x, further_x, points = x @ turned, further_x @ turned, points @ turned
     return _Folds(x, y, o, further_x, further_o, points).estimates()
 
 
