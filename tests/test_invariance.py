@@ -2,29 +2,30 @@
 
 import numpy as np
 import pytest
-from support.random_scenes import in_units, moved_by, random_case, renumbered, rotation, swapped, turned
+from support.random_scenes import moved_by, random_case, rotation, swapped
 
 from mic.contact.working_set import PATH_PENETRATION, PENETRATION
-from mic.model.assembly import assemble
+from mic.errors import Problems
+from mic.model.assembly import assemble_placed, load_placed
 from mic.process.model import ReducedModel
 from mic.process.stage import LEAST_MOTION
 from mic.process.stiffness import coefficients
+from verification.symmetry.transformation import Transformation
 
 pytestmark = pytest.mark.slow
 
 #: Seeds of a plate with pairs along a path, an angle with candidates and a hat with pairs in a box.
 PATH, CANDIDATES, BOX = (11, False), (6, True), (2, False)
-#: Changes of a case, by a number, with the matrix and the unit in which the changed scene is seen.
+#: Transformations of a case.
 TURNED, MIRRORED = "turned, renumbered, in inches", "mirrored, in metres"
-CHANGES = {
-    TURNED: lambda case, seed: _turned(renumbered(case, seed), rotation(seed, right_angles=case.has_box), 25.4),
-    MIRRORED: lambda case, seed: _turned(case, -rotation(seed, right_angles=case.has_box), 1000.0),
-}
 CHANGED = [(TURNED, *CANDIDATES), (MIRRORED, *PATH), (TURNED, *BOX)]
 
 
-def _turned(case, matrix, unit):
-    return in_units(turned(case, matrix), unit), matrix, unit
+def change_of(name, case, seed):
+    matrix = rotation(seed, right_angles=case.has_box)
+    if name == MIRRORED:
+        return Transformation(name, -matrix, length=1e-3)
+    return Transformation(name, matrix, length=1 / 25.4, renumbered=True)
 
 
 def contacts_and_patches(assembly):
@@ -45,49 +46,53 @@ def assembled(tmp_path_factory):
     """``assembled(case, name, seed)``: the assembly of a case, once for each name and seed, and its cache folder."""
     known = {}
 
-    def assemble_once(case, *key):
+    def assemble_once(case, *key, change=None):
         if key not in known:
             folder = tmp_path_factory.mktemp("case")
-            known[key] = assemble(case.scene(folder / "scene"), folder / "cache"), folder / "cache"
+            placed = load_placed(case.scene(folder / "scene"), folder / "cache", {}, Problems())
+            placed = placed if change is None else change.apply(placed)
+            known[key] = assemble_placed(placed, folder / "cache"), folder / "cache"
         return known[key]
 
     return assemble_once
 
 
-def measurements(case, assembly, folder, *laws):
-    """(laws, n, k) measurements at the case's deviations."""
+def measurements(deviations, assembly, folder, *laws):
+    """(laws, n, k) measurements at deviations."""
     model = ReducedModel.build(assembly, coefficients(assembly, folder)[0])
-    return np.array([model.evaluate(case.deviations, law).measurements for law in laws])
+    return np.array([model.evaluate(deviations, law).measurements for law in laws])
 
 
-@pytest.mark.parametrize("change, seed, watched", CHANGED)
-def test_a_changed_scene_has_the_same_pairs_in_the_same_order(change, seed, watched, assembled):
+@pytest.mark.parametrize("name, seed, watched", CHANGED)
+def test_a_changed_scene_has_the_same_pairs_in_the_same_order(name, seed, watched, assembled):
     case = random_case(seed, watched=watched)
-    other, matrix, unit = CHANGES[change](case, seed)
+    change = change_of(name, case, seed)
     contacts, patches = contacts_and_patches(assembled(case, "given", seed)[0])
-    found, found_patches = contacts_and_patches(assembled(other, change, seed)[0])
+    found, found_patches = contacts_and_patches(assembled(case, name, seed, change=change)[0])
     assert len(found) == len(contacts)
-    close = dict(rtol=0, atol=1e-9)
-    np.testing.assert_allclose(found.point * unit, contacts.point @ matrix.T, **close)
-    np.testing.assert_allclose(found.frame[:, :, 0], contacts.frame[:, :, 0] @ matrix.T, **close)
-    np.testing.assert_allclose(found.gap * unit, contacts.gap, **close)
-    np.testing.assert_allclose(found.area * unit**2, contacts.area, rtol=1e-9)
-    np.testing.assert_allclose(found_patches[:, :3] * unit, patches[:, :3] @ matrix.T, **close)
-    np.testing.assert_allclose(found_patches[:, 3] * unit, patches[:, 3], **close)
+    close = dict(rtol=0, atol=1e-9 * change.length)
+    np.testing.assert_allclose(found.point, change.points(contacts.point), **close)
+    np.testing.assert_allclose(found.frame[:, :, 0], contacts.frame[:, :, 0] @ change.matrix.T, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(found.gap, contacts.gap * change.length, **close)
+    np.testing.assert_allclose(found.area, contacts.area * change.length**2, rtol=1e-9)
+    np.testing.assert_allclose(found_patches[:, :3], change.points(patches[:, :3]), **close)
+    np.testing.assert_allclose(found_patches[:, 3], patches[:, 3] * change.length, **close)
 
 
 @pytest.mark.fem
-@pytest.mark.parametrize("change, seed, watched", CHANGED)
-def test_a_changed_scene_has_the_same_measurements(change, seed, watched, assembled, monkeypatch):
+@pytest.mark.parametrize("name, seed, watched", CHANGED)
+def test_a_changed_scene_has_the_same_measurements(name, seed, watched, assembled, monkeypatch):
     case = random_case(seed, watched=watched)
-    other, _, unit = CHANGES[change](case, seed)
+    change = change_of(name, case, seed)
     laws = ("coulomb", "frictionless")
-    expected = measurements(case, *assembled(case, "given", seed), *laws)
+    expected = measurements(case.deviations, *assembled(case, "given", seed), *laws)
     # Lengths of the program too, though no scene states them.
-    monkeypatch.setattr("mic.process.stage.LEAST_MOTION", LEAST_MOTION / unit)
-    monkeypatch.setattr("mic.contact.working_set.PENETRATION", PENETRATION / unit)
-    monkeypatch.setattr("mic.contact.working_set.PATH_PENETRATION", PATH_PENETRATION / unit)
-    found = measurements(other, *assembled(other, change, seed), *laws) * unit
+    monkeypatch.setattr("mic.process.stage.LEAST_MOTION", LEAST_MOTION * change.length)
+    monkeypatch.setattr("mic.contact.working_set.PENETRATION", PENETRATION * change.length)
+    monkeypatch.setattr("mic.contact.working_set.PATH_PENETRATION", PATH_PENETRATION * change.length)
+    assembly, cache = assembled(case, name, seed, change=change)
+    deviations = change.deviations(assembly.scene, case.deviations)
+    found = measurements(deviations, assembly, cache, *laws) / change.length
     np.testing.assert_allclose(found, expected, rtol=0, atol=1e-8 * np.abs(expected).max())
 
 
@@ -111,5 +116,5 @@ def test_given_points_are_the_pairs_whichever_part_is_named_first(assembled):
         np.testing.assert_allclose(pairs.point[:, :2], wanted[:, :2], rtol=0, atol=1e-9)
     np.testing.assert_allclose(found.gap, contacts.gap, rtol=0, atol=1e-12)
     np.testing.assert_allclose(found.frame[:, :, 0], -contacts.frame[:, :, 0], rtol=0, atol=1e-12)
-    measured, again = (measurements(*one, "coulomb") for one in both)
+    measured, again = (measurements(one.deviations, *rest, "coulomb") for one, *rest in both)
     np.testing.assert_allclose(again, measured, rtol=0, atol=1e-8 * np.abs(measured).max())

@@ -53,6 +53,7 @@ __all__ = ["Choice", "choose", "verify_scene"]
 
 SHOWN, LINEAR = 5.0, 0.1  # range of the error-bar figure, and its linear part
 TICKS = (-5, -1, -0.1, 0, 0.1, 1, 5)
+ROUNDED = ("value", "uncertainty", "by symmetry")  # columns of the printed uncertainties
 LEADING = 0.1  # the headline leaves out quantities whose 6σ is below this fraction of the largest of their kind
 
 
@@ -312,10 +313,8 @@ def _uncertainty_record(folder, table, refused, numbers, report) -> dict:
     said, rows = sentences(table, refused, len(numbers)), lines(table)
     for sentence in said:
         report(sentence)
-    shown = rows.assign(
-        value=[f"{x:.6g}" for x in rows["value"]], uncertainty=[f"{x:.1e}" for x in rows["uncertainty"]]
-    )
-    report(shown.drop(columns="relative").to_string(index=False))
+    shown = {name: [f"{x:.6g}" if name == "value" else f"{x:.1e}" for x in rows[name]] for name in ROUNDED}
+    report(rows.assign(**shown).drop(columns="relative").to_string(index=False))
     return {"sentences": said, "samples": numbers, "rows": rows.to_dict("records")}
 
 

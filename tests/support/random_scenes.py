@@ -1,4 +1,4 @@
-"""Random scenes of two parts, and the same scenes turned, mirrored, renumbered, or in other units.
+"""Random scenes of two parts, also with moved vertices, or with the parts of their zones in the other order.
 
 The scenes are full of ties: round coordinates, regions whose borders lie on element edges, symmetric parts, more
 locators than a part needs.
@@ -15,8 +15,6 @@ import numpy as np
 from mic.geometry.structured import extrude
 from mic.scene import Scene
 from support.decks import write_deck
-
-LENGTHS = ("thickness", "radius", "within", "spacing", "max_gap", "patch", "stroke", "lower", "upper")
 
 
 @dataclass(frozen=True)
@@ -166,59 +164,6 @@ def random_case(seed: int, patch=None, points: bool = False, watched: bool = Fal
     return Case(table, {"lower": lower, "upper": upper}, values)
 
 
-def turned(case: Case, turn: np.ndarray, shift=(0.0, 0.0, 0.0)) -> Case:
-    """x → turn x + shift with an orthogonal matrix, a rotation or a mirror; a box must stay a box."""
-    turn, shift = np.asarray(turn, float), np.asarray(shift, float)
-    at = lambda p: tuple((np.asarray(p, float) @ turn.T + shift).tolist())
-    table = deepcopy(case.table)
-    for item in _items(table):
-        if "point" in item:
-            item["point"] = at(item["point"])
-        for key in ("direction", "normal"):
-            if item.get(key) is not None:
-                item[key] = tuple((turn @ np.asarray(item[key], float)).tolist())
-        for key in ("path", "points"):
-            if item.get(key) is not None:
-                item[key] = [at(p) for p in item[key]]
-        if item.get("box") is not None:
-            corners = np.array([at(p) for p in item["box"]])
-            item["box"] = (tuple(corners.min(0).tolist()), tuple(corners.max(0).tolist()))
-    return replace(case, table=table, meshes={n: (p @ turn.T + shift, t) for n, (p, t) in case.meshes.items()})
-
-
-def in_units(case: Case, unit: float) -> Case:
-    """All lengths in another unit of so many mm; forces stay in N."""
-    table = deepcopy(case.table)
-    scale = lambda p: tuple((np.asarray(p, float) / unit).tolist())
-    for item in _items(table):
-        for key in LENGTHS:
-            if isinstance(item.get(key), float):
-                item[key] /= unit
-        if "point" in item:
-            item["point"] = scale(item["point"])
-        for key in ("path", "points", "box"):
-            if item.get(key) is not None:
-                item[key] = [scale(p) for p in item[key]]
-        if "young" in item:
-            item["young"] *= unit**2
-        if item.get("kind") == "locator":
-            item["sigma"] /= unit
-    values = case.deviations / [unit if d["kind"] == "locator" else 1.0 for d in table["deviations"]]
-    return Case(table, {n: (p / unit, t) for n, (p, t) in case.meshes.items()}, values)
-
-
-def renumbered(case: Case, seed: int) -> Case:
-    """Nodes and triangles in another order, each triangle from another corner."""
-    rng = np.random.default_rng(seed)
-    meshes = {}
-    for name, (points, triangles) in case.meshes.items():
-        node, order = rng.permutation(len(points)), rng.permutation(len(triangles))
-        number = np.argsort(node)
-        shift = (np.arange(3) + rng.integers(3, size=len(triangles))[:, None]) % 3
-        meshes[name] = points[node], np.take_along_axis(number[triangles], shift, axis=1)[order]
-    return replace(case, meshes=meshes)
-
-
 def moved_by(case: Case, size: float, seed: int) -> Case:
     """Every vertex moved by up to `size` mm, each its own way."""
     rng = np.random.default_rng(seed)
@@ -241,7 +186,3 @@ def rotation(seed: int, right_angles: bool = False) -> np.ndarray:
     else:
         matrix = np.linalg.qr(rng.normal(size=(3, 3)))[0]
     return matrix * np.linalg.det(matrix)
-
-
-def _items(table):
-    return [item for value in table.values() if isinstance(value, list) for item in value]

@@ -23,7 +23,7 @@ from verification.extremes.design import Choice, Decades
 __all__ = ["AXES", "points", "scene"]
 
 WIDTH, LENGTH, OVERLAP, SIZE = 20.0, 80.0, 35.0, 5.0  # mm, of a sheet and its elements
-MANY = 60.0  # pairs; paths with more are not followed
+MANY = 60  # pairs; paths with more are not followed
 
 #: Parameters of the design. A sliver is a column of elements narrower than the others by the given factor.
 AXES: dict[str, Callable[[float], object]] = {
@@ -34,7 +34,7 @@ AXES: dict[str, Callable[[float], object]] = {
     "Poisson": Choice((0.3, 0.0, -0.5, 0.49)),
     "friction": Decades(1e-3, 1e3, share=0.15),
     "gap": Decades(1e-9, 1e2),
-    "pairs": Decades(1.0, 400.0, share=0.2),  # 0: candidates
+    "pairs": lambda at: 0 if at < 0.2 else round(400 ** (((at - 0.2) / 0.8) ** 3)),  # mostly few; 0: candidates
     "sliver": Decades(1e-6, 0.3, share=0.6, else_=1.0),
     "clamps": Choice((1, 2, 3)),
     "law": Choice(("coulomb", "associated", "coulomb", "frictionless", "pressure-dependent", "micro-slip")),
@@ -129,8 +129,8 @@ def _fixture(point: dict, z: float, force: float, young: float) -> dict:
         welds = [place | {"close": weld == "close", "fused": weld != "averaged"}]
         stages.append({"kind": "weld"})
     kept = [item["name"] for item in locators if weld == "none" or item["part"] == "lower"]
-    stages += [{"kind": "release", "keep": kept}, {"kind": "measure"}]
-    pairs = round(point["pairs"])
+    stages += [{"kind": "release", "keep": kept} | (steps if point["pairs"] > MANY else {}), {"kind": "measure"}]
+    pairs = point["pairs"]
     zone = {"name": "lap", "parts": ("lower", "upper"), "max_gap": 1.01 * point["gap"] + 2.0}
     zone |= {"pairs": pairs} if pairs else {}
     if point["law"] == "pressure-dependent":

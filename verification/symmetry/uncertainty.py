@@ -36,6 +36,7 @@ __all__ = ["Solved", "lines", "numerical_uncertainty", "sentences"]
 
 REFUSALS = (MicError, FactorisationError, ContactFailure, ValueError, ArithmeticError)
 STANDS, TIGHTER, WHOLE = "as it stands", "on a tighter path", "by whole finite elements"
+FIGURES = ["value", "uncertainty", "relative", "by", "by symmetry"]
 Law = str
 
 
@@ -77,7 +78,7 @@ def numerical_uncertainty(
     table : DataFrame
         By law and :data:`verification.symmetry.numbers.KEYS`: ``value``, the largest of the samples; ``uncertainty``,
         the largest disagreement, in the same unit; ``relative`` to the largest number of its kind; ``by``, its cause;
-        and the disagreement of each way.
+        ``by symmetry``, without the tighter path and the whole solve; and the disagreement of each way.
     refused : list of str
         Ways that gave no result, each with the reason.
     """
@@ -110,7 +111,7 @@ def numerical_uncertainty(
     refused = [one for one in found.values() if isinstance(one, str)]
     given = found.pop(STANDS)
     if isinstance(given, str):
-        return pd.DataFrame(columns=["value", "uncertainty", "relative", "by"]), refused
+        return pd.DataFrame(columns=FIGURES), refused
     solutions = {name: one for name, one in found.items() if not isinstance(one, str)}
     return pd.concat({law: _largest(law, given[law], solutions) for law in given}, names=["law"]), refused
 
@@ -124,11 +125,14 @@ def _largest(law: Law, given: pd.DataFrame, solutions: dict[str, Any]) -> pd.Dat
             table = disagreement(by_law.get(f"{law}, reduced", given), by_law[law])
             differences[name], shares[name] = table["difference"], table["relative"]
     difference, share = (pd.DataFrame(each).reindex(given.index) for each in (differences, shares))
-    largest = difference.max(axis=1).fillna(0.0)
-    by = difference.fillna(-1.0).idxmax(axis=1).where(largest > 0, "")
-    return pd.DataFrame(
-        {"value": value, "uncertainty": largest, "relative": share.max(axis=1).fillna(0.0), "by": by}
-    ).join(difference)
+    columns = {
+        "value": value,
+        "uncertainty": difference.max(axis=1).fillna(0.0),
+        "relative": share.max(axis=1).fillna(0.0),
+        "by": difference.fillna(-1.0).idxmax(axis=1).where(difference.max(axis=1) > 0, ""),
+        "by symmetry": difference.drop(columns=[TIGHTER, WHOLE], errors="ignore").max(axis=1).fillna(0.0),
+    }
+    return pd.DataFrame(columns).join(difference)
 
 
 def _transformed(placed: PlacedScene, case: Solved, change: Transformation) -> dict[Law, pd.DataFrame]:
@@ -181,9 +185,9 @@ def lines(table: pd.DataFrame) -> pd.DataFrame:
     Returns
     -------
     DataFrame
-        ``law, stage, number, value, uncertainty, unit, relative, by``.
+        ``law, stage, number, value, uncertainty, unit, relative, by, by symmetry``.
     """
-    rows = table[["value", "uncertainty", "relative", "by"]].reset_index()
+    rows = table[FIGURES].reset_index()
     of_pair = rows["quantity"].str.endswith("of a pair")
     rows.loc[of_pair, "name"] = rows.loc[of_pair, "name"].str.rsplit(" ", n=1).str[0]
     keys = ["law", "stage", "quantity", "name", "unit"]
@@ -191,7 +195,7 @@ def lines(table: pd.DataFrame) -> pd.DataFrame:
     value = rows.groupby(keys, sort=False)["value"].transform("max")
     rows = rows.assign(value=value).loc[worst].sort_index()
     rows["number"] = (rows["quantity"] + " " + rows["name"]).str.strip()
-    return rows[["law", "stage", "number", "value", "uncertainty", "unit", "relative", "by"]].reset_index(drop=True)
+    return rows[["law", "stage", "number", "value", "uncertainty", "unit", *FIGURES[2:]]].reset_index(drop=True)
 
 
 def sentences(table: pd.DataFrame, refused: Sequence[str], samples: int) -> list[str]:
