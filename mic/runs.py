@@ -171,7 +171,7 @@ def run(
         finer = None
         if scene.report.accuracy:
             with clock("accuracy of the meshes"):
-                finer = _estimate_accuracy(folder, assembly, cache, report_line, world)
+                finer = _estimate_accuracy(folder, assembly, influence, cache, report_line, world)
         with clock("reduced model"):
             model = shared(world, lambda: _reduce(assembly, influence))
             influence.clear()  # the model holds it
@@ -258,11 +258,11 @@ def _assemble(
     return assembly, [str(warning) for warning in warnings], choice
 
 
-def _estimate_accuracy(folder: Path, assembly: Assembly, cache: Path, report_line, world) -> FinerModel | None:
+def _estimate_accuracy(folder, assembly: Assembly, influence, cache: Path, report_line, world) -> FinerModel | None:
     """Write the estimated mesh errors of the parts; returns the model on finer meshes, for the key characteristics."""
     estimated = lambda: accuracy_table(estimate_accuracy(assembly, cache, report_line))
     on_first(world, lambda: ACCURACY.write(folder, estimated()))
-    return FinerModel.of(assembly, cache, report_line, world)
+    return FinerModel.of(assembly, influence, cache, report_line, world)
 
 
 def _notes(folder: Path, assembly: Assembly, model: ReducedModel, world) -> list[str]:

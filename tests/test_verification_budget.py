@@ -196,9 +196,9 @@ def test_sentences_name_the_remedy_of_the_dominating_source():
         Item(budget.SAMPLING, "so", 0.0, table(0.0, 0.0, 0.0, 0.2)),
     ]
     told = budget_sentences("S", by_quantity(figures(), both), both)["dominating"]
-    assert told.index("draw more samples") < told.index('`stiffness = "first-order"`')
+    assert told.index("draw more samples") < told.index('`stiffness = "auto"`')
     told = budget_sentences("S", by_quantity(figures(), both[:1]), both[:1])["dominating"]
-    assert 'set `stiffness = "first-order"`' in told and told.endswith("more samples do not reduce it.")
+    assert 'set `stiffness = "auto"`' in told and told.endswith("more samples do not reduce it.")
 
 
 def test_bounds_have_no_sign():
@@ -208,10 +208,25 @@ def test_bounds_have_no_sign():
     assert most.loc["M"].tolist() == pytest.approx([0, 0.2, 0, 1.2])
 
 
-def test_errors_of_the_method_exclude_sampling():
-    both = [*items(), Item(budget.SAMPLING, "so", 0.0, table(0.0, 0.5, 0.0, 0.5))]
+def test_errors_of_the_method_exclude_sampling_and_an_open_order():
+    large = [Item(name, "so", 0.0, table(0.0, 0.5, 0.0, 0.5)) for name in (budget.SAMPLING, budget.ORDER)]
+    both = [*items(), *large]
     found = study.method_errors(by_quantity(figures(), both), both)
     assert found["mean"] == pytest.approx(0.025) and found["six-sigma"] == pytest.approx(0.065)
+
+
+def test_a_cpk_counts_if_it_is_below_two_or_could_be_and_a_slip_over_the_narrowest_tolerance():
+    """An error of 6σ that exceeds it leaves Cpk unknown, which is not accurate."""
+    slip = table(0.0, 0.0, 0.002, 0.003, "slip:clamp:z")
+    for six_sigma, error, counts in ((0.6, 0.06, True), (0.1, 0.04, False), (0.1, 0.4, True)):
+        shown = figures().assign(six_sigma=six_sigma)
+        shown.loc["slip:clamp:z"] = [0.001, 0.0, 0.004, 0.0, np.nan, np.nan, 100]
+        off = [Item("mesh", "so", 1.0, pd.concat([table(0.0, 0.0, error, 0.0), slip]))]
+        by_name = by_quantity(shown, off)
+        found, whole = study.method_errors(by_name, off), by_name.loc["measurement:M"]
+        assert found["cpk"] == pytest.approx(abs(whole["cpk error"]) if counts else 0.0, nan_ok=True)
+        assert np.isnan(found["cpk"]) == (error > six_sigma)
+        assert found["slip"] == pytest.approx(0.005 / 1.0)
 
 
 # --- a scene, with finite elements

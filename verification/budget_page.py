@@ -23,7 +23,7 @@ REMEDIES = {
     ORDER: "state the order of closing with `order` in the stages",
     "pairs": "remove `pairs` and `points` from the zones, and set a smaller `spacing_factor`",
     "mesh and element": "refine the meshes",
-    STIFFNESS: 'set `stiffness = "first-order"`',
+    STIFFNESS: 'set `stiffness = "auto"`, or `"first-order"`',
     SAMPLING: "draw more samples",
 }
 

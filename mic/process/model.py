@@ -22,7 +22,7 @@ from mic.process.evaluation import Evaluation, PathSteps, Sensitivities
 from mic.process.plan import StagePlan, Step, plan_assembly, plan_stages
 from mic.process.process import TOLERANCE, Process
 from mic.process.stage import EliminatedStep, eliminate_steps
-from mic.process.stiffness import with_derivatives, with_shape
+from mic.process.stiffness import used_stiffness, with_derivatives, with_shape
 from mic.scene import Scene, notebook
 from mic.scene.deviation import deviation_unit
 from mic.scene.process import Stage
@@ -57,11 +57,7 @@ class ReducedModel(Reduction):
             If the coefficients do not include that stiffness.
         """
         nominal = super().build(assembly, influence)
-        stiffness = assembly.scene.stiffness
-        if stiffness == "auto":  # the coefficients tell what was chosen
-            each = influence.values()
-            stiffness = "nominal" if any(one.deviated is None for one in each) else "mean"
-            stiffness = "first-order" if all(one.slopes is not None for one in each) else stiffness
+        stiffness = used_stiffness(assembly.scene, influence)
         if stiffness == "nominal":
             return nominal
         fields, own, slopes = {}, {}, {}

@@ -40,12 +40,14 @@ from mic.model.shape_derivatives import ShapeDerivatives
 from mic.model.sources import sources
 from mic.process.actions import Joints
 from mic.process.stiffness_choice import choose_stiffness
+from mic.scene import Scene
 
 __all__ = [
     "Shapes",
     "with_shape",
     "coefficients",
     "with_derivatives",
+    "used_stiffness",
     "list_sources",
     "derivative_sets",
     "shape_fields",
@@ -165,6 +167,15 @@ def coefficients(
         for part, pair in pairs.items():
             shaped_cached[part] = shaped_cached[part] and all(shaped_cached[end.name] for end in pair)
     return both, {name: cached[name] and shaped_cached[name] for name in cached}
+
+
+def used_stiffness(scene: Scene, influence: Mapping[str, InfluenceCoefficients]) -> str:
+    """The scene's ``stiffness``; of ``"auto"`` the one that the coefficients of :func:`coefficients` are for."""
+    if scene.stiffness != "auto":
+        return scene.stiffness
+    if any(one.deviated is None for one in influence.values()):
+        return "nominal"
+    return "mean" if any(one.slopes is None for one in influence.values()) else "first-order"
 
 
 def derivative_sets(assembly: Assembly) -> tuple[list[str], int]:

@@ -1,9 +1,9 @@
 """Choice of the stiffness by the deviation of the parts over their thickness.
 
 Where sheets of thickness t differ by w from the shape whose stiffness they are given, the error of the key
-characteristics stays below about w/(4 t) of the largest one (`verification/nominal_stiffness`). A tenth, which a gauge
-may be off, is reached at w = 0.4 t. `stiffness = "auto"` uses the cheapest stiffness that stays below: the nominal one;
-that of the mean shape, of which w is the scatter; else each sample's to first order.
+characteristics stays below about 0.4 w/t of the largest one (`verification/nominal_stiffness`). A tenth, which a gauge
+may be off, is reached at a quarter of the thickness. `stiffness = "auto"` uses the cheapest stiffness that stays below:
+the nominal one; that of the mean shape, where w is the scatter; else each sample's to first order.
 """
 
 from __future__ import annotations
@@ -18,17 +18,17 @@ from mic.model.sources import sources
 from mic.scene.checks import check_stiffness
 from mic.statistics.draw import draw
 
-__all__ = ["StiffnessChoice", "choose_stiffness", "stiffness_sentences"]
+__all__ = ["LIMIT", "StiffnessChoice", "choose_stiffness", "stiffness_sentences"]
 
-ERROR = 0.25  # error of key characteristics, relative to the largest, over the deviation in thicknesses
-ALLOWED = 0.1  # of the largest key characteristic
+LIMIT = 0.25  # largest deviation in thicknesses from the shape whose stiffness is used
+ALLOWED = 0.1  # error of key characteristics there, relative to the largest one
 SAMPLES = 200
 USED = {
     "nominal": "the nominal one",
-    "mean": "that of the mean shape, a second set of influence coefficients for each part",
+    "mean": "that of the mean shape (a second set of influence coefficients for each part)",
     "first-order": (
-        "each sample's to first order, two sets of influence coefficients for each source and part that it shapes, and "
-        "several times the work for each sample"
+        "each sample's to first order (two sets of influence coefficients for each source and part that it shapes, and "
+        "several times the work for each sample)"
     ),
 }
 
@@ -40,7 +40,7 @@ class StiffnessChoice:
     Attributes
     ----------
     suitable : {"nominal", "mean", "first-order"}
-        The cheapest stiffness whose expected error is at most :data:`ALLOWED`.
+        The cheapest stiffness whose shape is at most :data:`LIMIT` away.
     part : str
         Part with the largest deviation over its thickness; empty if there is none.
     deviation, scatter : float
@@ -58,7 +58,7 @@ class StiffnessChoice:
 
     def __str__(self) -> str:
         """Say what is used and why."""
-        return f"stiffness: {USED[self.stiffness]}; {self.measure}{f'; {self.obstacle}' if self.obstacle else ''}"
+        return f"stiffness: {USED[self.stiffness]}, since {self.measure}{f'; {self.obstacle}' if self.obstacle else ''}"
 
     @property
     def stiffness(self) -> str:
@@ -93,8 +93,7 @@ def choose_stiffness(assembly: Assembly, nominal: Reduction) -> StiffnessChoice:
             continue
         sizes = _sizes(part, scene, nominal.shape[rows], deviations)
         worst, scatter = max(worst, (part.name, *sizes), key=lambda one: one[1]), max(scatter, sizes[1])
-    limit = ALLOWED / ERROR
-    suitable = "nominal" if worst[1] <= limit else "mean" if scatter <= limit else "first-order"
+    suitable = "nominal" if worst[1] <= LIMIT else "mean" if scatter <= LIMIT else "first-order"
     return StiffnessChoice(suitable, *worst, "" if suitable == "nominal" else next(obstacles, ""))
 
 
@@ -123,12 +122,12 @@ def stiffness_sentences(assembly: Assembly, nominal: Reduction) -> list[str]:
     choice = choose_stiffness(assembly, nominal)
     if assembly.scene.stiffness == "auto":
         return [str(choice)]
-    if ERROR * choice.deviation <= ALLOWED:
+    if choice.suitable == "nominal":
         return []
     remedy = f'`stiffness = "auto"` would use {USED[choice.suitable]}'
     if choice.obstacle:
         remedy += f", but for this: {choice.obstacle}"
     return [
         f"{choice.measure}: the nominal stiffness may change key characteristics by up to about "
-        f"{100 * ERROR * choice.deviation:.0f} % of the largest; {remedy}"
+        f"{100 * ALLOWED / LIMIT * choice.deviation:.0f} % of the largest; {remedy}"
     ]

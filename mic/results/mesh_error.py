@@ -11,8 +11,8 @@ with mean μ and 6σ of the run, and the slope β of a regression of x − y on 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -20,11 +20,12 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from mic.compliance.coefficients import InfluenceCoefficients
 from mic.execution.ranks import on_first
 from mic.model.assembly import Assembly
 from mic.model.mesh_accuracy import Accuracy, Mesh, extrapolation, with_finer_meshes
 from mic.process.model import ReducedModel
-from mic.process.stiffness import coefficients
+from mic.process.stiffness import coefficients, used_stiffness
 from mic.results.outcome import Outcome
 from mic.results.schema import ACCURACY, MESH_CHANGES
 from mic.statistics.paired_differences import jackknife
@@ -54,22 +55,36 @@ class FinerModel:
     factor: float
 
     @classmethod
-    def of(cls, assembly: Assembly, cache: Path, report: Callable[[str], None], world: Any) -> FinerModel | None:
+    def of(
+        cls,
+        assembly: Assembly,
+        influence: Mapping[str, InfluenceCoefficients],
+        cache: Path,
+        report: Callable[[str], None],
+        world: Any,
+    ) -> FinerModel | None:
         """Mesh and reduce an assembly again; None without characteristics or meshes, and on all ranks but the first.
 
-        Collective under MPI; errors are those of :func:`mic.model.mesh_accuracy.estimate_accuracy`.
+        Collective under MPI; with the stiffness that the given coefficients are for. Errors are those of
+        :func:`mic.model.mesh_accuracy.estimate_accuracy`.
         """
         if not assembly.scene.measurements or all(part.superelement is not None for part in assembly.parts):
             return None
-        finer = on_first(world, lambda: with_finer_meshes(assembly, cache))
-        influence, _ = coefficients(finer, cache, report, world)
+
+        def refine() -> Assembly:
+            same = {"stiffness": used_stiffness(assembly.scene, influence)}
+            scene = assembly.scene.model_copy(update=same)
+            return replace(with_finer_meshes(assembly, cache), scene=scene)
+
+        finer = on_first(world, refine)
+        of_finer, _ = coefficients(finer, cache, report, world)
         if world is not None and world.rank > 0:
             return None
         nodes, triangles = (
             [sum(len(getattr(part.surface, what)) for part in of.parts) for of in (assembly, finer)]
             for what in ("points", "triangles")
         )
-        return cls(ReducedModel.build(finer, influence), *nodes, extrapolation(*triangles))
+        return cls(ReducedModel.build(finer, of_finer), *nodes, extrapolation(*triangles))
 
 
 def mesh_changes(outcome: Outcome, finer: FinerModel) -> pd.DataFrame:
