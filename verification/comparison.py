@@ -15,7 +15,17 @@ from mic.process.stiffness import coefficients
 from mic.scene import Scene
 from verification import domain
 
-__all__ = ["Difference", "certificates", "difference", "reduced_and_assembly", "reduced_model", "relative", "zone_slip"]
+__all__ = [
+    "Difference",
+    "apart",
+    "certificates",
+    "difference",
+    "reduced_and_assembly",
+    "reduced_model",
+    "relative",
+    "routes",
+    "zone_slip",
+]
 
 
 def reduced_and_assembly(scene: Scene, cache: Path) -> tuple[ReducedModel, Assembly]:
@@ -113,6 +123,23 @@ def certificates(process, reduced: Evaluation, sample: int, full) -> dict[str, f
                 contacts.dimension,
             ).residual
     return residuals
+
+
+def apart(full, other) -> float:
+    """Largest relative difference of two full solves: forces, gaps, slips and key characteristics."""
+    pairs = [(full.measurements, other.measurements)]
+    for stage, resolution in other.resolutions.items():
+        mine = full.resolutions[stage]
+        pairs += [(mine.force, resolution.force), (mine.displacement, resolution.displacement)]
+    return max(relative(*pair) for pair in pairs)
+
+
+def routes(taken) -> str:
+    """Sentence on the routes of full solves, from their :attr:`FullEvaluation.route`."""
+    taken = list(taken)
+    others = sorted({route for route in taken if route != "whole"})
+    ways = "" if not others else f"; {sum(route != 'whole' for route in taken)} otherwise: {', '.join(others)}"
+    return f"{len(taken)} full solves by the whole route{ways}."
 
 
 def zone_slip(displacement, contacts, zones: int) -> np.ndarray:

@@ -136,6 +136,11 @@ class Discretisation:
             )
         }
 
+    def elimination(self) -> tuple[float, float]:
+        """Operations of this process in the last factorisation of each step, and memory of these factors, MB: sums."""
+        costs = [system.equilibrium.elimination for system in self._systems.values()]
+        return sum(operations for operations, _ in costs), sum(memory for _, memory in costs)
+
     def system(self, step: Step) -> System:
         """The system of a step with its bilateral rows, resting parts and stops; cached.
 

@@ -70,7 +70,7 @@ _WORST_ROUNDING = 1e-7
 _REFINEMENTS = 6  # iterative refinements of a condensed solution by the residual of the whole system
 _LINE_SEARCH = 0.8  # no line search if a full step reduces the work below this fraction of its initial value
 CONDENSED = 5000  # largest number of contact forces to condense onto: their compliance matrix takes 200 MB
-_ICNTL_EXTRA_MEMORY, _INFOG_STATUS = 14, 1  # MUMPS
+_ICNTL_EXTRA_MEMORY, _INFOG_STATUS, _RINFO_OPERATIONS, _INFO_MEMORY = 14, 1, 3, 22  # MUMPS
 _EXTRA_MEMORY = (80, 400, 2000)  # per cent more than estimated, tried in turn: many supported freedoms delay pivots
 _TOO_LITTLE_MEMORY = (-8, -9)  # statuses that more extra memory remedies
 
@@ -265,6 +265,13 @@ class Equilibrium:
     @cached_property
     def _magnitude(self):
         return abs(self._balance)
+
+    @property
+    def elimination(self) -> tuple[float, float]:
+        """Floating-point operations of this process in the last factorisation, and memory of its factors, MB."""
+        if "_ksp" not in self.__dict__:
+            return 0.0, 0.0
+        return self._factor.getMumpsRinfo(_RINFO_OPERATIONS), float(self._factor.getMumpsInfo(_INFO_MEMORY))
 
     @cached_property
     def _ksp(self) -> PETSc.KSP:
