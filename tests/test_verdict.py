@@ -13,6 +13,7 @@ from typer.testing import CliRunner
 
 from mic.commands import run as run_command
 from mic.options import app
+from mic.report.page import write_report
 from mic.report.style import change
 from mic.report.verdict import verdict
 from mic.results.error_sources import error_budget
@@ -165,6 +166,19 @@ def test_each_source_of_error_shows_its_estimate(copied):
     said = verdict(outcome).sentences[-1]
     total = float(np.sqrt(sum(one.six_sigma**2 for one in budget.values())))
     assert f"±{change(total).lstrip('+')} on 6σ, mostly from samples." in said
+
+
+def test_thirty_samples_claim_less_than_95_per_cent(copied, no_pictures):
+    """In verdict, report, summary and tables; 15 of 30 samples show what half of the assemblies do."""
+    outcome = read_outcome(copied)
+    (said,) = [one for one in verdict(outcome).sentences if one.startswith("Intervals: ")]
+    assert "at least 90 % of them hold, for what 50.0 % or more of the assemblies do; 30 samples may" in said
+    assert outcome.summary()["confidence_level"] == 0.9
+    characteristics = outcome.summary()["laws"]["coulomb"]["measurements"].values()
+    assert all((one["confidence"], one["rarest_event"]) == (0.9, 0.5) for one in characteristics)
+    assert set(outcome.zone_statistics["confidence"]) == {0.9}
+    page = write_report(copied, outcome).read_text(encoding="utf-8")
+    assert said in page and "<p>90 % intervals" in page
 
 
 def test_the_verdict_counts_failed_samples(copied):

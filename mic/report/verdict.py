@@ -102,7 +102,7 @@ def _first(judged: CapabilityVerdict, rows: list[dict[Any, Any]], count_in_words
         cpk, low, high = (number(worst[f"cpk{end}"]) for end in ("", "_low", "_high"))
         interval = f" ({low} to {high})" if np.isfinite(worst["cpk_low"]) else ""
         least = ", the least capable," if judged.verdict == CAPABLE and count > 1 else ""
-        text = f"Cpk of {worst['measurement']}{least} is {cpk}{interval}"
+        text = f"Cpk of {worst['measurement']}{least} is {cpk if worst['cpk'] == worst['cpk'] else 'unknown'}{interval}"
     sentence = f"{opening}: {text}, required {required}"
     failing = sum(row["verdict"] == MARKS[NOT_CAPABLE] for row in rows)
     if failing > 1:

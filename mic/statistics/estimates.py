@@ -56,7 +56,7 @@ __all__ = [
 
 LEVEL = 0.95
 ADDED = 2  # samples as far from the mean as the farthest
-SHOWN = 10  # samples that must show an event for the intervals to include it
+SHOWN = 15  # samples that must show an event for the intervals to include it
 SEEN = 3  # with surrogates; then 95 of 100 sets of samples show it once or more
 CLAIMS = ((50, 0.95), (20, 0.9), (3, 0.8))  # least number of samples, and what 95 % intervals then hold for, at least
 EPS = np.finfo(float).eps
@@ -361,7 +361,7 @@ def confidence(n) -> np.ndarray:
 def rarest_event(n, shown: float = SHOWN) -> np.ndarray:
     """Share of the assemblies that must do something for the intervals of `n` samples to include it.
 
-    That which about ten of the samples show. Rarer jumps, and contacts that close more rarely, may show in too few
+    That which about fifteen of the samples show. Rarer jumps, and contacts that close more rarely, may show in too few
     samples, or in none.
 
     Parameters
