@@ -292,7 +292,8 @@ def test_the_first_page_states_domain_and_comparisons_and_is_no_validation(tmp_p
     finished([replace(study, measured_assembly=True, name="validation")], tmp_path / "own")
     first = first_page(write_report(tmp_path / "own").read_text())
     assert "<h1>Method validation report</h1>" in first and "No measured assembly" not in first
-    finished([replace(study, run=lambda context: [Finding("mean", 0.5), Finding("sum", 0.5)])], tmp_path / "bad")
+    found[0] = Finding("mean", 0.5)
+    finished([study], tmp_path / "bad")
     assert "Domain of applicability" not in write_report(tmp_path / "bad").read_text()  # of what failed
 
 
