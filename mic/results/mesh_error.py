@@ -80,11 +80,10 @@ class FinerModel:
         of_finer, _ = coefficients(finer, cache, report, world)
         if world is not None and world.rank > 0:
             return None
-        nodes, triangles = (
-            [sum(len(getattr(part.surface, what)) for part in of.parts) for of in (assembly, finer)]
-            for what in ("points", "triangles")
-        )
-        return cls(ReducedModel.build(finer, of_finer), *nodes, extrapolation(*triangles))
+        count = lambda what, of: sum(len(getattr(part.surface, what)) for part in of.parts)
+        factor = extrapolation(count("triangles", assembly), count("triangles", finer))
+        nodes = count("points", assembly), count("points", finer)
+        return cls(ReducedModel.build(finer, of_finer), nodes[0], nodes[1], factor)
 
 
 def mesh_changes(outcome: Outcome, finer: FinerModel) -> pd.DataFrame:
@@ -110,10 +109,12 @@ def mesh_changes(outcome: Outcome, finer: FinerModel) -> pd.DataFrame:
             y = outcome.measured(law, item.name, numbers)
             own = printed[law, item.name]
             row = {"law": law, "measurement": item.name, "nodes": finer.nodes, "finer_nodes": finer.finer_nodes}
-            statistics = {"mean": partial(_shift, mean=own["mean"]), "six_sigma": _widening}
-            for name, statistic in statistics.items():
+            statistics: dict[str, tuple[Callable[[np.ndarray], float], float]] = {
+                "mean": (partial(_shift, mean=own["mean"]), finer.factor),
+                "six_sigma": (_widening, finer.factor * own["six_sigma"]),
+            }
+            for name, (statistic, scale) in statistics.items():
                 change = jackknife(np.column_stack([y, x]), statistic, groups=SAMPLES)
-                scale = finer.factor * (own["six_sigma"] if statistic is _widening else 1.0)
                 for end, value in (("", change.value), ("_low", change.low), ("_high", change.high)):
                     row[f"{name}_change{end}"] = scale * value
             rows.append(row | {"samples": len(numbers), "failed": int(again.failed.sum())})
