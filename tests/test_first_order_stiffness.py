@@ -43,7 +43,7 @@ def built(cache):
 @pytest.fixture(scope="module")
 def on_own_mesh(built):
     """The full solution on the mesh of a sample whose force is so many steps from its mean."""
-    full, mean = FullModel(built[1], deviated=True), built[0]["mean"].deviations({})[0]
+    full, mean = FullModel(built[1], deviated=True, route="condensed"), built[0]["mean"].deviations({})[0]
     return memoised(lambda steps: full.evaluate(mean + [steps * STEP, 0.0]))
 
 
@@ -86,7 +86,7 @@ def test_the_error_is_of_second_order(built, on_own_mesh):
 def test_gaps_go_with_each_sample(cache):
     """On the hat, whose bends turn; between flat sheets normals turn with the gap and leave it as it was."""
     model, assembly = reduced_and_assembly(read(hat("first-order"), "hat_on_plate"), cache)
-    full, mean = FullModel(assembly, deviated=True), model.deviations({})[0]
+    full, mean = FullModel(assembly, deviated=True, route="condensed"), model.deviations({})[0]
     of_mean, change = replace(model, slopes=None), model.contacts.gap - assembly.contacts.gap
     on_mean = full.evaluate(mean)
     assert difference(of_mean.evaluate(mean), 0, on_mean).largest < 1e-7

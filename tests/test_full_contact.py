@@ -114,17 +114,6 @@ def test_augmented_agrees_with_the_reduced_model_in_all_stages(name, law, reques
         np.testing.assert_array_equal(resolution.state, reduced.resolutions[stage].state[0])
 
 
-@pytest.mark.slow
-def test_penalty_error_falls_at_first_order(lap, lap_model):
-    sample = draw(lap_model.scene, 5, 1, 1)[0]
-    reduced = lap_model.evaluate(sample)
-    penalty = 10.0 ** np.arange(2, 5)
-    error = [difference(FullModel(lap, penalty=p, augmented=False).evaluate(sample), reduced) for p in penalty]
-    order = -np.diff(np.log10(error))
-    assert (np.abs(order - 1) < 0.1).all(), f"observed orders {order}, errors {error}"
-    assert error[-1] < 1e-4
-
-
 #: One deviation of every kind, at its mean, and a process with every kind of stage.
 DEVIATIONS = {
     "force": {"part": "upper", "point": [110, 10, 1], "direction": [0, 0, 1], "mean": 0.5},

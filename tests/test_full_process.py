@@ -25,7 +25,7 @@ def difference(full, reduced):
 def both(scene, cache):
     """The full solution of one sample, and the reduced one with its model."""
     sample, model = draw(scene, 5, 0, 1)[0], mic.reduce(scene, cache)
-    return FullModel(assemble(scene, cache)).evaluate(sample), model.evaluate(sample), model
+    return FullModel(assemble(scene, cache), route="condensed").evaluate(sample), model.evaluate(sample), model
 
 
 def test_both_models_agree_on_limited_clamps_and_guns(lap_scene, cache):

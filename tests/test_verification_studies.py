@@ -9,18 +9,20 @@ import pytest
 from matplotlib.text import Text
 from scipy.sparse import csr_matrix, diags
 
+from fem_reference.full.equilibrium import Iteration
 from mic.model.assembly import assemble
 from mic.scene import SETTINGS
 from mic.statistics.draw import draw
 from verification.algebra.study import STUDY as ALGEBRA
-from verification.algebra.study import compare
-from verification.comparison import reduced_and_assembly, relative, zone_slip
+from verification.algebra.study import compare, newton_orders, newton_runs
+from verification.comparison import reduced_and_assembly, relative, routes, zone_slip
 from verification.curved_sheets import study as curved_sheets
 from verification.law import study as law
 from verification.mesh import study as mesh
 from verification.mesh.study import converge
 from verification.nominal_stiffness import study as nominal
 from verification.path import study as path
+from verification.ranks import study as ranks
 from verification.scenes import shipped, with_path
 from verification.study import Context, Team
 from verification.trade import picture as trade_picture
@@ -78,7 +80,8 @@ def test_algebra_agrees_and_its_penalty_error_is_of_first_order(lap):
     errors = [row["force"] for row in rows[:2]]
     assert np.log10(errors[0] / errors[1]) / 2 == pytest.approx(1, abs=0.02), errors
     assert largest(rows) < AUGMENTED and all(row["changed states"] == 0 for row in rows)
-    assert rows[-1]["residual of the full solve"] < 1e-9
+    assert rows[-1]["residual of the full solve"] < 1e-9 and rows[-1]["condensed route"] < 1e-8
+    assert {row["route"] for row in rows} == {"whole"}
 
 
 @pytest.mark.parametrize("error", PLANTED)
@@ -86,6 +89,37 @@ def test_algebra_catches(lap, error):
     model, assembly = lap
     found = largest(compare(PLANTED[error](model), assembly, "coulomb", 0, ()))
     assert found > 1e4 * AUGMENTED, found
+
+
+def test_orders_of_newtons_method_by_hand():
+    """Second order gives 2, first order 1; a cut step or a change of state starts a new run."""
+    steps = [Iteration(r, α, 1, 1, 1, changed) for r, α, changed in HISTORY]
+    runs = newton_runs(steps)
+    assert [list(run) for run in runs] == [[1e-2, 1e-4, 1e-8], [1e-3, 1e-4, 1e-5]]
+    assert [newton_orders(run) for run in runs] == [pytest.approx([2.0]), pytest.approx([1.0])]
+
+
+HISTORY = (
+    *((1e-1, 1.0, 3), (1e-2, 1.0, 1), (1e-4, 1.0, 0), (1e-8, 1.0, 0), (1e-16, 1.0, 0)),
+    *((1e-2, 1.0, 2), (1e-3, 0.5, 0), (1e-4, 1.0, 0), (1e-5, 1.0, 0)),
+)
+
+
+def test_costs_of_a_distributed_solve_by_hand():
+    one = {"costs": [[8.0, 90.0, 200.0, 500.0]], "size": [6000, 10], "route": "whole", "force clamp": [1.0, -4.0]}
+    two = one | {"costs": [[5.0, 60.0, 120.0, 350.0], [4.0, 40.0, 90.0, 400.0]], "force clamp": [1.0, -4.4]}
+    for kind in ("displacement clamp", "reaction clamp", "measurements"):
+        one[kind], two[kind] = [2.0], [2.0]
+    rows = ranks.compare({1: one, 2: two}).set_index("processes")
+    assert rows.loc[2, ["speed-up", "largest share of the operations"]].tolist() == pytest.approx([1.6, 0.6])
+    assert rows.loc[2, ["largest memory, MB", "largest factors, MB"]].tolist() == [400.0, 120.0]
+    assert rows["difference"].tolist() == pytest.approx([0.0, 0.1])
+
+
+def test_routes_in_words():
+    assert routes(["whole", "whole"]) == "2 full solves by the whole route."
+    other = "whole, 1 of 9 solves condensed"
+    assert routes(["whole", other]) == f"2 full solves by the whole route; 1 otherwise: {other}."
 
 
 def test_relative_difference():
