@@ -210,7 +210,7 @@ STUDY = Study(
             full_only=True,
         ),
     ),
-    seconds=(700, 40),
+    seconds=(600, 18),
     memory=6.0,
     run=run,
 )

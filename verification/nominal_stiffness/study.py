@@ -18,7 +18,7 @@ from verification.scenes import shipped, with_path
 from verification.stiffness import DeviatedStiffness
 from verification.study import Acceptance, Finding, Study
 
-CASES = (("lap_joint", "coarse", "coarse"), ("hat_on_plate", 12.0, 12.0), ("wheelhouse", "coarse", None))
+CASES = (("lap_joint", "coarse", "coarse"), ("hat_on_plate", 12.0, None), ("wheelhouse", "coarse", None))
 DEVIATIONS = (0.1, 1.0, 10.0)  # mm, largest displacement of the shape, and that up to which `auto` is nominal
 TYPICAL = 1.0  # mm, of a stamped part
 SYSTEMATIC = ("lap_joint", "hat_on_plate")  # assemblies whose parts have a mean shape deviation
@@ -383,7 +383,7 @@ STUDY = Study(
             reason="A method that leaves more than a third of the error is not worth its cost.",
         ),
     ),
-    seconds=(206, 22),
+    seconds=(450, 12),
     memory=2.3,
     run=run,
 )
