@@ -231,7 +231,9 @@ def test_a_generated_scene_survives_being_written_and_read_again(seed):
 
 
 @pytest.mark.parametrize("setting", [None, *SETTINGS])
-@pytest.mark.parametrize("name", ["wheelhouse", "wheelhouse/watched.toml", "wheelhouse/table1.toml", "lap_joint", "hat_on_plate", "bracket"])
+@pytest.mark.parametrize(
+    "name", ["wheelhouse", "wheelhouse/watched.toml", "wheelhouse/table1.toml", "lap_joint", "hat_on_plate", "bracket"]
+)
 def test_a_scene_survives_being_written_and_read_again(name, setting):
     """Parts with `mesh` and parts with `geometry` alike: the model's file holds the scene with all its defaults."""
     scene = mic.load_scene(LAP.parent / name)
