@@ -22,7 +22,7 @@ QUANTITIES = {
     "size": ("size of a part", "mm"),
     "slenderness": ("size over thickness", "1"),
     "curvature": ("thickness over radius of a bend", "1"),
-    "bend": ("elements per right angle of a bend", "1"),
+    "bend": ("elements per right angle of the sharpest bend", "1"),
     "element": ("element size over thickness", "1"),
     "young": ("Young's modulus", "MPa"),
     "friction": ("coefficient of friction", "1"),
@@ -32,6 +32,7 @@ QUANTITIES = {
 }
 FLAT = np.radians(0.1)  # an element that turns by less is flat
 SIGMAS = 3.0
+ROUNDING = 1e-12  # of the size: a smaller gap is closed
 
 Range = tuple[float, float]
 
@@ -51,7 +52,7 @@ def ranges(assembly: Assembly, model: Reduction) -> dict[str, Range]:
         "young": [part.young for part in assembly.parts],
         "element": np.concatenate([np.ravel(part.surface.edge_lengths) / part.thickness for part in assembly.parts]),
         "friction": contacts.friction,
-        "gap": contacts.gap,
+        "gap": np.where(contacts.gap > ROUNDING * size.max(), contacts.gap, 0.0),
         "pairs": [len(contacts)],
         "deviation": _deviations(assembly, model, thickness.min()),
     }
