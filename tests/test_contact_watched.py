@@ -18,6 +18,7 @@ from mic.contact.states import OPEN
 from mic.contact.working_set import PENETRATION, PathForecast, WorkingSetSolver
 from verification.contact_problems import compliant
 
+REACH = 15.0  # radius of neighbourhoods
 M, N = 60, 12
 
 
@@ -38,7 +39,7 @@ def watched(problem, law="coulomb", start=None, allowed=None, friction=0.3, **se
     S, point, _ = problem
     start = np.zeros(M, bool) if start is None else start
     allowed = np.ones(M, bool) if allowed is None else allowed
-    given = Columns.of(S), Friction.of(friction, M), point, np.full(M, 15.0), start, allowed, laws.find(law)
+    given = Columns.of(S), Friction.of(friction, M), point, np.full(M, REACH), start, allowed, laws.find(law)
     return WorkingSetSolver(*given, tol=1e-10, **settings)
 
 
@@ -58,7 +59,7 @@ def test_the_working_set_gives_the_result_of_all_candidates(problem, law):
         touching = (all_.force[:, ::3] > 1e-9).sum(axis=1)
         assert few.converged.all() and all_.converged.all() and (touching > 1).all() and touching.max() > 3
         np.testing.assert_allclose(few.displacement, all_.displacement, atol=1e-5)
-        assert few.displacement[:, ::3].min() > -2 * PENETRATION
+        assert few.displacement[:, ::3].min() > -2 * PENETRATION * REACH
 
 
 def test_a_followed_path_ends_as_with_all_candidates(problem):
@@ -346,7 +347,7 @@ def test_a_path_with_many_candidates_ends_at_the_same_state(problem, monkeypatch
     crowd(monkeypatch)
     many = followed(watched(problem, start=likely), b, path)
     motion = np.abs(b[:, 1] - b[:, 0]).max()
-    assert many.converged.all() and many.displacement[:, ::3].min() > -2 * PENETRATION
+    assert many.converged.all() and many.displacement[:, ::3].min() > -2 * PENETRATION * REACH
     apart = np.abs(many.displacement - few.displacement).max(axis=1)
     assert apart.max() < 1e-2 * motion and np.sort(apart)[-3] < 1e-4 * motion
     alone = followed(watched(problem, start=likely), b[[3]], path)

@@ -4,11 +4,9 @@ import numpy as np
 import pytest
 from support.random_scenes import moved_by, random_case, rotation, swapped
 
-from mic.contact.working_set import PATH_PENETRATION, PENETRATION
 from mic.errors import Problems
 from mic.model.assembly import assemble_placed, load_placed
 from mic.process.model import ReducedModel
-from mic.process.stage import LEAST_MOTION
 from mic.process.stiffness import coefficients
 from verification.symmetry.transformation import Transformation
 
@@ -81,15 +79,11 @@ def test_a_changed_scene_has_the_same_pairs_in_the_same_order(name, seed, watche
 
 @pytest.mark.fem
 @pytest.mark.parametrize("name, seed, watched", CHANGED)
-def test_a_changed_scene_has_the_same_measurements(name, seed, watched, assembled, monkeypatch):
+def test_a_changed_scene_has_the_same_measurements(name, seed, watched, assembled):
     case = random_case(seed, watched=watched)
     change = change_of(name, case, seed)
     laws = ("coulomb", "frictionless")
     expected = measurements(case.deviations, *assembled(case, "given", seed), *laws)
-    # Lengths of the program too, though no scene states them.
-    monkeypatch.setattr("mic.process.stage.LEAST_MOTION", LEAST_MOTION * change.length)
-    monkeypatch.setattr("mic.contact.working_set.PENETRATION", PENETRATION * change.length)
-    monkeypatch.setattr("mic.contact.working_set.PATH_PENETRATION", PATH_PENETRATION * change.length)
     assembly, cache = assembled(case, name, seed, change=change)
     deviations = change.deviations(assembly.scene, case.deviations)
     found = measurements(deviations, assembly, cache, *laws) / change.length

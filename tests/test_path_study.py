@@ -120,7 +120,12 @@ def test_estimates_stand_beside_the_error_that_was_measured(lap_model, folder, o
         change = change + (eight.displacement - two.displacement)[:, :, 1:]
         found = errors[errors["stage"] == stage]["measured"]
         np.testing.assert_allclose(found, zone_rms(change), rtol=1e-6, atol=1e-12)
-    assert errors["measured"].max() > 1e-6
+        force = eight.force - two.force
+        for column, part in (("normal_measured", force[:, :, :1]), ("friction_measured", force[:, :, 1:])):
+            found = errors[errors["stage"] == stage][column]
+            np.testing.assert_allclose(found, zone_rms(part), rtol=1e-6, atol=1e-9)
+    assert errors["measured"].max() > 1e-6 and errors["friction_measured"].max() > 1e-3
+    assert errors["force_estimate"].isna().all() and not errors["several"].any()
 
 
 def table(value, tight, quantity="rms_slip", converged=True):

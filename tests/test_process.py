@@ -12,7 +12,6 @@ import mic
 from mic.contact import ContactSolver
 from mic.contact.path import Followed, Increments
 from mic.process.process import Process
-from mic.process.stage import LEAST_MOTION
 from mic.statistics.draw import draw
 from mic.system.matrix_product import one_thread
 
@@ -210,7 +209,7 @@ def test_the_path_tolerance_is_that_of_the_scene(lap_model):
     closely = mic.scene.process.FollowedPath(tolerance=2e-5)
     for changes, tolerance in (({}, Followed.tolerance), ({"path": closely}, 2e-5)):
         followed = paths("coulomb", **changes)
-        assert followed == [Followed(tolerance, LEAST_MOTION)] * 2
+        assert followed == [Followed(tolerance)] * 2
     assert paths("associated", path=closely) == [Increments(1)] * 2  # whose small steps do not tend to it
 
 

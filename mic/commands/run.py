@@ -190,6 +190,12 @@ def _print_validity(console, name, law, failures):
         f"{name}: largest residual {number(law['worst_residual'], 2)}, {law['failed']} samples failed, "
         f"{law['rescued']} solved with fixed increments{_path_error(law)}"
     )
+    if several := law["path"]["several_solutions"]:
+        console.say(
+            f"  several solutions in {several} of {law['path']['repeated']} repeated samples: which one is reached "
+            "depends on the load path",
+            style="yellow",
+        )
     for status, found in failures.groupby("status", sort=False):
         console.say(f"  {status}: {found['sample'].nunique()} of them. {advice_on(str(status))}", style="yellow")
     if law["not_built"]:

@@ -25,8 +25,11 @@ from mic.contact.solution import ContactSolution, Status
 from mic.contact.states import OPEN, SLIP, STICK, classify
 from mic.system.matrix_product import product
 
-__all__ = ["Followed", "Increments", "Leg", "Path", "PathSolution", "Trace", "end_state", "from_solution"]
+__all__ = ["FORCES", "Followed", "Increments", "Leg", "Path", "PathSolution", "Trace", "end_state", "from_solution"]
 
+#: Errors of contact forces in a step may be so many times those of positions, each relative to its own size: positions
+#: add up over some forty steps, but a contact that slides forgets what its force was.
+FORCES = 32.0
 #: Increments of a leg for samples at which the follower fails.
 RESCUE = 256
 
@@ -38,10 +41,11 @@ class Followed:
     Attributes
     ----------
     tolerance : float
-        Largest error of a step, relative to the tangential motion of the contacts on the leg so far (root mean squares
-        over the contacts).
-    least : float
-        Lower bound of the motion that the tolerance is relative to [length].
+        Largest error of the tangential positions in a step, relative to the motion of the contacts so far (root mean
+        squares over the contacts); the contact forces may err by :data:`FORCES` times as
+        much, relative to their largest so far.
+    before : float or (n,) array
+        Motion of the contacts before the leg, which the tolerance is relative to besides that on the leg [length].
     steps : int or None
         Number of equal steps without error control, to measure the order of the method.
     recorded : bool
@@ -49,7 +53,7 @@ class Followed:
     """
 
     tolerance: float = 2.5e-4
-    least: float = 0.0
+    before: float | np.ndarray = 0.0
     steps: int | None = None
     recorded: bool = False
 
@@ -57,6 +61,14 @@ class Followed:
     def ends(self) -> np.ndarray:
         """(steps,) ends of equal steps; empty with error control."""
         return np.arange(1, (self.steps or 0) + 1) / (self.steps or 1)
+
+    def of(self, samples: np.ndarray) -> Followed:
+        """The path of some samples of a batch."""
+        return replace(self, before=self.before[samples]) if isinstance(self.before, np.ndarray) else self
+
+    def after(self, travel: np.ndarray) -> Followed:
+        """The path that continues after the contacts have moved by `travel` (n,)."""
+        return replace(self, before=self.before + travel)
 
 
 Path = Increments | Followed
@@ -79,6 +91,11 @@ class Trace:
     error : (n,) array
         Estimated integration error of the contacts' tangential positions, and of the slip of those that opened: root
         mean square over the contacts, mm; NaN if not estimated.
+    force_error : (n,) array
+        Estimated integration error of the contact forces, likewise, N; the sum over all steps, although contacts that
+        slide or open lose it.
+    travel : (n,) array
+        Motion of the contacts on followed paths: sum over the steps of its root mean square over the contacts, mm.
     steps, factorisations : (n,) int array
         Number of steps, and of matrices over the closed contacts that were factorised or inverted, failed rungs
         included.  Low-rank updates and factorisations shared by all samples are not counted.
@@ -89,6 +106,8 @@ class Trace:
     work: np.ndarray
     share: np.ndarray
     error: np.ndarray
+    force_error: np.ndarray
+    travel: np.ndarray
     steps: np.ndarray
     factorisations: np.ndarray
 
@@ -101,6 +120,8 @@ class Trace:
             work=np.zeros((n, m)),
             share=np.zeros((n, m, 3)),
             error=np.zeros(n),
+            force_error=np.zeros(n),
+            travel=np.zeros(n),
             steps=np.zeros(n, dtype=np.int64),
             factorisations=np.zeros(n, dtype=np.int64),
         )
@@ -173,6 +194,11 @@ class PathSolution:
     rung: np.ndarray
     record: np.ndarray | None = None
     unresolved: np.ndarray | None = None
+
+    @property
+    def travel(self) -> np.ndarray:
+        """(n,) motion of the contacts, see :class:`Trace`; 0 without a solution."""
+        return np.where(self.converged, self.trace.travel, 0.0)
 
     def replaced(self, own: np.ndarray, new: PathSolution) -> PathSolution:
         """The paths with those of the samples `own` replaced; factorisations of both count."""
@@ -263,6 +289,7 @@ def follow(solver, b, force, anchor, path: Path) -> PathSolution:
         leg = solve_leg(solver, b[:, k], b[:, k + 1], force, anchor, path)
         force, anchor = leg.force, leg.anchor
         legs.append(leg)
+        path = path.after(leg.trace.travel) if isinstance(path, Followed) else path
     named = [leg.unresolved for leg in legs if leg.unresolved is not None]
     solution = replace(PathSolution.join(legs), unresolved=np.any(named, axis=0) if named else None)
     solution.converged[outside], solution.residual[outside] = False, np.inf
@@ -282,7 +309,7 @@ def followed(solver, b0, b1, force, anchor, path: Path) -> PathSolution:
         force=leg.force,
         displacement=response + b1,
         anchor=leg.anchor,
-        trace=leg.trace(error=np.full(n, np.nan)) if incremental else leg.trace(),
+        trace=leg.trace(**_unknown(n)) if incremental else leg.trace(),
         residual=residual,
         converged=converged,
         iterations=leg.factorisations,
@@ -345,7 +372,7 @@ def increments(solver, b0, b1, force, anchor, path: Increments) -> PathSolution:
         force=force,
         displacement=(product(force, solver.S) + b1).reshape(n, -1),
         anchor=anchor,
-        trace=replace(trace, error=np.full(n, np.nan)),
+        trace=replace(trace, **_unknown(n)),
         residual=residual,
         converged=converged,
         iterations=iterations,
@@ -354,6 +381,11 @@ def increments(solver, b0, b1, force, anchor, path: Increments) -> PathSolution:
         record=_records(ends, forces) if path.recorded else None,
         unresolved=unresolved,
     )
+
+
+def _unknown(n: int) -> dict[str, np.ndarray]:
+    """Errors of n paths that are not estimated."""
+    return {"error": np.full(n, np.nan), "force_error": np.full(n, np.nan)}
 
 
 def _records(ends, forces) -> np.ndarray:

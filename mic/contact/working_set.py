@@ -2,13 +2,13 @@
 
 All candidates share one compliance, ``u = S f + b``. Each sample has a working set W: it is solved, or its path
 followed, with the contacts of W alone, f = 0 elsewhere; then the gaps of *all* candidates are computed by one product.
-If candidates outside W penetrate by more than `PENETRATION`, the deepest of each neighbourhood joins W (on a path of
-several steps, all of them and their neighbours), and the sample is solved again from the start of its path. Working
-sets only grow, so the iteration ends. Then every contact outside W satisfies the law with f = 0 to `PENETRATION`, and
-the solution is that of all candidates, at the cost of the closed ones.
+If candidates outside W penetrate by more than `PENETRATION` allows, the deepest of each neighbourhood joins W (on a
+path of several steps, all of them and their neighbours), and the sample is solved again from the start of its path.
+Working sets only grow, so the iteration ends. Then every contact outside W satisfies the law with f = 0 to
+`PENETRATION`, and the solution is that of all candidates, at the cost of the closed ones.
 
-With friction the loading history matters: candidates that penetrate by more than `PATH_PENETRATION` at the end of any
-step join as well, even if they are open at the end of the path. This is checked on the last leg.
+With friction the loading history matters: candidates that penetrate by more than `PATH_PENETRATION` allows at the end
+of any step join as well, even if they are open at the end of the path. This is checked on the last leg.
 
 The initial working set holds the candidates that carry force, and those that did in a few pilot samples
 (`PathForecast`). From more than `MAX_INITIAL` of these, only those that carry force at the start or the end of the path
@@ -45,8 +45,9 @@ if TYPE_CHECKING:
 
 __all__ = ["PENETRATION", "PathForecast", "WorkingSetSolver"]
 
-PENETRATION = 1e-6  # mm: largest penetration of a candidate outside the working set
-PATH_PENETRATION = 1e-4  # mm: likewise before the end of the path, where it affects the result through friction only
+# Relative to the radius of the candidate's neighbourhood, some 10 mm on a car body:
+PENETRATION = 1e-7  # largest penetration of a candidate outside the working set
+PATH_PENETRATION = 1e-5  # likewise before the end of the path, where it affects the result through friction only
 EQUAL = 1e-6  # relative difference of penetrations that counts as rounding
 DUPLICATE = 0.1  # neighbourhood radii: of candidates within this distance one is enough
 MAX_ROUNDS = 40  # in which a working set grows
@@ -54,7 +55,7 @@ MAX_INITIAL = 300  # contacts of an initial working set that is not screened
 MAX_PREPARED = 1500  # contacts of the solver that all samples share: some 0.3 GB
 MAX_RECORDED = 2000  # contacts, over all samples, whose steps are recorded at a time: 0.2 MB of address space each
 ROUGH = 1e-5  # error of Newton's method, relative, while many contacts join
-FAR = 1e9  # mm: a gap that never closes
+FAR = 1e8  # neighbourhood radii: a gap that never closes
 MANY_CANDIDATES = 1000  # candidates above which screening ignores friction, to be cheaper than a sample
 
 
@@ -144,6 +145,7 @@ class WorkingSetSolver:
         self._start, self._allowed, self._screening = start & allowed, allowed, screening
         self._many = law.frictional and len(start) > MANY_CANDIDATES
         self.carried = np.zeros(len(start), dtype=bool)
+        self._allowed_depth = PENETRATION * np.broadcast_to(np.asarray(reach, dtype=float), len(start))
         tree = cKDTree(point)
         self._neighbours = tree.query_ball_point(point, reach)
         self._duplicates = tree.query_ball_point(point, DUPLICATE * np.asarray(reach))
@@ -210,7 +212,7 @@ class WorkingSetSolver:
         lost = np.flatnonzero(~found.converged)
         if not len(lost):
             return found
-        return found.replaced(lost, self._solve_growing(b[lost], force[lost], anchor[lost], path))
+        return found.replaced(lost, self._solve_growing(b[lost], force[lost], anchor[lost], _of(path, lost)))
 
     def _solve_increment(self, b, force, anchor) -> PathSolution:
         """One increment along loads b (n, k + 1, d m), k = 1 with friction, with growing working sets.
@@ -234,7 +236,7 @@ class WorkingSetSolver:
                 self._step_frictionless(solver, todo, end, working, guess, leg)
             u[todo] = self._S.under(leg.force[todo]) + end[todo]
             depths = self._penetration(u[todo], anchor[todo], None, working[todo])
-            grows = (depths > PENETRATION).any(axis=1)
+            grows = (depths > self._allowed_depth).any(axis=1)
             solved[todo] = ~leg.given_up[todo] & ~grows
             grows &= ~leg.given_up[todo]
             todo = todo[grows]
@@ -274,7 +276,7 @@ class WorkingSetSolver:
                 leg.factorisations[k] += steps
                 u[k] = self._S.under(guess[one])[0] + b[k, -1]
                 depth = self._penetration(u[one], anchor[one], None, working[one])[0]
-                if (depth > PENETRATION).any():
+                if (depth > self._allowed_depth).any():
                     working[k, self._joining(depth, True)] = True
                     solver = None
                 elif tol == 0.0:
@@ -298,11 +300,15 @@ class WorkingSetSolver:
         stands = u.reshape(n, m, d)[:, :, 1:] + sliders
         error = np.full(n, np.nan if self.law.frictional else 0.0)
         if self.law.followed:
-            trace = leg.trace(error=error, steps=np.ones(n, dtype=np.int64))
+            trace = leg.trace(error=error, force_error=error, steps=np.ones(n, dtype=np.int64))
             stands[working] = leg.anchor[working]
         else:  # no path: from the states at the end and the motion since the start
             before, now = (f.reshape(n, m, d) for f in (force, leg.force))
-            trace = replace(Trace.of_step(classify(now, self.bound(now[:, :, 0])), leg.factorisations), error=error)
+            trace = replace(
+                Trace.of_step(classify(now, self.bound(now[:, :, 0])), leg.factorisations),
+                error=error,
+                force_error=error,
+            )
             if self.law.frictional:
                 trace = trace.with_slip(stands - anchor, before, now)
         return replace(
@@ -357,7 +363,8 @@ class WorkingSetSolver:
                     force[samples] = found.force[samples]
                 left = todo[~found.converged[todo]]
             for samples, own in _by_working_set(working, left, MAX_RECORDED if checks_path else None):
-                solution = self._solved(own, b[samples], force[samples], anchor[samples], recorded_path)
+                some = _of(recorded_path, samples)
+                solution = self._solved(own, b[samples], force[samples], anchor[samples], some)
                 self._put(found, samples, own, solution, b[samples], spent)
                 if checks_path:
                     on_path[samples] = self._path_penetration(own, b[samples], solution)
@@ -365,7 +372,7 @@ class WorkingSetSolver:
                     force[samples] = found.force[samples]
             depths = self._penetration(found.displacement[todo], anchor[todo], path, working[todo])
             depths = np.maximum(depths, on_path[todo])
-            grows = (depths > PENETRATION).any(axis=1) & found.converged[todo]
+            grows = (depths > self._allowed_depth).any(axis=1) & found.converged[todo]
             todo, depths = todo[grows], depths[grows]
             if not len(todo):
                 break
@@ -404,7 +411,7 @@ class WorkingSetSolver:
         among, rows = np.flatnonzero(own), np.repeat(own, self._d)
         end = b[:, -1, rows].reshape(len(b), -1, self._d)
         end[:, :, 1:] -= anchor[:, among]
-        end[:, :, 0][~working[:, among]] = FAR
+        end[:, :, 0][~working[:, among]] = FAR / PENETRATION * self._allowed_depth.max()
         load = end.reshape(len(b), -1)
         newton = solver.backend.land(load, force[:, rows], among, self._factorised)
         solution = from_solution(solver, solver.certify(load, *newton))
@@ -515,8 +522,8 @@ class WorkingSetSolver:
         for field in fields(Trace):
             here, there = getattr(solution.trace, field.name), getattr(found.trace, field.name)
             if here.ndim == 1:
-                # The error is a root mean square over the contacts, here over all candidates.
-                there[samples] = here * np.sqrt(own.mean()) if field.name == "error" else here
+                # Errors are root mean squares over the contacts, here over all candidates.
+                there[samples] = here * np.sqrt(own.mean()) if field.name in ("error", "force_error") else here
             else:
                 there[places] = here
 
@@ -542,7 +549,7 @@ class WorkingSetSolver:
 
     def _path_penetration(self, own, b, solution: PathSolution) -> np.ndarray:
         """(n, m) penetration of allowed candidates outside the common working set `own` (m,) at the ends of steps of
-        the last leg, mm; 0 up to :data:`PATH_PENETRATION`."""
+        the last leg, mm; 0 up to what :data:`PATH_PENETRATION` allows."""
         depth, rest = np.zeros((len(b), len(own))), np.flatnonzero(self._allowed & ~own)
         if solution.record is None or not len(rest) or not own.any():
             return depth
@@ -553,7 +560,7 @@ class WorkingSetSolver:
             steps, s = record.ends > 0, record.ends[record.ends > 0, None]
             u = (1 - s) * b[sample, -2, rows] + s * b[sample, -1, rows] + record.force[steps][:, pressing] @ S
             depth[sample, rest] = -u.min(axis=0)
-        return np.where(depth > PATH_PENETRATION, depth, 0.0)
+        return np.where(depth > PATH_PENETRATION / PENETRATION * self._allowed_depth, depth, 0.0)
 
     def _joining(self, depth, many: bool) -> list[int]:
         """The deepest candidate of each neighbourhood, the first of those with equal depth.
@@ -562,7 +569,7 @@ class WorkingSetSolver:
         only one of those within :data:`DUPLICATE` neighbourhood radii of each other.
         """
         near = self._duplicates if many else self._neighbours
-        chosen, left = [], np.where(depth > PENETRATION, depth, 0.0)
+        chosen, left = [], np.where(depth > self._allowed_depth, depth, 0.0)
         while left.any():
             chosen.append(int(np.argmax(left >= (1 - EQUAL) * left.max())))
             left[near[chosen[-1]]] = 0.0
@@ -595,3 +602,8 @@ def _by_working_set(
         most = len(samples) if contacts is None else max(1, contacts // max(1, int(own.sum())))
         for first in range(0, len(samples), most):
             yield np.array(samples[first : first + most]), own
+
+
+def _of(path: Path | None, samples: np.ndarray) -> Path | None:
+    """The path of some samples of a batch."""
+    return path.of(samples) if isinstance(path, Followed) else path

@@ -87,12 +87,13 @@ class Stops:
             return solution, np.zeros((len(solution.force), 0))
         m, trace = self.contacts, solution.trace
         own = {name: getattr(trace, name)[:, :m] for name in ("slip", "length", "work", "share")}
+        # errors are root mean squares over contacts only
+        own |= {name: getattr(trace, name) * np.sqrt(self.total / max(m, 1)) for name in ("error", "force_error")}
         contacts_only = replace(
             solution,
             force=solution.force[:, : self.rows],
             displacement=solution.displacement[:, : self.rows],
             anchor=solution.anchor[:, :m],
-            # the error is the root mean square over contacts only
-            trace=replace(trace, **own, error=trace.error * np.sqrt(self.total / max(m, 1))),
+            trace=replace(trace, **own),
         )
         return contacts_only, solution.force[:, self.rows :: self.dimension]

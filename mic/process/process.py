@@ -398,7 +398,7 @@ class Process:
                 force=nan(m, d),
                 displacement=nan(m, d),
                 state=np.zeros((n, m), np.int8),
-                trace=Trace(nan(m, 2), nan(m), nan(m), nan(m, 3), nan(), np.zeros(n, int), np.zeros(n, int)),
+                trace=Trace(nan(m, 2), nan(m), nan(m), nan(m, 3), nan(), nan(), nan(), *np.zeros((2, n), int)),
                 residual=nan(),
                 converged=np.zeros(n, bool),
                 iterations=np.zeros(n, int),

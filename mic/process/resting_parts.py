@@ -199,7 +199,8 @@ class Rest:
                 break
             target[todo] -= c * stride[todo, None] * λ[todo]
             end = unloaded(segment.end, segment.pushed_end, target)
-            again, pressed = follow(start[todo], end[todo], force[todo], anchor[todo], path)
+            some = path if exact else path.of(todo)
+            again, pressed = follow(start[todo], end[todo], force[todo], anchor[todo], some)
             solution = solution.replaced(todo, again)
             found[todo] = pressed
         position = target - c * (segment.pushed_end - product(found, G))

@@ -47,13 +47,10 @@ from mic.process.resting_parts import Rest, Segment
 from mic.process.state import ProcessState, Values, columns
 from mic.system.matrix_product import product, product_of
 
-__all__ = ["LEAST_MOTION", "OUTPUTS", "EliminatedStep", "PreparedStage", "eliminate_steps", "path_of", "stops_of"]
+__all__ = ["OUTPUTS", "EliminatedStep", "PreparedStage", "eliminate_steps", "path_of", "stops_of"]
 
 #: computes the contacts' path of a step, see :meth:`PreparedStage.step`
 PathSolver = Callable[..., tuple[PathSolution, np.ndarray, np.ndarray]]
-#: mm: the error of a path step is relative to at least this motion. With the default tolerance, forty steps with equal
-#: errors add up to the 2 µm that a coordinate measuring machine resolves.
-LEAST_MOTION = 0.2
 CACHED_COLUMNS = 8  # RampColumns cached for each step, on average
 ROUNDING = 1e-9  # mm: remaining distances below this count as zero
 #: kinds of rows that are read at the end of a stage
@@ -216,6 +213,8 @@ class PreparedStage:
 
     Attributes
     ----------
+    inspect : function or None
+        Called with each step that solves contact, the state before it, and its solution.
     output : dict of str to slice
         Output rows of a response, by kind.
     """
@@ -229,6 +228,7 @@ class PreparedStage:
         path: Path,
     ):
         self.plan, self.steps, self.path = plan, steps, path
+        self.inspect: Callable[[EliminatedStep, ProcessState, PathSolution], None] | None = None
         self._make_solver, self._solvers = solver, dict[EliminatedStep, ContactSolver | WorkingSetSolver]()
         self._ramp_column_cache: dict[tuple, RampColumns] = {}
         self._contacts, self._between, self._joints = model.contacts, model.between, model.joints
@@ -295,7 +295,8 @@ class PreparedStage:
         resolution.converged[list(loose)] = False
         for sample, message in loose.items():
             resolution.status[sample] = message
-        return replace(state, path_error=resolution.trace.error), resolution
+        errors = {"path_error": resolution.trace.error, "force_error": resolution.trace.force_error}
+        return replace(state, **errors), resolution
 
     def _bound(self, eliminated: EliminatedStep, force: np.ndarray) -> np.ndarray:
         """(n, m) largest tangential forces under the contact forces (n, m, d)."""
@@ -357,7 +358,9 @@ class PreparedStage:
         batch.left = solution.displacement.reshape(state.force.shape).copy()
         batch.left[:, :, 0] -= drive.gap
         batch.anchor = solution.anchor
-        return self.after(batch, solution.converged), solution
+        if self.inspect is not None:
+            self.inspect(eliminated, state, solution)
+        return replace(self.after(batch, solution.converged), travel=state.travel + solution.travel), solution
 
     def after(self, batch: BatchStep, converged: np.ndarray | None = None) -> ProcessState:
         """The state after a step; linear in everything, except for `failed`.
@@ -386,6 +389,8 @@ class PreparedStage:
             anchor=anchor,
             failed=state.failed if converged is None else state.failed | ~converged,
             path_error=state.path_error,
+            force_error=state.force_error,
+            travel=state.travel,
             value=Values(columns_before.rows, v),
             reaction=Values(columns_before.rows, reaction),
             push=Values(columns_before.loads, drive.push[:, step.loads]),
@@ -450,9 +455,10 @@ class PreparedStage:
         start, end = self.unloaded(batch, 0.0), self.unloaded(batch, 1.0)
         lift = np.maximum(0.0, self.overlap(batch, start))
         follow = partial(self.follow, eliminated)
+        path = self.path_after(batch.state.travel)
 
         if not rest.soft.any():
-            solution, force = follow(start + lift, end, force, batch.anchor, self.path)
+            solution, force = follow(start + lift, end, force, batch.anchor, path)
             return solution, force[:, contacts:], batch.place
 
         def segment(s0, s1) -> Segment:
@@ -460,19 +466,23 @@ class PreparedStage:
             left = [rest.pushed(response, batch.ramp.at(s)[1]) for s in (s0, s1)]
             return Segment(*(self.unloaded(batch, s) + (1 - s) * lift for s in (s0, s1)), *left)
 
-        segments, s0 = rest.segments(self.path, self.solver(eliminated).law), 0.0
+        segments, s0 = rest.segments(path, self.solver(eliminated).law), 0.0
         anchor, pieces, begin, at = batch.anchor, [], batch.place[:, rest.soft], batch.place[:, rest.soft]
         for s1, path in segments:
             solution, force, at = rest.settle(response, segment(s0, s1), begin, at, force, anchor, follow, path)
             anchor, trace = solution.anchor, solution.trace.weighted((s1 - s0) * len(segments))
             if isinstance(self.path, Followed) and isinstance(path, Increments):  # short: part of the followed path
                 solution = replace(solution, rung=np.where(solution.rung == "increments", "followed", solution.rung))
-                trace = replace(trace, error=np.zeros(n))
+                trace = replace(trace, error=np.zeros(n), force_error=np.zeros(n))
             pieces.append(replace(solution, trace=trace))
             s0 = s1
         place = batch.place.copy()
         place[:, rest.soft] = at
         return PathSolution.join(pieces), force[:, contacts:], place
+
+    def path_after(self, travel: np.ndarray) -> Path:
+        """The path of a step before which the contacts have moved by `travel` (n,)."""
+        return self.path.after(travel) if isinstance(self.path, Followed) else self.path
 
     def follow(self, eliminated, b0, b1, force, anchor, path) -> tuple[PathSolution, np.ndarray]:
         """Follow a path on which b of contacts and stops (n, d m + s) goes straight from b0 to b1.
@@ -517,7 +527,11 @@ class PreparedStage:
             displacement=displacement,
             state=contacts,
             # Sticking contacts inherit the error of the paths before; sliding ones lose it.
-            trace=replace(whole.trace, error=start.path_error + whole.trace.error),
+            trace=replace(
+                whole.trace,
+                error=start.path_error + whole.trace.error,
+                force_error=start.force_error + whole.trace.force_error,
+            ),
             **{name: getattr(whole, name) for name in ("residual", "converged", "iterations", "status", "rung")},
             reaction=end.reaction.take(self.plan.bilateral),
             unseen=unseen,
@@ -560,5 +574,5 @@ def _side_by_side(first: np.ndarray, second: np.ndarray) -> np.ndarray:
 def path_of(plan: StagePlan, law, tolerance: float) -> Path:
     """How a stage's steps are followed under a law."""
     if plan.path == "followed" and law.followed:
-        return Followed(tolerance, LEAST_MOTION)
+        return Followed(tolerance)
     return Increments(plan.increments)

@@ -91,6 +91,10 @@ class ProcessState:
     path_error : (n,) array
         Estimated error of the anchors due to the paths of all stages so far, root mean square over the contacts, mm
         (:class:`mic.contact.path.Trace`); NaN once one of them has no estimate.
+    force_error : (n,) array
+        Likewise of the contact forces, N.
+    travel : (n,) array
+        Motion of the contacts on all paths so far, mm (:class:`mic.contact.path.Trace`).
     """
 
     reading: Mapping[str, np.ndarray]
@@ -99,6 +103,8 @@ class ProcessState:
     anchor: np.ndarray
     failed: np.ndarray
     path_error: np.ndarray
+    force_error: np.ndarray
+    travel: np.ndarray
     value: Values
     reaction: Values
     push: Values
@@ -110,4 +116,6 @@ class ProcessState:
         """Free, unloaded parts: n assemblies, m contacts of dimension d, and the number of rows of each kind."""
         reading = {kind: np.zeros((n, count)) for kind, count in rows.items()}
         zero, empty = np.zeros((n, m, d)), dict.fromkeys(ROW_VALUES, Values(Names(()), np.zeros((n, 0))))
-        return cls(reading, zero, zero.copy(), np.zeros((n, m, d - 1)), np.zeros(n, dtype=bool), np.zeros(n), **empty)
+        return cls(
+            reading, zero, zero.copy(), np.zeros((n, m, d - 1)), np.zeros(n, dtype=bool), *np.zeros((3, n)), **empty
+        )

@@ -161,7 +161,12 @@ def _coverage(errors) -> str:
     if positive.any():
         ratio = (errors["estimate"] / errors["measured"])[positive].median()
         text += f" (median of estimate over change: {number(ratio, 2)})"
-    return text
+    known = errors[errors["force_estimate"].notna()]
+    if not len(known):
+        return text
+    forces = np.hypot(known["normal_measured"], known["friction_measured"])
+    covered = known["force_estimate"] >= forces
+    return f"{text}; that of forces in {covered.sum()} of {len(known)} (change: {number(forces.max(), 2)} N at most)"
 
 
 def _rows(outcome, law) -> pd.DataFrame:

@@ -79,8 +79,8 @@ class Accumulator:
         ``("slips", stage, column)``, by zone, columns of :data:`mic.results.schema.SLIPS`; ``("contacts", stage,
         column)``, (m,), columns of :meth:`BlockSamples.contact`; ``("pressed", stage, which)``, by zone: sum of the
         normal forces of ``"all"`` pairs, or of those ``"clear"`` of every weld by three nugget radii; ``("resolutions",
-        stage, column)``, scalar: ``residual``, ``path_error``, ``steps`` and ``factorisations``; ``("limits", stage,
-        name, column)``, scalar: ``pushed``, ``left`` and ``needed``.
+        stage, column)``, scalar: ``residual``, ``path_error``, ``path_force_error``, ``steps`` and
+        ``factorisations``; ``("limits", stage, name, column)``, scalar: ``pushed``, ``left`` and ``needed``.
     counts : dict of tuple to int array
         Numbers of valid samples: ``("outside",)``, (k,) beyond their limits; ``("any outside",)``, () with any beyond;
         ``("states", stage)``, (3, m) by state; ``("short", stage, name)``, () in which a clamp or gun falls short.
@@ -194,7 +194,7 @@ class Accumulator:
                 i = int(depth.argmax())
                 point = int(block.column("resolutions", "unseen_at", stage=stage)[i])
                 self.unseen = float(depth[i]), stage, int(block.numbers[i]), point
-            for column in ("residual", "path_error", "steps", "factorisations"):
+            for column in ("residual", "path_error", "path_force_error", "steps", "factorisations"):
                 values = block.column("resolutions", column, stage=stage)
                 moments["resolutions", stage, column] = Moments.of(values)
             for column in SLIPS.names[3:] if tangential else ():

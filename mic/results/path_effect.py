@@ -62,6 +62,11 @@ class PathStudy:
         rows = self.pairs[(self.pairs["law"] == law) & self.pairs["converged"]]
         return int(rows["sample"].nunique())
 
+    def several(self, law: str) -> int:
+        """Number of samples in which a step has several solutions."""
+        rows = self.errors[(self.errors["law"] == law) & self.errors["several"]]
+        return int(rows["sample"].nunique())
+
     def effects(self, law: str, quantity: str, name: str, stage: str | None = None) -> tuple[Effect, Effect]:
         """Effect of a tighter path on mean and 6σ.
 

@@ -6,6 +6,7 @@ Both runs use the same assemblies, so their differences contain no sampling scat
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pandas as pd
@@ -13,6 +14,8 @@ import pandas as pd
 from mic.contact.laws import LAWS
 from mic.contact.path import Increments
 from mic.contact.path import Path as ContactPath
+from mic.contact.second_start import has_other_solution
+from mic.contact.solver import ContactSolver
 from mic.process.process import Process
 from mic.results.path_effect import PathStudy
 from mic.results.run_samples import RunSamples
@@ -59,8 +62,11 @@ def _repeat(outcome, law, numbers) -> tuple[pd.DataFrame, pd.DataFrame]:
         [np.zeros((len(numbers), 0)), *(outcome.deviation(law, name, numbers) for name in model.parameters)]
     )
     process = Process(model, law, backend=backend, threads=threads)
+    several = {stage.plan.name: np.zeros(len(numbers), dtype=bool) for stage in process.stages}
     for stage in process.stages:
         stage.path = tighter(stage.path)
+        if LAWS[law].followed and model.contacts.dimension == 3:
+            stage.inspect = partial(_note_other_solutions, model, law, stage.plan.name, several)
     evaluation = process.attempt(deviations)
     motion = tables(model, evaluation)[SLIPS.name]
     converged = ~evaluation.failed
@@ -76,16 +82,40 @@ def _repeat(outcome, law, numbers) -> tuple[pd.DataFrame, pd.DataFrame]:
                 rows.append((column, stage, zone, read(law, stage, zone, numbers), repeated[column].to_numpy()))
     keys, columns = {"law": law, "sample": numbers.astype(np.int64)}, ("quantity", "stage", "name", "value", "tighter")
     pairs = [pd.DataFrame(keys | dict(zip(columns, row)) | {"converged": converged}) for row in rows]
-    return pd.concat(pairs, ignore_index=True), _errors(outcome, law, numbers, evaluation, converged)
+    return pd.concat(pairs, ignore_index=True), _errors(outcome, law, numbers, evaluation, several)
 
 
-def _errors(outcome, law, numbers, evaluation, converged) -> pd.DataFrame:
+def _note_other_solutions(model, law, stage, several, eliminated, state, solution) -> None:
+    """Note the samples in which the pairs that carry force in a step could also carry other forces."""
+    n, m = solution.force.shape[0], len(model.contacts)
+    force = solution.force.reshape(n, m, 3)
+    if len(several[stage]) != n:  # a part of the samples, with a model of their own
+        return
+    S, friction = eliminated.compliance[0], model.contacts.friction_in(stage)
+    for sample in np.flatnonzero(solution.converged & ~several[stage]):
+        own = np.flatnonzero((force[sample, :, 0] > 0) | (state.force[sample, :, 0] > 0))
+        if not len(own):
+            continue
+        rows = (3 * own[:, None] + np.arange(3)).ravel()
+        block = S.block(rows)
+        load = (solution.displacement[sample, rows] - block @ solution.force[sample, rows]).reshape(-1, 3)
+        load[:, 1:] -= state.anchor[sample, own]
+        solver = ContactSolver(block, friction.take(own), law, certify_each=False)
+        several[stage][sample] = has_other_solution(solver, load.reshape(1, -1))[0]
+
+
+def _errors(outcome, law, numbers, evaluation, several) -> pd.DataFrame:
     """Estimated and measured path errors of one law; tangential positions are the sum over the stages so far."""
     frames = []
     change = np.zeros((len(numbers), len(outcome.model.contacts), 2))
     for stage in outcome.stages:
-        moved = np.stack([outcome.contact(law, stage, f"u_t{axis}", numbers) for axis in (1, 2)], axis=2)
-        change = change + evaluation.resolutions[stage].displacement[:, :, 1:] - moved
+        again, components = evaluation.resolutions[stage], ("n", "t1", "t2")
+        moved, force = (
+            np.stack([outcome.contact(law, stage, f"{what}_{axis}", numbers) for axis in axes], axis=2)
+            for what, axes in (("u", components[1:]), ("f", components))
+        )
+        change = change + again.displacement[:, :, 1:] - moved
+        force = again.force - force
         frames.append(
             pd.DataFrame(
                 {
@@ -93,9 +123,18 @@ def _errors(outcome, law, numbers, evaluation, converged) -> pd.DataFrame:
                     "sample": numbers.astype(np.int64),
                     "stage": stage,
                     "estimate": outcome.path_error(law, stage, numbers),
-                    "measured": np.sqrt((change**2).sum(axis=2).mean(axis=1)),
-                    "converged": converged,
+                    "measured": _size(change),
+                    "force_estimate": outcome.path_force_error(law, stage, numbers),
+                    "normal_measured": _size(force[:, :, :1]),
+                    "friction_measured": _size(force[:, :, 1:]),
+                    "several": several[stage],
+                    "converged": ~evaluation.failed,
                 }
             )
         )
     return pd.concat(frames, ignore_index=True)
+
+
+def _size(vectors: np.ndarray) -> np.ndarray:
+    """(n,) root mean square over the pairs of vectors (n, m, k)."""
+    return np.sqrt((vectors**2).sum(axis=2).mean(axis=1))

@@ -15,12 +15,11 @@ from importlib.metadata import PackageNotFoundError, version
 from typing import Any
 
 from mic.process.process import TOLERANCE
-from mic.process.stage import LEAST_MOTION
 from mic.system.files import fingerprint
 
 __all__ = ["FORMAT", "differences", "identity", "inputs", "installed_version", "program_version"]
 
-FORMAT = 3  # increased whenever the same inputs give other numbers, or blocks of another format
+FORMAT = 4  # increased whenever the same inputs give other numbers, or blocks of another format
 #: Tables of the scene without effect on the numbers; the values of a `setting` are in the other tables.
 _IGNORED = {"name", "description", "setting", "monte_carlo", "report", "optimise", "scans"}
 _PROGRAM_KEYS = ("program", "format")
@@ -29,7 +28,6 @@ _LABELS = {
     "design": "design of the samples, or the samples themselves",
     "dimension": "contact rows per pair",
     "solver_work": "work of the contact solver for a sample",
-    "path_floor": "smallest path error that is controlled",
 }
 
 
@@ -52,7 +50,6 @@ def inputs(model, seed: int) -> dict[str, Any]:
         "backend": scene.monte_carlo.backend,
         "solver_work": scene.monte_carlo.solver_work,
         "tolerance": TOLERANCE,
-        "path_floor": LEAST_MOTION * scene.path.tolerance,
         "fields": scene.report.fields,
         "dimension": model.contacts.dimension,
         "scene": {key: fingerprint(table) for key, table in tables.items()},

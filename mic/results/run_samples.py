@@ -162,6 +162,10 @@ class RunSamples:
         """(n,) estimated path error at the end of a stage, mm (:data:`mic.results.schema.RESOLUTIONS`)."""
         return self._gathered(law, samples, lambda block: block.column("resolutions", "path_error", stage=stage))
 
+    def path_force_error(self, law: str, stage: str, samples: ArrayLike | None = None) -> np.ndarray:
+        """(n,) estimated path error of the contact forces, likewise, N."""
+        return self._gathered(law, samples, lambda block: block.column("resolutions", "path_force_error", stage=stage))
+
     def tangential(self, law: str, stage: str, zone: str, samples: ArrayLike | None = None) -> np.ndarray:
         """(n,) RMS tangential displacement of a zone in a stage, including open contacts, mm.
 

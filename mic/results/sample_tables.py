@@ -53,6 +53,7 @@ def tables(model, evaluation: Evaluation, first: int = 0) -> dict[str, pd.DataFr
             "iterations": _joined([r.iterations for r in resolutions], np.int64),
             "converged": _joined([r.converged for r in resolutions], bool),
             "path_error": _joined([r.trace.error for r in resolutions], float),
+            "path_force_error": _joined([r.trace.force_error for r in resolutions], float),
             "steps": _joined([r.trace.steps for r in resolutions], np.int64),
             "factorisations": _joined([r.trace.factorisations for r in resolutions], np.int64),
             "unseen": _joined([r.unseen for r in resolutions], float),

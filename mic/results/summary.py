@@ -57,7 +57,11 @@ def summary(
             "not_built": len(outcome.unbuilt[law]),
             "rescued": len(outcome.rescued[law]),
             "unseen_penetration": _unseen(outcome, law),
-            "path": _path(outcome, law) | {"repeated": study.repeated(law) if study else 0},
+            "path": _path(outcome, law)
+            | {
+                "repeated": study.repeated(law) if study else 0,
+                "several_solutions": study.several(law) if study else 0,
+            },
             "zones": zones,
             "verdict": judged.as_dict() if judged else None,
             "all_within": _all_within(outcome, law),
@@ -112,14 +116,20 @@ def _unseen(outcome: RunSamples, law: str) -> dict[str, Any] | None:
 
 
 def _path(outcome: RunSamples, law: str) -> dict[str, Any]:
-    """Effort of path following per sample, and estimated path error by stage, mm: mean and largest."""
+    """Effort of path following per sample, and estimated path errors by stage, mm and N: mean and largest."""
     moments = outcome.accumulators[law].moments
     stages = outcome.accumulators[law].stages
-    errors = {stage: moments["resolutions", stage, "path_error"] for stage in outcome.stages if stage in stages}
+    errors = {
+        name: {stage: moments["resolutions", stage, f"path_{name}"] for stage in outcome.stages if stage in stages}
+        for name in ("error", "force_error")
+    }
     return {
         name: sum(float(moments["resolutions", stage, name].mean) for stage in stages)
         for name in ("steps", "factorisations")
-    } | {"error": {stage: {"mean": float(error.mean), "max": float(error.high)} for stage, error in errors.items()}}
+    } | {
+        name: {stage: {"mean": float(error.mean), "max": float(error.high)} for stage, error in by_stage.items()}
+        for name, by_stage in errors.items()
+    }
 
 
 def _rows(table: pd.DataFrame, law: str) -> list[dict[str, Any]]:

@@ -26,7 +26,9 @@ with ``λ > 0`` only where the force is on the cone.  A step goes like this.
 3. **Error.**  Those of the solution give other shifts; contacts that close in it do so one after the other, each on
    the way that the forces of those before it leave.  How far they differ, root mean square over the contacts, estimates
    the step's error; it may be a share of the motion so far, not of the path, most of which may pass without any.  A
-   contact that opens while it slides adds what it moves in the time by which its opening is in doubt.  Too large, the
+   contact that opens while it slides adds what it moves in the time by which its opening is in doubt.  The forces that
+   answer, statuses held, estimate the error of the forces: what sticks is stiff, and a position that is right to
+   1e-5 mm may be a tenth of its friction.  Too large, the
    step is solved once more with the better shifts, then cut; what they would not mend cuts it at once.
 """
 
@@ -157,9 +159,33 @@ def _shifts(w0, state0, e0, grip, loose, y, w, state, solved, shift, touched):
 def _motion(w, unit):
     """Root mean square over the contacts of a tangential motion, a length."""
     total = 0.0
-    for k in range(len(unit)):
-        total += (w[3 * k + 1] ** 2 + w[3 * k + 2] ** 2) * unit[k] ** 2
-    return np.sqrt(total / max(len(unit), 1))
+    for i in range(0, len(unit), 3):
+        total += (w[i + 1] ** 2 + w[i + 2] ** 2) * unit[i + 1] ** 2
+    return np.sqrt(3.0 * total / max(len(unit), 1))
+
+
+@kernel(NUMBER(VECTOR, VECTOR, VECTOR))
+def _way(w0, w, unit):
+    """Root mean square over the contacts of a motion, normal and tangential, a length."""
+    total = 0.0
+    for i in range(len(unit)):
+        total += ((w[i] - w0[i]) * unit[i]) ** 2
+    return np.sqrt(3.0 * total / max(len(unit), 1))
+
+
+@kernel(NUMBER(VECTOR, VECTOR))
+def _mean(y, unit):
+    """Root mean square over the contacts of forces, N."""
+    total = 0.0
+    for i in range(len(unit)):
+        total += (y[i] / unit[i]) ** 2
+    return np.sqrt(3.0 * total / max(len(unit), 1))
+
+
+@kernel(NUMBER(NUMBER, NUMBER, NUMBER, NUMBER))
+def _excess(error, allowed, force, bearing):
+    """How many times too large errors of a step are, in positions and forces."""
+    return max(error / max(allowed, 1e-300), force / max(bearing, 1e-300))
 
 
 @kernel(void(VECTOR, VECTOR))
@@ -209,37 +235,44 @@ def _unsure(y0, state0, motion, w, state, opened, gone, unit):
         way = (1.0 - end) * np.sqrt(w[i + 1] ** 2 + w[i + 2] ** 2)
         if opened[k] < 1.0:
             way += np.sqrt((gone[k, 0] - end * w[i + 1]) ** 2 + (gone[k, 1] - end * w[i + 2]) ** 2)
-        total += (doubt * way * unit[k]) ** 2
+        total += (doubt * way * unit[i + 1]) ** 2
     return np.sqrt(total / max(len(state), 1))
 
 
-@kernel(NUMBER(VECTOR, COUNTS, MATRIX, VECTOR, VECTOR, VECTOR, VECTOR, VECTOR, COUNTS, MATRIX, MATRIX, VECTOR))
-def _error(y0, state0, e0, grip, loose, motion, y, w, state, shift, other, unit):
+@kernel(NUMBER(VECTOR, COUNTS, MATRIX, VECTOR, VECTOR, VECTOR, VECTOR, VECTOR, COUNTS, MATRIX, MATRIX, VECTOR, VECTOR))
+def _error(y0, state0, e0, grip, loose, motion, y, w, state, shift, other, unit, doubt):
     """Root mean square over the contacts of what a step may be wrong by in their tangential positions, a length.
 
     Per contact, how far the shifts of the solution are from those that were taken; for a slider that turns by Δφ along
     its way l what its chord and the mean of its two directions differ by, ``l Δφ²/12``, and ``l Δφ/2`` by as much as
     its step is backward Euler's, which has the last direction all along, and where nobody foresaw that it would slide;
-    and half the way of a slider that was foreseen to go on and stops.
+    and half the way of a slider that was foreseen to go on and stops.  ``doubt`` (3m,) receives it as a displacement;
+    a slider's is across its way, because along it the slider bears what it bears wherever it is.
     """
     total = 0.0
     for k in range(len(state)):
         i = 3 * k
-        error = np.sqrt((other[k, 0] - shift[k, 0]) ** 2 + (other[k, 1] - shift[k, 1]) ** 2)
+        doubt[i], doubt[i + 1], doubt[i + 2] = 0.0, other[k, 0] - shift[k, 0], other[k, 1] - shift[k, 1]
+        error, more, d1, d2 = np.sqrt(doubt[i + 1] ** 2 + doubt[i + 2] ** 2), 0.0, 0.0, 0.0
         if state0[k] != OPEN and state[k] == SLIP:
             moved, t = np.sqrt(w[i + 1] ** 2 + w[i + 2] ** 2), np.sqrt(y[i + 1] ** 2 + y[i + 2] ** 2)
             if loose[k] < 1.0:
                 turn = 2.0 - 2.0 * (e0[k, 0] * y[i + 1] + e0[k, 1] * y[i + 2]) / max(t, 1e-300)
-                error += moved * max(turn, 0.0) / 12.0
+                more = moved * max(turn, 0.0) / 12.0
                 part = 1.0 - 2.0 * _lag(moved / max(min(t, grip[k]), 1e-300))
-                error += 0.5 * part * moved * np.sqrt(max(turn, 0.0))
+                more += 0.5 * part * moved * np.sqrt(max(turn, 0.0))
             else:
                 t0 = np.sqrt(y0[i + 1] ** 2 + y0[i + 2] ** 2)
                 turn = 2.0 - 2.0 * (y0[i + 1] * y[i + 1] + y0[i + 2] * y[i + 2]) / max(t0 * t, 1e-300)
-                error += 0.5 * moved * np.sqrt(max(turn, 0.0))
+                more = 0.5 * moved * np.sqrt(max(turn, 0.0))
+            d1, d2 = -y[i + 2] / max(t, 1e-300), y[i + 1] / max(t, 1e-300)
         elif loose[k] < 1.0 and state[k] == STICK:  # it stops on the way
-            error += 0.5 * np.sqrt(motion[i + 1] ** 2 + motion[i + 2] ** 2)
-        total += (error * unit[k]) ** 2
+            more = 0.5 * np.sqrt(motion[i + 1] ** 2 + motion[i + 2] ** 2)
+            d1, d2 = 0.5 * motion[i + 1] / max(more, 1e-300), 0.5 * motion[i + 2] / max(more, 1e-300)
+        sign = 1.0 if doubt[i + 1] * d1 + doubt[i + 2] * d2 >= 0.0 else -1.0
+        doubt[i + 1] += sign * more * d1
+        doubt[i + 2] += sign * more * d2
+        total += ((error + more) * unit[i + 1]) ** 2
     return np.sqrt(total / max(len(state), 1))
 
 
@@ -582,7 +615,7 @@ def _facet(equation, parameters, y, w, y_new, k, A, B, right, e):
 def _compile(digest):
     """The follower; `digest`, of the kernels that it calls, makes Numba's cache notice when they change."""
     # In the closure of `follow` these would be part of the cache's key, and no two processes write them alike.
-    global inverse_of, rates, linear, sweep, closings, newton_by_pivots, solve, lands, predict, follow
+    global inverse_of, rates, force_error, linear, sweep, closings, newton_by_pivots, solve, lands, predict, follow
 
     @kernel(MATRIX(MATRIX, BLOCKS, BLOCKS, COUNTS))
     def inverse_of(W, A, B, closed):
@@ -610,6 +643,18 @@ def _compile(digest):
                 dy[3 * closed[a] + row] = solution[3 * a + row]
         times(W, dy, dw)
         dw += rate
+
+    @kernel(NUMBER(MATRIX, BLOCKS, COUNTS, MATRIX, VECTOR, VECTOR))
+    def force_error(W, B, own, inverse, doubt, unit):
+        """Root mean square over the contacts of the forces that answer a displacement ``doubt``, statuses held, N.
+
+        Where the linear problem that was solved last is not to be had, each contact answers by its own compliance.
+        """
+        digest  # noqa: B018
+        dy, dw = doubt.copy(), np.empty_like(doubt)
+        if len(own) > 0:
+            rates(W, B, own, inverse, doubt, dy, dw)
+        return _mean(dy, unit)
 
     @kernel(void(MATRIX, COUNTS, MATRIX, VECTOR, VECTOR, VECTOR, VECTOR, VECTOR))
     def linear(W, own, inverse, right, y, q, y_new, w_new):
@@ -1042,8 +1087,8 @@ def _compile(digest):
             The step's start, ``w_t = 0``.
         rate : (3m,) array
             Change of ``q`` over the whole path.
-        unit : (m,) array
-            Length of a unit of ``w_t``.
+        unit : (3m,) array
+            Length of a unit of ``w``; a unit of ``y`` is its reciprocal.
         step, behind : float
             Length of the step, in shares of the path; and how far it goes behind the first contact that closes.
         allowed : float
@@ -1206,7 +1251,7 @@ def _compile(digest):
                 y[i + row] = 0.0
             state[first] = OPEN
             # Where it was counts, if it slid so far that the time of its opening does.
-            if unit[first] * np.sqrt(gone[first, 0] ** 2 + gone[first, 1] ** 2) > allowed * np.sqrt(m):
+            if unit[i + 1] * np.sqrt(gone[first, 0] ** 2 + gone[first, 1] ** 2) > allowed * np.sqrt(m):
                 step = min(step, reached + behind)
             for a in range(len(closed)):
                 if closed[a] == first:
@@ -1242,7 +1287,7 @@ def _compile(digest):
             MATRIX,
             MATRIX,
             BLOCKS,
-            VECTOR,
+            MATRIX,
             types.Array(int64, 2, "C"),
             MATRIX,
             BLOCKS,
@@ -1263,7 +1308,7 @@ def _compile(digest):
         order,
         ends,
         tolerance,
-        floor,
+        bearable,
         tol,
         sweeps,
         Q,
@@ -1271,7 +1316,7 @@ def _compile(digest):
         length,
         work,
         share,
-        estimate,
+        sums,
         counts,
         passed,
         passed_force,
@@ -1282,8 +1327,8 @@ def _compile(digest):
 
         Parameters
         ----------
-        unit : (m,) array
-            Length of a unit of ``w_t``.
+        unit : (3m,) array
+            Length of a unit of ``w``; a unit of ``y`` is its reciprocal.
         Q0, Q1 : (n, 3m) array
             ``q`` at the two loads, without the anchors.
         L, Y : (n, 2m), (n, 3m) array
@@ -1292,9 +1337,10 @@ def _compile(digest):
             1 for backward Euler's method as it is: neither prediction nor shifts, and no estimate.
         ends : (k,) array
             Where steps end, in shares of the path, the last at 1; none for steps of controlled error.
-        tolerance, floor : float
-            A step's error may be this share of the motion that the contacts made so far, root mean square over them, or
-            this length.
+        tolerance, bearable : float
+            A step's error in positions may be the one share of the way that the contacts made so far or, those that
+            touch, will make if they go on; in forces the other share of the largest so far or at the end of the path,
+            likewise: all root mean square over the contacts.
         tol : float
             Newton's tolerance at the end.
         sweeps : int
@@ -1303,8 +1349,9 @@ def _compile(digest):
             Receives the right-hand side of the last step: what the certificate is measured against.
         slip, length, work, share : (n, m, 2), (n, m), (n, m), (n, m, 3) array
             Receive what :class:`mic.contact.path.Trace` holds, the first two in scaled lengths.
-        estimate : (n,) array
-            Receives the sum of the steps' errors.
+        sums : (n, 3) array
+            Receives the sums of the steps' errors, in positions and in forces, N, and, after the way that the contacts
+            made before, that until the end of the path.
         counts : (n, 5) int array
         passed, passed_force : (n, k), (n, k, 3m) array
             Receive where the first k steps end, and the forces there; of second order from the start on, at 0.
@@ -1324,7 +1371,7 @@ def _compile(digest):
         touched, late, opened, gone = np.zeros(m), np.zeros(m), np.ones(m), np.zeros((m, 2))
         phi, nothing, kept = np.empty(size), np.empty((0, 3, 3)), np.zeros(m, np.int64)
         stretch, A, B = np.ones(m), np.zeros((m, 3, 3)), np.zeros((m, 3, 3))
-        pace = np.zeros(m)
+        pace, doubt = np.zeros(m), np.zeros(size)
         digest  # noqa: B018
         given = len(ends) > 0
         smallest = 1.0 if given else SHORTEST
@@ -1371,7 +1418,7 @@ def _compile(digest):
             if solved == 0:
                 done[FAILED] += 1
                 continue
-            s, h, made = 0.0, ends[0] if given else 1.0, 0.0
+            s, h, made, bearing, most = 0.0, ends[0] if given else 1.0, sums[sample, 2], 0.0, 0.0
             while True:
                 taken = done[STEPS] - 1 + (order == 2)
                 if 0 <= taken < passed.shape[1]:
@@ -1384,11 +1431,12 @@ def _compile(digest):
                 if s == 1.0:
                     break
                 y0[:], w0[:] = y, w
+                most = max(most, _mean(y, unit))
                 step = 1.0 - s if s + 1.0001 * h >= 1.0 else h
                 short = order == 2 and not given and _unforeseen(y0, w0, rate, s == 0.0)
                 if short:
                     step = min(step, FIRST)
-                solved, error = 1, 0.0
+                solved, error, force, excess = 1, 0.0, 0.0, 0.0
                 while True:
                     if order == 1:
                         wp[:] = w0
@@ -1406,7 +1454,7 @@ def _compile(digest):
                             loose[k] = 0.0 if state0[k] == SLIP else 1.0
                     else:
                         behind = 1.0 if given else min(TOGETHER, max(smallest, BEHIND * step))
-                        allowed = np.inf if given else max(tolerance * made, floor)
+                        allowed = np.inf if given else tolerance * made
                         step = predict(
                             equation,
                             W,
@@ -1429,9 +1477,14 @@ def _compile(digest):
                             gone,
                             done,
                         )
-                    allowed = max(tolerance * (made + _motion(motion, unit)), floor)
-                    target = 1.0 if s + step > 1.0 - 1e-9 else s + step
+                    yp[:], wp[:] = y0 + (1.0 - s) / step * x, w0 + (1.0 - s) / step * motion  # if all goes on
+                    for k in range(m):
+                        if yp[3 * k] <= 0.0:
+                            yp[3 * k : 3 * k + 3], wp[3 * k : 3 * k + 3] = 0.0, w0[3 * k : 3 * k + 3]
+                    bearing, ahead = bearable * max(most, _mean(yp, unit)), _way(w0, wp, unit)
                     yp[:], wp[:] = y0 + x, w0 + motion
+                    allowed = tolerance * (made + max(ahead, _way(w0, wp, unit)))
+                    target = 1.0 if s + step > 1.0 - 1e-9 else s + step
                     if order == 2:
                         _shifts(w0, state0, e0, grip, loose, yp, wp, state0, False, shift, touched)
                     # With the prediction's shifts, then with the solution's; where no shorter step is to be had, with
@@ -1497,20 +1550,24 @@ def _compile(digest):
                         closings(W, own, inverse, w0, state0, y, w, state, other, late)
                         if turn == 2:  # as far from backward Euler's method as its shifts are
                             for k in range(m):
-                                phi[3 * k + 1], phi[3 * k + 2] = other[k, 0], other[k, 1]
-                            error = _motion(phi, unit)
+                                doubt[3 * k], doubt[3 * k + 1], doubt[3 * k + 2] = 0.0, other[k, 0], other[k, 1]
+                            error = _motion(doubt, unit)
+                            force = force_error(W, B, own, inverse, doubt, unit)
                             break
-                        placed = _error(y0, state0, e0, grip, loose, motion, y, w, state, shift, other, unit)
+                        placed = _error(y0, state0, e0, grip, loose, motion, y, w, state, shift, other, unit, doubt)
+                        force = force_error(W, B, own, inverse, doubt, unit)
                         unsure = _unsure(y0, state0, motion, w, state, opened, gone, unit)
                         error = np.hypot(placed, unsure)
                         if last:  # neither a shorter step nor one without shifts would tell when a contact opens
                             unsure, error = 0.0, placed
-                        if solved == 1 and (turn == 1 if given else error <= allowed):
+                        excess = _excess(error, allowed, force, bearing)
+                        if solved == 1 and (turn == 1 if given else excess <= 1.0):
                             break
                         left = np.hypot(
-                            _error(y0, state0, e0, grip, loose, motion, y, w, state, other, other, unit), unsure
+                            _error(y0, state0, e0, grip, loose, motion, y, w, state, other, other, unit, doubt), unsure
                         )
-                        if turn == 0 and solved == 1 and (given or last or left <= allowed):
+                        left = _excess(left, allowed, force_error(W, B, own, inverse, doubt, unit), bearing)
+                        if turn == 0 and solved == 1 and (given or last or left <= 1.0):
                             turn = 1
                             shift[:], touched[:] = other, late
                         elif last:
@@ -1523,10 +1580,11 @@ def _compile(digest):
                             pace[k] = 0.0
                             if state[k] == SLIP:
                                 pace[k] = np.sqrt(w[3 * k + 1] ** 2 + w[3 * k + 2] ** 2) / (target - s)
-                    if solved == 1 and error <= allowed or last:
+                    excess = _excess(error, allowed, force, bearing)
+                    if solved == 1 and excess <= 1.0 or last:
                         break
                     done[CUT] += 1
-                    shrink = SAFETY * np.sqrt(allowed / error) if solved == 1 else 0.25
+                    shrink = SAFETY / np.sqrt(excess) if solved == 1 else 0.25
                     step *= max(min(0.5, max(0.25, shrink)), smallest / step)
                 if solved == 0:
                     done[FAILED] += 1
@@ -1552,11 +1610,12 @@ def _compile(digest):
                     work[sample],
                     share[sample],
                 )
-                estimate[sample] += error
+                sums[sample, 0] += error
+                sums[sample, 1] += force
                 done[STEPS] += 1
                 s = target
-                made += _motion(w, unit)
-                h = min(1.0, max(smallest, step * min(GROWTH, SAFETY * np.sqrt(allowed / max(error, 1e-300)))))
+                made += _way(w0, w, unit)
+                h = min(1.0, max(smallest, step * min(GROWTH, SAFETY / np.sqrt(max(excess, 1e-300)))))
                 if short:  # now it is known
                     h = max(h, LONGEST)
                 if given:
@@ -1564,8 +1623,7 @@ def _compile(digest):
                 elif done[STEPS] > MOST:
                     done[FAILED] += 1
                     break
-            Q[sample] = q
-            Y[sample] = y
+            Q[sample], Y[sample], sums[sample, 2] = q, y, made
 
     @kernel(
         void(
@@ -1643,27 +1701,27 @@ def _compile(digest):
         """
         digest  # noqa: B018
         at_end, none, nothing = np.ones(1), np.empty((1, 0)), np.empty((1, 0, 0))
-        estimate = np.zeros(1)
+        sums = np.zeros((1, 3))
         for s in some:
             own = np.flatnonzero(working[s][among])
             m, done = len(own), counts[s : s + 1]
             some_P, some_parameters = np.empty((m, P.shape[1])), np.empty((m, parameters.shape[1]))
             size = 1, 3 * m
             q0, q1, y, start, q = np.empty(size), np.empty(size), np.empty(size), np.empty(size), np.zeros(size)
-            anchors, unit = np.empty((1, 2 * m)), np.empty(m)
+            anchors, unit = np.empty((1, 2 * m)), np.empty(3 * m)
             guessed = False
             for a in range(m):
                 k = own[a]
                 i, j = 3 * a, 3 * among[k]
                 some_P[a], some_parameters[a] = P[k], parameters[k]
-                unit[a] = 1.0 / D[3 * k + 1]
                 for c in range(3):
                     d = D[3 * k + c]
+                    unit[i + c] = 1.0 / d
                     q0[0, i + c], q1[0, i + c] = b[s, 0, j + c] * d, b[s, 1, j + c] * d
                     y[0, i + c], start[0, i + c] = force[s, j + c] / d, guess[s, j + c] / d
                     guessed = guessed or guess[s, j + c] != 0.0
                 for c in range(2):
-                    anchors[0, 2 * a + c] = anchor[s, among[k], c] / unit[a]
+                    anchors[0, 2 * a + c] = anchor[s, among[k], c] * D[3 * k + 1]
             slips, lengths, works, shares = np.zeros((1, m, 2)), np.zeros((1, m)), np.zeros((1, m)), np.zeros((1, m, 3))
             follow(
                 equation,
@@ -1686,7 +1744,7 @@ def _compile(digest):
                 lengths,
                 works,
                 shares,
-                estimate,
+                sums,
                 done,
                 none,
                 nothing,
@@ -1696,12 +1754,15 @@ def _compile(digest):
             for a in range(m):
                 k = among[own[a]]
                 i, j = 3 * a, 3 * k
-                length[s, k], work[s, k] = lengths[0, a] * unit[a], works[0, a]
+                length[s, k], work[s, k] = lengths[0, a] * unit[3 * a + 1], works[0, a]
                 for c in range(3):
                     d = D[3 * own[a] + c]
                     found[s, j + c], Q[s, j + c], share[s, k, c] = y[0, i + c] * d, q[0, i + c] / d, shares[0, a, c]
                 for c in range(2):
-                    L[s, k, c], slip[s, k, c] = anchors[0, 2 * a + c] * unit[a], slips[0, a, c] * unit[a]
+                    L[s, k, c], slip[s, k, c] = (
+                        anchors[0, 2 * a + c] * unit[3 * a + 1],
+                        slips[0, a, c] * unit[3 * a + 1],
+                    )
 
     return follow, follow_among
 

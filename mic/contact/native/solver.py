@@ -24,7 +24,7 @@ from mic.contact.native.problem import ScaledProblem, inverse_root
 from mic.contact.native.proximal_points import proximal_points
 from mic.contact.native.splitting import splitting
 from mic.contact.native.sweeps import sweeps
-from mic.contact.path import Increments, Leg, Path
+from mic.contact.path import FORCES, Increments, Leg, Path
 from mic.contact.path_record import PathRecord, record_array
 
 if TYPE_CHECKING:
@@ -221,15 +221,12 @@ class NativeSolver:
         Y, Q = np.ascontiguousarray(force / D), np.zeros_like(Q0)
         L = np.ascontiguousarray((anchor / unit[:, None]).reshape(n, 2 * m))
         slip, length, work, share = np.zeros((n, m, 2)), np.zeros((n, m)), np.zeros((n, m)), np.zeros((n, m, 3))
-        estimate, counts = np.zeros(n), np.zeros((n, 5), dtype=np.int64)
+        sums, counts = np.zeros((n, 3)), np.zeros((n, 5), dtype=np.int64)
         if isinstance(path, Increments):
-            settings: tuple = (1, path.ends, 0.0, 0.0)
+            order, tolerances = 1, (0.0, 0.0)
         else:
-            settings = (2, path.ends, path.tolerance, path.tolerance * path.least)
-        settings += (
-            ladder.MARGIN * self.tol,
-            follower.SWEEPS * problem.law.gauss_seidel,
-        )
+            order, tolerances, sums[:, 2] = 2, (path.tolerance, FORCES * path.tolerance), path.before
+        before = sums[:, 2].copy()
         room, unguessed = follower.MOST + 1 if path.recorded else 0, np.empty((0, 3 * m))
         passed, passed_force = lazy_zeros(n, room), lazy_zeros(n, room, 3 * m)
         follow, _ = follower.follower()
@@ -240,17 +237,22 @@ class NativeSolver:
                 problem.W,
                 problem.factors,
                 problem.parameters,
-                unit,
+                1.0 / D,
                 *(a[own] for a in (Q0, Q1, L, Y)),
-                *settings,
-                *(a[own] for a in (Q, slip, length, work, share, estimate, counts, passed, passed_force)),
+                order,
+                path.ends,
+                *tolerances,
+                ladder.MARGIN * self.tol,
+                follower.SWEEPS * problem.law.gauss_seidel,
+                *(a[own] for a in (Q, slip, length, work, share, sums, counts, passed, passed_force)),
                 unguessed,
                 False,
             )
 
         self._each(chunk, n)
-        record = self._records(settings[0], counts[:, follower.STEPS], passed, passed_force) if room else None
-        return self._leg(Y, Q, L, slip, length, work, share, counts, estimate, record)
+        sums[:, 2] -= before
+        record = self._records(order, counts[:, follower.STEPS], passed, passed_force) if room else None
+        return self._leg(Y, Q, L, slip, length, work, share, counts, sums, record)
 
     def step(self, among, some, b, force, anchor, working, guess, near, leg: Leg) -> None:
         """See :meth:`mic.contact.backends.Backend.step`; what :meth:`take` has of the contacts is had in one call."""
@@ -281,7 +283,7 @@ class NativeSolver:
         leg.factorisations[some] += counts[some, follower.FACTORISATIONS]
         leg.given_up[some] = counts[some, follower.FAILED] > 0
 
-    def _leg(self, Y, Q, L, slip, length, work, share, counts, error, record=None) -> Leg:
+    def _leg(self, Y, Q, L, slip, length, work, share, counts, sums, record) -> Leg:
         """What the follower tells in scaled quantities, in mm and N."""
         D, (n, m) = self.scaling, length.shape
         unit = 1.0 / D.reshape(m, 3)[:, 1]
@@ -293,7 +295,9 @@ class NativeSolver:
             length=length * unit,
             work=work,
             share=share,
-            error=error,
+            error=sums[:, 0].copy(),
+            force_error=sums[:, 1].copy(),
+            travel=sums[:, 2].copy(),
             steps=counts[:, follower.STEPS].copy(),
             factorisations=counts[:, follower.FACTORISATIONS].copy(),
             given_up=counts[:, follower.FAILED] > 0,
