@@ -19,7 +19,7 @@ from mic.geometry.pairing import Side
 from mic.geometry.surface import Patch, Projection, Surface
 from mic.scene import Scene
 
-__all__ = ["AXES", "KINDS", "NORMAL", "REACH", "Rows", "on_part", "xyz"]
+__all__ = ["AXES", "KINDS", "NORMAL", "REACH", "SHARE", "Rows", "on_part", "xyz"]
 
 #: Kinds of rows. "between": points between contact pairs; "position": growth of other rows as an item moves.
 KINDS = ("locator", "clamp", "weld", "contact", "between", "force", "measurement", "position")
@@ -27,6 +27,7 @@ AXES = ("n", "t1", "t2")  #: of a joint's frame
 #: Rows of a weld that read along its normal, by its number of rows: means only, with rotations, with moments.
 NORMAL = {3: (0,), 6: (0, 4, 5), 9: (0, 3, 6)}
 REACH = 5.0  # mm: a point of the scene farther than this from its part is refused, not projected
+SHARE = 0.03  # of the part's diameter, if that is more: a refusal must not depend on the unit in which a part is drawn
 
 
 class Rows:
@@ -148,13 +149,13 @@ def on_part(key: str, part: str, surface: Surface, points, name: str = "") -> Pr
     SceneError
         If one of the points is farther than `REACH` from the part; the key and the name of the item are in the message.
     """
-    foot = surface.project(points)
+    foot, reach = surface.project(points), max(REACH, SHARE * surface.diameter)
     worst = int(np.argmax(foot.distance))
-    if foot.distance[worst] > REACH:
+    if foot.distance[worst] > reach:
         at = key + ("" if np.ndim(points) == 1 else f"[{worst}]") + (f" ({name})" if name else "")
         raise SceneError(
             f"{at}: {xyz(np.atleast_2d(points)[worst])} is {foot.distance[worst]:.3g} mm away from part "
-            f"{part!r} (at most {REACH:g} mm is allowed); the nearest point on it is {xyz(foot.point[worst])}; "
+            f"{part!r} (at most {reach:.3g} mm is allowed); the nearest point on it is {xyz(foot.point[worst])}; "
             "correct the coordinates or the part"
         )
     return foot

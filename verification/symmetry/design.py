@@ -16,7 +16,7 @@ from mic.geometry.load import LoadedPart
 from mic.geometry.structured import extrude
 from mic.geometry.surface import Surface
 from mic.model.assembly import PlacedScene
-from mic.model.rows import REACH
+from mic.model.rows import SHARE
 from mic.scene import Scene
 from verification.extremes.design import Choice, Decades
 
@@ -54,7 +54,7 @@ def points(count: int) -> list[dict]:
 
 
 def scene(point: dict) -> tuple[PlacedScene, np.ndarray]:
-    """The scene of a point, and deviations (2, p) to solve."""
+    """The scene of a point, and deviations (1, p) to solve."""
     thickness = (point["thickness"], point["thickness"] * point["thickness : thickness"])
     young = (point["E"], point["E"] * point["E : E"])
     z = sum(thickness) / 2 + point["gap"]
@@ -81,11 +81,8 @@ def scene(point: dict) -> tuple[PlacedScene, np.ndarray]:
         x, triangles, _ = sheets[part.name]
         surface = Surface(_with_sliver(x, point["sliver"]), triangles)
         loaded.append(LoadedPart(part, surface, surface, {}))
-    scale = np.array([force, 1.0, 1.0, 1.0, 1.0])  # force, locator, shape, temperature, gravity
-    return PlacedScene(found, tuple(loaded), {}, {}, ()), scale * [
-        [-0.05, 0.05, 0.1, 2.0, 1.0],
-        [0.13, 0.02, -0.2, -5.0, 1.0],
-    ]
+    # force, locator, shape, temperature, gravity
+    return PlacedScene(found, tuple(loaded), {}, {}, ()), np.array([[0.13 * force, 0.02, -0.2, -5.0, 1.0]])
 
 
 def _with_sliver(x: np.ndarray, narrow: float) -> np.ndarray:
@@ -122,7 +119,7 @@ def _fixture(point: dict, z: float, force: float, young: float) -> dict:
             )
     welds: list[dict] = []
     weld = point["weld"]
-    if z > 2 * REACH:
+    if z > 2 * SHARE * LENGTH:
         weld = "none"  # its point would be off its parts
     if weld != "none":
         place = {"name": "W", "parts": ("lower", "upper"), "point": (72.0, 10.0, z / 2), "radius": 2.5}

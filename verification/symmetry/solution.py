@@ -16,7 +16,7 @@ from verification.comparison import reduced_model
 from verification.symmetry.numbers import numbers
 from verification.symmetry.transformation import Transformation
 
-__all__ = ["Solution", "solve"]
+__all__ = ["Solution", "matched", "pairs_of", "solve"]
 
 
 @dataclass(frozen=True)
@@ -27,19 +27,19 @@ class Solution:
     ----------
     numbers : dict of str to DataFrame
         By law, as :func:`verification.symmetry.numbers.numbers`.
-    points : (m, 3) array
-        Contact pairs of the scene as it stands, mm.
+    pairs : (m, 4) array
+        Points of the contact pairs of the solved scene, mm, and their zones.
     """
 
     numbers: dict[str, pd.DataFrame]
-    points: np.ndarray
+    pairs: np.ndarray
 
 
 def solve(
     placed: PlacedScene,
     deviations: np.ndarray,
     transformation: Transformation | None = None,
-    points: np.ndarray | None = None,
+    pairs: np.ndarray | None = None,
     cache: Path | None = None,
 ) -> Solution:
     """Solve samples under all laws of the scene's report.
@@ -51,8 +51,8 @@ def solve(
         Of the scene as it stands.
     transformation : Transformation, optional
         Solve the transformed scene, and transform its numbers back.
-    points : (m, 3) array, optional
-        Contact pairs of the scene as it stands, in whose order those of the transformed one are listed.
+    pairs : (m, 4) array, optional
+        Those of the scene as it stands, in whose order those of the transformed one are listed.
     cache : Path, optional
         Cache folder; default: a temporary one.
 
@@ -66,11 +66,11 @@ def solve(
         folder = cache or Path(temporary)
         assembly = assemble_placed(change.apply(placed) if transformation else placed, folder)
         model = reduced_model(assembly, folder)
-    found, order = model.contacts.point, np.arange(len(model.contacts))
-    if points is not None:
-        if len(points) != len(found):
-            raise ArithmeticError(f"{len(found)} contact pairs are found, and {len(points)} in the scene as it stands")
-        order = _matched(change.points(points), found)
+    found, order = pairs_of(model), np.arange(len(model.contacts))
+    if pairs is not None:
+        if len(pairs) != len(found):
+            raise ArithmeticError(f"{len(found)} contact pairs are found, and {len(pairs)} in the scene as it stands")
+        order = matched(np.column_stack([change.points(pairs[:, :3]), pairs[:, 3]]), found)
     values = change.deviations(placed.scene, deviations)
     return Solution({law: _numbers(model, law, values, change, order) for law in placed.scene.report.laws}, found)
 
@@ -81,6 +81,13 @@ def _numbers(model: ReducedModel, law: str, values, change, order) -> pd.DataFra
     return table.div([change.factor(unit) for unit in table.index.get_level_values("unit")], axis=0)
 
 
-def _matched(points: np.ndarray, found: np.ndarray) -> np.ndarray:
-    """(m,) which of the found points (m, 3) each of the points (m, 3) is, one to one."""
-    return linear_sum_assignment(np.linalg.norm(points[:, None] - found, axis=-1))[1]
+def pairs_of(model: ReducedModel) -> np.ndarray:
+    """(m, 4) points of a model's contact pairs, mm, and their zones."""
+    return np.column_stack([model.contacts.point, model.contacts.zone])
+
+
+def matched(pairs: np.ndarray, found: np.ndarray) -> np.ndarray:
+    """(m,) which of the found pairs (m, 4) each of the pairs (m, 4) is, one to one, in the same zone."""
+    distance = np.linalg.norm(pairs[:, None, :3] - found[:, :3], axis=-1)
+    far = 1.0 + distance.sum()
+    return linear_sum_assignment(np.where(pairs[:, None, 3] == found[:, 3], distance, far))[1]

@@ -29,7 +29,7 @@ from mic.results.run_folder import versions
 from mic.scene import Scene
 from verification.study import Team
 from verification.symmetry.numbers import KEYS, disagreement, full_numbers, numbers
-from verification.symmetry.solution import solve
+from verification.symmetry.solution import pairs_of, solve
 from verification.symmetry.transformation import Transformation, transformations
 
 __all__ = ["Solved", "lines", "numerical_uncertainty", "sentences"]
@@ -136,7 +136,7 @@ def _largest(law: Law, given: pd.DataFrame, solutions: dict[str, Any]) -> pd.Dat
 
 
 def _transformed(placed: PlacedScene, case: Solved, change: Transformation) -> dict[Law, pd.DataFrame]:
-    return solve(placed, case.samples, change, case.model.contacts.point).numbers
+    return solve(placed, case.samples, change, pairs_of(case.model)).numbers
 
 
 def _tighter(case: Solved) -> dict[Law, pd.DataFrame]:
