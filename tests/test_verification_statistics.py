@@ -26,7 +26,7 @@ def test_the_statistics_of_a_population_are_those_of_its_samples(one):
 
 def test_the_sources_are_correlated_and_truncated():
     sources = Sources()
-    x = sources.inputs(1, COUNT // 10)
+    x = sources.inputs(1, COUNT // 20)
     assert np.corrcoef(x[:, 0], x[:, 1])[0, 1] == pytest.approx(0.8, abs=0.015)
     assert (x[:, 2].min(), x[:, 2].max()) == pytest.approx(sources.ENDS, abs=0.01)
     assert all(agrees(y, one) for y, one in zip(sources.outputs(x).T, sources.populations))
