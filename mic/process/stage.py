@@ -295,8 +295,8 @@ class PreparedStage:
         resolution.converged[list(loose)] = False
         for sample, message in loose.items():
             resolution.status[sample] = message
-        errors = {"path_error": resolution.trace.error, "force_error": resolution.trace.force_error}
-        return replace(state, **errors), resolution
+        trace = resolution.trace
+        return replace(state, path_error=trace.error, force_error=trace.force_error), resolution
 
     def _bound(self, eliminated: EliminatedStep, force: np.ndarray) -> np.ndarray:
         """(n, m) largest tangential forces under the contact forces (n, m, d)."""

@@ -116,6 +116,6 @@ class ProcessState:
         """Free, unloaded parts: n assemblies, m contacts of dimension d, and the number of rows of each kind."""
         reading = {kind: np.zeros((n, count)) for kind, count in rows.items()}
         zero, empty = np.zeros((n, m, d)), dict.fromkeys(ROW_VALUES, Values(Names(()), np.zeros((n, 0))))
-        return cls(
-            reading, zero, zero.copy(), np.zeros((n, m, d - 1)), np.zeros(n, dtype=bool), *np.zeros((3, n)), **empty
-        )
+        anchor, failed = np.zeros((n, m, d - 1)), np.zeros(n, dtype=bool)
+        error, force_error, travel = np.zeros((3, n))
+        return cls(reading, zero, zero.copy(), anchor, failed, error, force_error, travel, **empty)
