@@ -472,8 +472,8 @@ STUDY = Study(
     order=30,
     title="Path",
     claim=(
-        "The default path keeps means and 6σ within measurement accuracy, estimates the error of each sample, and "
-        "agrees with the path of the full finite elements, which use another method."
+        "The default path keeps means, 6σ and forces within measurement accuracy, estimates the error of each sample, "
+        "and agrees with the path of the full finite elements, which use another method."
     ),
     reference=(
         "The same path ever tighter, approached by increments; closed forms of one and two contacts and of the "
