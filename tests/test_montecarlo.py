@@ -148,7 +148,7 @@ def test_intervals_of_a_design_have_their_coverage_and_designs_reduce_the_error(
     found = []
     for seed in range(160):
         y = output(draw(scene, seed, 0, n))
-        mean = estimates.grouped_jackknife(y, group, np.mean)
+        mean = estimates.grouped_jackknife(y, group, np.mean, added=0)
         sigma = estimates.grouped_jackknife(y, group, lambda x: np.std(x, ddof=1), positive=True)
         found.append((mean.value, sigma.value, mean.low, mean.high, sigma.low, sigma.high))
     truth = 0.2, np.sqrt(1 + 0.25 + 0.09 + 2 * 0.04 + 0.04)

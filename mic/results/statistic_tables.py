@@ -230,7 +230,7 @@ def _by_groups(outcome: RunSamples, law: str, item, moments: tuple[Estimate, ...
     def share(values):
         return float(capability.outside(values, item.lower, item.upper) / max(np.isfinite(values).sum(), 1))
 
-    mean = estimates.grouped_jackknife(x, group, lambda values: estimates.mean(values).value)
+    mean = estimates.grouped_jackknife(x, group, lambda values: estimates.mean(values).value, added=0)
     sigma = estimates.grouped_jackknife(x, group, lambda values: estimates.sigma(values).value, positive=True)
     six_sigma = replace(six_sigma, low=6 * sigma.low, high=6 * sigma.high)
     cp = replace(moments[5], low=moments[5].value * sigma.value / sigma.high,

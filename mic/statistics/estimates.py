@@ -287,7 +287,9 @@ def jackknife_interval(value, without: np.ndarray, level: float = LEVEL, added: 
     return value - low * error, value - high * error
 
 
-def grouped_jackknife(x, group, statistic: Callable, positive: bool = False, level: float = LEVEL) -> Estimate:
+def grouped_jackknife(
+    x, group, statistic: Callable, positive: bool = False, level: float = LEVEL, added: int = ADDED
+) -> Estimate:
     """A statistic of samples whose groups are independent, such as those of Latin hypercubes.
 
     The interval is :func:`jackknife_interval`; NaN if the groups do not differ.
@@ -301,6 +303,8 @@ def grouped_jackknife(x, group, statistic: Callable, positive: bool = False, lev
         Takes samples (n,), returns a float.
     positive : bool
         Whether the statistic is positive, such as a standard deviation: the jackknife takes its logarithm.
+    added : int
+        As :func:`jackknife_interval`; 0 for a mean.
     """
     x, group = np.asarray(x, dtype=float), np.asarray(group)
     value, groups = statistic(x), np.unique(group[np.isfinite(x)])
@@ -309,7 +313,7 @@ def grouped_jackknife(x, group, statistic: Callable, positive: bool = False, lev
     if len(groups) > 1 and np.isfinite(value) and (value > 0 or not positive):
         with np.errstate(divide="ignore", invalid="ignore"):
             without = np.array([scale(statistic(x[group != r])) for r in groups])
-            ends = jackknife_interval(scale(value), without, level)
+            ends = jackknife_interval(scale(value), without, level, added)
         if np.isfinite(ends).all() and ends[0] < ends[1]:
             low, high = map(inverse, ends)
     return Estimate.of(x, value, low, high)

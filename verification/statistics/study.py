@@ -168,13 +168,18 @@ def design_cell(repetitions) -> list[dict]:
         for k, one in enumerate(sources.populations):
             upper = one.mean + NEAR[1] * one.sigma
             statistics = {
-                "mean": (np.mean, False, one.mean),
-                "σ": (partial(np.std, ddof=1), True, one.sigma),
-                "Cpk": (lambda x, upper=upper: (upper - x.mean()) / (3 * x.std(ddof=1)), False, NEAR[1] / 3),
+                "mean": (np.mean, False, 0, one.mean),
+                "σ": (partial(np.std, ddof=1), True, estimates.ADDED, one.sigma),
+                "Cpk": (
+                    lambda x, upper=upper: (upper - x.mean()) / (3 * x.std(ddof=1)),
+                    False,
+                    estimates.ADDED,
+                    NEAR[1] / 3,
+                ),
             }
             own = {
-                name: (estimates.grouped_jackknife(y[:, k], group, statistic, positive), truth)
-                for name, (statistic, positive, truth) in statistics.items()
+                name: (estimates.grouped_jackknife(y[:, k], group, statistic, positive, added=added), truth)
+                for name, (statistic, positive, added, truth) in statistics.items()
             }
             rows += rows_of(own, population=one.name, samples=len(y), rarest=one.rarest)
     return rows
