@@ -145,7 +145,7 @@ def test_along_the_hats_followed_path_too(hat_model):
     assert found.exact.all() and min(len(record.ends) for records in found.steps.values() for record in records) > 1
     assert sum(len(records[0].ends) for records in found.steps.values()) > 50
     slope = found.jacobian * sigmas(hat_model)
-    # Rounding of the values leaves 1e-7 of the slopes over half the step; within twice the step a contact changes state.
+    # Rounding of the values leaves 1e-7 of the slopes over half the step; within twice it a contact changes its state.
     assert off(slope, extrapolated(hat_model, frozen(process, found.steps), samples, 4 * STEP)) < EXACT
 
 
