@@ -104,7 +104,9 @@ def standard_error(change: Estimate, level: float = LEVEL) -> float:
     return float((change.high - change.low) / (2 * stdtrit(change.used - 1, 0.5 + level / 2)))
 
 
-def jackknife(y, statistic: Callable[[np.ndarray], float], level: float = LEVEL, groups: int = 50) -> Estimate:
+def jackknife(
+    y, statistic: Callable[[np.ndarray], float], level: float = LEVEL, groups: int = 50, added: int = ADDED
+) -> Estimate:
     """Any statistic of several columns with its jackknife interval; NaN for fewer than three samples.
 
     Parameters
@@ -116,6 +118,8 @@ def jackknife(y, statistic: Callable[[np.ndarray], float], level: float = LEVEL,
         Takes samples (m, k), returns a number.
     groups : int
         Largest number of groups R; sample i belongs to group i mod R.
+    added : int
+        As :func:`mic.statistics.estimates.jackknife_interval`; 0 for a mean.
     """
     y = np.asarray(y, dtype=float)
     valid = np.isfinite(y).all(axis=1)
@@ -126,7 +130,7 @@ def jackknife(y, statistic: Callable[[np.ndarray], float], level: float = LEVEL,
     group = np.arange(len(y)) % R
     without = np.array([statistic(y[group != r]) for r in range(R)])
     value = statistic(y)
-    return Estimate.of(used, value, *jackknife_interval(value, without, level))
+    return Estimate.of(used, value, *jackknife_interval(value, without, level, added))
 
 
 def _difference(

@@ -37,7 +37,6 @@ from mic.results.schema import REMEDIES, REMEDY_EFFECTS
 from mic.statistics import estimates
 from mic.statistics.capability import centred_capability, outside
 from mic.statistics.draw import draw
-from mic.statistics.estimates import LEVEL
 from mic.studies.adjustment import FACTOR, SHIM, Adjustment, adjustments, with_adjustments, with_changes
 from mic.studies.samples import Progress, derivatives, half_tolerances, key_characteristics
 from mic.studies.samples import limits as scene_limits
@@ -56,7 +55,6 @@ CHEAPER = 0.9  # ratio of costs below which another linearisation is worthwhile
 MAX_CUTS = 60  # cutting planes
 UNBOUNDED = 2.0  # trust region that contains all allowed changes
 EXCESS_COST = 1e4  # penalty for an excess of half the tolerance
-RESAMPLES = 1000  # bootstrap resamples
 TOGETHER = "together"
 
 
@@ -436,11 +434,12 @@ def _effects(scene, limits: Limits, a: np.ndarray, b: np.ndarray, keys: dict) ->
     """Rows by key characteristic of samples (n, k) before and after, without those that failed in either."""
     known = np.isfinite(a).all(axis=1) & np.isfinite(b).all(axis=1)
     a, b, n = a[known], b[known], int(known.sum())
-    stream = np.random.Generator(np.random.Philox(key=n))
-    weights = stream.multinomial(n, np.full(n, 1 / max(n, 1)), size=RESAMPLES) / max(n, 1)
-    resampled = limits.margin(b, weights) - limits.margin(a, weights)
-    low, high = np.quantile(resampled, [(1 - LEVEL) / 2, (1 + LEVEL) / 2], axis=0)
-    columns = {"gain": limits.margin(b) - limits.margin(a), "gain_low": low, "gain_high": high}
+    gain = limits.margin(b) - limits.margin(a)
+    low, high = np.full((2, len(gain)), np.nan)
+    if n > 2:
+        weights = (1 - np.eye(n)) / (n - 1)  # each without one sample
+        low, high = estimates.jackknife_interval(gain, limits.margin(b, weights) - limits.margin(a, weights))
+    columns = {"gain": gain, "gain_low": low, "gain_high": high}
     lower, upper = limits.lower, limits.upper
     for suffix, y in (("_before", a), ("", b)):
         share = estimates.share(outside(y, lower, upper), n)
