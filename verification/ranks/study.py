@@ -206,8 +206,8 @@ STUDY = Study(
             reason="Two processes must save at least a quarter of the elimination's time; one half is ideal.",
         ),
     ),
-    seconds=(200, 25),
-    memory=2.5,
+    seconds=(220, 25),
+    memory=4.0,
     missing=missing,
     run=run,
 )
