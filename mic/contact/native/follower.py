@@ -188,6 +188,12 @@ def _excess(error, allowed, force, bearing):
     return max(error / max(allowed, 1e-300), force / max(bearing, 1e-300))
 
 
+@kernel(NUMBER(NUMBER))
+def _rounded(factor):
+    """The next smaller power of √2: rounding of an estimate does not change the length of the next step."""
+    return 2.0 ** (0.5 * np.floor(2.0 * np.log2(factor)))
+
+
 @kernel(void(VECTOR, VECTOR))
 def _forward(y, w):
     """Sliders go a little forward along their way, so that a contact on its cone is one, whatever its last bits."""
@@ -1584,7 +1590,7 @@ def _compile(digest):
                     if solved == 1 and excess <= 1.0 or last:
                         break
                     done[CUT] += 1
-                    shrink = SAFETY / np.sqrt(excess) if solved == 1 else 0.25
+                    shrink = _rounded(SAFETY / np.sqrt(excess)) if solved == 1 else 0.25
                     step *= max(min(0.5, max(0.25, shrink)), smallest / step)
                 if solved == 0:
                     done[FAILED] += 1
@@ -1615,7 +1621,7 @@ def _compile(digest):
                 done[STEPS] += 1
                 s = target
                 made += _way(w0, w, unit)
-                h = min(1.0, max(smallest, step * min(GROWTH, SAFETY / np.sqrt(max(excess, 1e-300)))))
+                h = min(1.0, max(smallest, step * min(GROWTH, _rounded(SAFETY / np.sqrt(max(excess, 1e-300))))))
                 if short:  # now it is known
                     h = max(h, LONGEST)
                 if given:
