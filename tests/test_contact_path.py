@@ -286,6 +286,20 @@ def test_a_path_in_other_units_takes_the_same_steps(length, force):
     np.testing.assert_allclose(other.trace.travel, length * own.trace.travel, rtol=1e-9)
 
 
+@pytest.mark.parametrize("mu", [0.0, 0.3])
+def test_a_path_does_not_depend_on_the_tangential_axes_of_its_contacts(mu):
+    """Nor does the slip under load of contacts without friction, whose force has no direction."""
+    rng = np.random.default_rng(6)
+    A = rng.normal(size=(12, 12))
+    S, loads = A @ A.T + 0.1 * np.eye(12), rng.normal(size=(2, 12))
+    loads[:, ::3] = [[0.1], [-1.0]]
+    turn = block_diag(*([[1, 0, 0], [0, np.cos(a), -np.sin(a)], [0, np.sin(a), np.cos(a)]] for a in (0.7, 2, 3, 5)))
+    own, other = follow(loads, S=S, mu=mu).trace, follow(loads @ turn.T, S=turn @ S @ turn.T, mu=mu).trace
+    assert own.length.max() > 0.1 and own.steps == other.steps
+    np.testing.assert_allclose(other.length, own.length, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(other.share, own.share, rtol=0, atol=1e-9)
+
+
 def test_forces_are_as_exact_as_their_estimate():
     """What sticks is stiff: positions alone would let friction be wrong."""
     rng = np.random.default_rng(5)

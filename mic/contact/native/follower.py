@@ -260,8 +260,9 @@ def _error(y0, state0, e0, grip, loose, motion, y, w, state, shift, other, unit,
         i = 3 * k
         doubt[i], doubt[i + 1], doubt[i + 2] = 0.0, other[k, 0] - shift[k, 0], other[k, 1] - shift[k, 1]
         error, more, d1, d2 = np.sqrt(doubt[i + 1] ** 2 + doubt[i + 2] ** 2), 0.0, 0.0, 0.0
-        if state0[k] != OPEN and state[k] == SLIP:
-            moved, t = np.sqrt(w[i + 1] ** 2 + w[i + 2] ** 2), np.sqrt(y[i + 1] ** 2 + y[i + 2] ** 2)
+        t = np.sqrt(y[i + 1] ** 2 + y[i + 2] ** 2)
+        if state0[k] != OPEN and state[k] == SLIP and t > ROUNDING * y[i]:  # without friction it has no direction
+            moved = np.sqrt(w[i + 1] ** 2 + w[i + 2] ** 2)
             if loose[k] < 1.0:
                 turn = 2.0 - 2.0 * (e0[k, 0] * y[i + 1] + e0[k, 1] * y[i + 2]) / max(t, 1e-300)
                 more = moved * max(turn, 0.0) / 12.0
@@ -1165,7 +1166,7 @@ def _compile(digest):
                 for a in range(len(closed)):
                     k = closed[a]
                     i = 3 * k
-                    if large and turned[k] >= INDIFFERENT:
+                    if grip[k] <= ROUNDING * y0[i] or (large and turned[k] >= INDIFFERENT):  # no friction: no direction
                         continue
                     if state[k] == SLIP:
                         wrong = dw[i + 1] * e0[k, 0] + dw[i + 2] * e0[k, 1]
