@@ -54,6 +54,21 @@ def test_cells_are_right_and_refusals_remedied(context, monkeypatch):
     assert refused["outcome"] == "refused" and refused["with its remedy"] == "right", refused
 
 
+def test_a_refusal_keeps_all_words_of_its_message(context):
+    refused = study.try_drawn(context, cell("sheet on an incline", friction=20.0))
+    assert refused["outcome"] == "refused" and "20 is no coefficient of friction" in refused["reason"]
+
+
+def test_the_quick_version_may_refuse_as_many_cells_as_the_full_one():
+    """Its cells are some of the full version's, so that it cannot refuse more of them."""
+    full, quick = (
+        [(name, value) for name, _, values, _ in study.sweeps(quick) for value in values] for quick in (False, True)
+    )
+    assert set(quick) <= set(full)
+    limit = next(one for one in study.STUDY.acceptance if one.name == "refused")
+    assert int(limit.quick * len(quick)) == int(limit.limit * len(full)) == 2
+
+
 @pytest.mark.parametrize("law", ["coulomb", "associated", "micro-slip"])
 def test_a_force_that_breaks_the_law_is_wrong(law, context, monkeypatch):
     values = {"contacts": 5.0, "friction": 0.3, "law": law, "compliance": 1e-3, "load": 1e3, "condition": 1e3}
