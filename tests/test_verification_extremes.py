@@ -2,8 +2,10 @@
 
 import numpy as np
 import pytest
+from scipy.sparse import eye
 
 from fem_reference.shell import part
+from fem_reference.shell.factorisation import Factorisation, FactorisationError
 from verification.extremes import design, study
 from verification.study import Context, Team
 
@@ -57,6 +59,14 @@ def test_cells_are_right_and_refusals_remedied(context, monkeypatch):
 def test_a_refusal_keeps_all_words_of_its_message(context):
     refused = study.try_drawn(context, cell("sheet on an incline", friction=20.0))
     assert refused["outcome"] == "refused" and "20 is no coefficient of friction" in refused["reason"]
+
+
+def test_both_refusals_of_a_mesh_name_its_narrow_elements():
+    """The other one is met above, where a sheet without local freedoms is refused and remedied."""
+    with pytest.raises(FactorisationError) as refusal:
+        Factorisation(-eye(3, format="csr"))
+    meshed = design.remedied(cell("strip on a stop", sliver=1e-3), str(refusal.value))
+    assert meshed is not None and meshed.values["sliver"] == 1.0
 
 
 def test_the_quick_version_may_refuse_as_many_cells_as_the_full_one():

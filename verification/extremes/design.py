@@ -306,7 +306,7 @@ FAMILIES: dict[str, Family] = {
 #: Remedies of messages, or of the documentation (`docs/contact.md` for friction of 10 and more): a part of the message,
 #: and the change of the cell's parameters.
 REMEDIES: dict[str, Callable[[dict], dict]] = {
-    "mesh it again": lambda values: {"sliver": 1.0},
+    "elements that are too narrow": lambda values: {"sliver": 1.0},
     "did not converge": lambda values: {"friction": min(values["friction"], 5.0)},
 }
 
