@@ -198,13 +198,13 @@ def test_the_study_counts_what_is_lost_refused_and_beyond_its_limits(monkeypatch
             "reason": "converges in one of both only",
             "disagreement": 0.0,
         },
-        {"sliver": True, "transformation": "scaled", "reason": "", "disagreement": 0.0},
+        {"sliver": True, "transformation": "scaled", "reason": "", "disagreement": 1e-4, "followed": True},
     ]
-    monkeypatch.setattr(study, "judged", lambda number, point: {"point": number} | rows[number])
+    monkeypatch.setattr(study, "judged", lambda number, point: {"point": number, "followed": False} | rows[number])
     found = {one.name: one.measured for one in study.run(types.SimpleNamespace(quick=True, team=Team()))}
     assert found == pytest.approx(
         {"plain": 1e-3, "plain-share": 0.5, "slivers": 1e-7, "slivers-share": 1.0, "permuted": 1e-8}
-        | {"lost": 2, "refused": 1 / study.COUNT[True]}
+        | {"followed": 1e-4, "lost": 2, "refused": 1 / study.COUNT[True]}
     )
     assert {one.name for one in study.STUDY.acceptance} == set(found)
 
