@@ -195,8 +195,8 @@ STUDY = Study(
             0.8,
             quick=1.0,
             reason=(
-                "Two processes must fit a mesh that is a quarter larger. (quick: a small mesh needs less than Python "
-                "and its libraries, which each process loads)"
+                "Two processes must fit a mesh that is a quarter larger. A small mesh (quick) needs less than Python "
+                "and its libraries, which each process loads."
             ),
         ),
         Acceptance(
