@@ -348,7 +348,7 @@ def run(context):
 
 
 CLAIM = "95 % from 50 samples on, 90 % from 20, 80 % from 3. Further misses of 0.02 are granted"
-TESTED = f"{CLAIM}; measured is the largest coverage that the worst count of hits allows, one-sided at 0.001."
+TESTED = f"{CLAIM}; the number is the largest coverage that the worst count of hits allows, one-sided at 0.001."
 STUDY = Study(
     order=70,
     title="Statistics",
