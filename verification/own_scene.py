@@ -135,6 +135,8 @@ def _write_results(folder: Path, summary: dict, per_sample: pd.DataFrame, table:
     """Write the tables, ``summary.json`` and the report; returns the summary."""
     per_sample.to_csv(folder / "samples.csv", index=False)
     table.to_csv(folder / "estimates.csv", index=False)
+    if budget is not None:
+        budget.to_csv(folder / "budget.csv", index_label="quantity")
     _write(folder / "summary.json", json.dumps(summary, indent=2, allow_nan=False) + "\n")
     page = _page(summary, per_sample, table, summary["truth"]["law"], budget, items)
     _write(folder / "report.html", page)
@@ -209,15 +211,13 @@ def verify_scene(
     sources : collection of str
         Sources of error from :data:`verification.budget.EVERY`; empty for no error budget.
     again : int
-        Number of the chosen samples that are solved again in other ways for the numerical uncertainty
-        (:mod:`verification.symmetry.uncertainty`).
+        Number of the chosen samples whose numerical uncertainty :mod:`verification.symmetry.uncertainty` finds.
 
     Raises
     ------
     SceneError
         If no sample of the Monte Carlo is valid, or there is no quantity to compare.
     """
-    folder = Path(folder)
     report = say if team.rank == 0 else lambda line: None
     law, original = scene.report.laws[0], _with_truth(scene)
     scene = _on_increments(original)
@@ -228,48 +228,51 @@ def verify_scene(
         outcome = read_outcome(folder / "reduced")
         cheap = {law: _quantities(outcome, law) for law in outcome.laws}
         chosen = _chosen(cheap, truth, scene, count)
-        selected = ", ".join(f"{choice.sample} ({choice.kind})" for choice in chosen)
-        report(f"full finite elements, {'deviated' if deviated else 'nominal'} meshes: samples {selected}")
         key = hashlib.sha256(json.dumps([_model_key(model), deviated, truth, seed]).encode()).hexdigest()[:16]
         full = _full_solves(assembly, deviated, truth, chosen, folder / "full", key, team, say)
-        items = []
+        items, uncertainty, numbers = [], None, [choice.sample for choice in chosen[:again]]
         if sources:
             report("error budget: " + ", ".join(sources) + " …")
             stated = outcome if production.name == "reduced" else read_outcome(production)
             figures = printed(stated, law)
-            followed = (dataclasses.replace(item, scene=original) for item in (assembly, model))
-            case = Case(*followed, law, cache, figures["six_sigma"])
+            case = _case(original, assembly, model, law, cache, figures)
             items.append(_reduction(case, model, truth, deviated, list(zip(chosen, full)), team))
             model = dataclasses.replace(model)  # without its cached preparations, to free memory
             mark = f"{_model_key(case.model)} {seed} {samples} {versions()['mic-contact']}"
             items += estimate(case, folder / "budget", mark, team, sources, say)
-        uncertainty = None
-        if again:
+        if numbers:
             report("numerical uncertainty: the same samples scaled, rotated, mirrored, renumbered, permuted …")
-            numbers = [choice.sample for choice in chosen[:again]]
             deviations = np.concatenate([draw(scene, seed, number, 1) for number in numbers])
-            solved_again = Solved(original, scene, assembly, model, deviations, truth, cache)
-            uncertainty = numerical_uncertainty(solved_again, folder / "symmetry", team, say)
+            once = Solved(original, scene, assembly, model, deviations, truth, cache)
+            uncertainty = numerical_uncertainty(once, folder / "symmetry", team, say)
     if team.rank > 0:
         return {}
     budget = None
     if sources:
         items = [_algebra(stated, law), *items, _sampling(figures)]
         budget = by_quantity(figures, items)
-        budget.to_csv(folder / "budget.csv", index_label="quantity")
-    solved = [(choice, result) for choice, result in zip(chosen, full) if "failure" not in result]
-    per_sample = pd.DataFrame(
-        [row for choice, result in solved for row in _sample_rows(outcome, model, choice, result)]
-    )
-    table = pd.DataFrame([row for law in outcome.laws for row in _statistics_rows(law, cheap[law], model, solved)])
     summary = _record(scene, chosen, full, seconds, team.size) | {
         "truth": {"law": truth, "deviated_meshes": deviated},
         "budget": None if budget is None else _budget_record(scene.name, budget, items),
         "numerical_uncertainty": uncertainty and _uncertainty_record(folder, *uncertainty, numbers, report),
-        "per_sample": per_sample.to_dict("records"),
-        "statistics": table.to_dict("records"),
     }
-    return _write_results(folder, _finite(summary), per_sample, table, budget, items)
+    solved = [(choice, result) for choice, result in zip(chosen, full) if "failure" not in result]
+    tables = _tables(outcome, cheap, model, solved)
+    summary |= {name: table.to_dict("records") for name, table in zip(("per_sample", "statistics"), tables)}
+    return _write_results(folder, _finite(summary), *tables, budget, items)
+
+
+def _case(original, assembly, model, law, cache, figures) -> Case:
+    """The case of the error budget: the scene with its own load paths."""
+    followed = (dataclasses.replace(item, scene=original) for item in (assembly, model))
+    return Case(*followed, law, cache, figures["six_sigma"])
+
+
+def _tables(outcome, cheap, model, solved) -> tuple[pd.DataFrame, pd.DataFrame]:
+    """Comparisons of the solved samples, and the statistics of each law."""
+    rows = [row for choice, result in solved for row in _sample_rows(outcome, model, choice, result)]
+    statistics = [row for law in outcome.laws for row in _statistics_rows(law, cheap[law], model, solved)]
+    return pd.DataFrame(rows), pd.DataFrame(statistics)
 
 
 def _algebra(outcome, law) -> Item:
@@ -367,6 +370,9 @@ def _model_key(model):
 
 def _full_solves(assembly, deviated, law, chosen, folder, key, team, say) -> list[dict]:
     """Full solves of the chosen samples; the full model is freed on return."""
+    if team.rank == 0:
+        selected = ", ".join(f"{choice.sample} ({choice.kind})" for choice in chosen)
+        say(f"full finite elements, {'deviated' if deviated else 'nominal'} meshes: samples {selected}")
     full_model, scene = FullModel(assembly, deviated=deviated, comm=MPI.COMM_SELF), assembly.scene
     seed = scene.monte_carlo.seed
     return team.map(lambda choice: _full(full_model, scene, seed, law, choice.sample, folder, key, say), chosen)

@@ -242,8 +242,6 @@ def run(context):
         if len(own) > 1
     }
 
-    figure = _differences(solved)
-
     def each(table, column, form):
         return ", ".join(f"{row['assembly'].replace('_', ' ')} {row[column]:{form}}" for _, row in table.iterrows())
 
@@ -257,7 +255,7 @@ def run(context):
             f"normal parts: {each(typical, 'normal force', '.1%')}; zone slips: {each(typical, 'zone slip', '.1%')}. "
             f"{(rows['failure'] != '').sum()} of {len(rows)} pairs of full solves failed; routes: "
             f"{', '.join(sorted(set(solved['route'])))}.",
-            figure,
+            _differences(solved),
             rows,
         ),
         Finding(
