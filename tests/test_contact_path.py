@@ -155,7 +155,7 @@ def test_a_sliding_contact_that_opens_slips_as_on_the_finest_path():
 def test_a_motion_below_the_tolerance_takes_one_step():
     exact = tractrix(Followed(1e-9))[1].anchor
     for floor, steps in ((2.0, 1), (0.2, 2)):
-        found = tractrix(Followed(0.1, before=10 * floor))[1]  # at which forces may err by more than they are
+        found = tractrix(Followed(0.1, least=10 * floor))[1]  # at which forces may err by more than they are
         assert found.trace.steps[0] == steps
         assert np.linalg.norm(found.anchor - exact) < found.trace.error[0] < floor
 
@@ -173,7 +173,7 @@ def test_contacts_that_touch_without_force_are_followed(beside):
         start[6], start[9:10] = random.uniform(0.05, 0.5), -1.0
         end = start.copy()
         end[[0, 3]] = -random.uniform(0.2, 1, 2)
-        paths = Followed(before=0.02), Followed(1e-7, 1e-3)
+        paths = Followed(least=0.02), Followed(1e-7, 1e-3)
         found, exact = (follow([start, end], path, S, mu=0.3).trace.slip for path in paths)
         off, moved = max(off, abs(found - exact).max()), max(moved, abs(exact).max())
     assert off < 0.02 * moved
@@ -283,7 +283,6 @@ def test_a_path_in_other_units_takes_the_same_steps(length, force):
     np.testing.assert_allclose(other.force, force * own.force, rtol=1e-9, atol=1e-12 * force)
     # Rounding may decide whether Newton's method ends with the inverse of its last step or of the one before.
     np.testing.assert_allclose(other.trace.force_error, force * own.trace.force_error, rtol=0.1)
-    np.testing.assert_allclose(other.trace.travel, length * own.trace.travel, rtol=1e-9)
 
 
 @pytest.mark.parametrize("mu", [0.0, 0.3])
@@ -301,14 +300,14 @@ def test_a_path_does_not_depend_on_the_tangential_axes_of_its_contacts(mu):
 
 
 def test_forces_are_as_exact_as_their_estimate():
-    """What sticks is stiff: positions alone would let friction be wrong."""
+    """What sticks is stiff: positions alone would let friction be wrong. Their error is relative to the load's 2 mm."""
     rng = np.random.default_rng(5)
     true, estimate, size = [], [], []
     for _ in range(20):
         A = rng.normal(size=(18, 18))
         S, loads = A @ A.T + 0.01 * np.eye(18), rng.normal(size=(2, 18))
         loads[1, ::3] -= 2.0
-        found, exact = (follow(loads, path, S=S, mu=0.3) for path in (Followed(), Followed(1e-5)))
+        found, exact = (follow(loads, path, S=S, mu=0.3) for path in (Followed(least=2.0), Followed(1e-5)))
         difference = (found.force - exact.force).reshape(-1, 3)
         true.append(np.sqrt((difference**2).sum(axis=1).mean()))
         size.append(np.sqrt((exact.force**2).sum() / 6))

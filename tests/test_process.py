@@ -12,6 +12,7 @@ import mic
 from mic.contact import ContactSolver
 from mic.contact.path import Followed, Increments
 from mic.process.process import Process
+from mic.process.stage import LEAST_MOTION
 from mic.statistics.draw import draw
 from mic.system.matrix_product import one_thread
 
@@ -207,9 +208,10 @@ def test_the_path_tolerance_is_that_of_the_scene(lap_model):
         return [stage.path for stage in model.process(law).stages if stage.plan.resolves]
 
     closely = mic.scene.process.FollowedPath(tolerance=2e-5)
+    thinnest = min(part.thickness for part in lap_model.scene.parts)
     for changes, tolerance in (({}, Followed.tolerance), ({"path": closely}, 2e-5)):
         followed = paths("coulomb", **changes)
-        assert followed == [Followed(tolerance)] * 2
+        assert followed == [Followed(tolerance, LEAST_MOTION * thinnest)] * 2
     assert paths("associated", path=closely) == [Increments(1)] * 2  # whose small steps do not tend to it
 
 

@@ -29,7 +29,7 @@ __all__ = ["FORCES", "Followed", "Increments", "Leg", "Path", "PathSolution", "T
 
 #: Errors of contact forces in a step may be so many times those of positions, each relative to its own size: positions
 #: add up over some forty steps, but a contact that slides forgets what its force was.
-FORCES = 32.0
+FORCES = 64.0
 #: Increments of a leg for samples at which the follower fails.
 RESCUE = 256
 
@@ -41,11 +41,11 @@ class Followed:
     Attributes
     ----------
     tolerance : float
-        Largest error of the tangential positions in a step, relative to the motion of the contacts so far (root mean
-        squares over the contacts); the contact forces may err by :data:`FORCES` times as
-        much, relative to their largest so far.
-    before : float or (n,) array
-        Motion of the contacts before the leg, which the tolerance is relative to besides that on the leg [length].
+        Largest error of the tangential positions in a step, relative to the tangential motion on the leg so far (root
+        mean squares over the contacts); the contact forces may err by :data:`FORCES` times as much, relative to their
+        largest so far.
+    least : float
+        Motion that the error may be relative to where the contacts have moved by less [length].
     steps : int or None
         Number of equal steps without error control, to measure the order of the method.
     recorded : bool
@@ -53,7 +53,7 @@ class Followed:
     """
 
     tolerance: float = 2.5e-4
-    before: float | np.ndarray = 0.0
+    least: float = 0.0
     steps: int | None = None
     recorded: bool = False
 
@@ -61,14 +61,6 @@ class Followed:
     def ends(self) -> np.ndarray:
         """(steps,) ends of equal steps; empty with error control."""
         return np.arange(1, (self.steps or 0) + 1) / (self.steps or 1)
-
-    def of(self, samples: np.ndarray) -> Followed:
-        """The path of some samples of a batch."""
-        return replace(self, before=self.before[samples]) if isinstance(self.before, np.ndarray) else self
-
-    def after(self, travel: np.ndarray) -> Followed:
-        """The path that continues after the contacts have moved by `travel` (n,)."""
-        return replace(self, before=self.before + travel)
 
 
 Path = Increments | Followed
@@ -94,8 +86,6 @@ class Trace:
     force_error : (n,) array
         Estimated integration error of the contact forces, likewise, N; the sum over all steps, although contacts that
         slide or open lose it.
-    travel : (n,) array
-        Motion of the contacts on followed paths: sum over the steps of its root mean square over the contacts, mm.
     steps, factorisations : (n,) int array
         Number of steps, and of matrices over the closed contacts that were factorised or inverted, failed rungs
         included.  Low-rank updates and factorisations shared by all samples are not counted.
@@ -107,7 +97,6 @@ class Trace:
     share: np.ndarray
     error: np.ndarray
     force_error: np.ndarray
-    travel: np.ndarray
     steps: np.ndarray
     factorisations: np.ndarray
 
@@ -121,7 +110,6 @@ class Trace:
             share=np.zeros((n, m, 3)),
             error=np.zeros(n),
             force_error=np.zeros(n),
-            travel=np.zeros(n),
             steps=np.zeros(n, dtype=np.int64),
             factorisations=np.zeros(n, dtype=np.int64),
         )
@@ -194,11 +182,6 @@ class PathSolution:
     rung: np.ndarray
     record: np.ndarray | None = None
     unresolved: np.ndarray | None = None
-
-    @property
-    def travel(self) -> np.ndarray:
-        """(n,) motion of the contacts, see :class:`Trace`; 0 without a solution."""
-        return np.where(self.converged, self.trace.travel, 0.0)
 
     def replaced(self, own: np.ndarray, new: PathSolution) -> PathSolution:
         """The paths with those of the samples `own` replaced; factorisations of both count."""
@@ -289,7 +272,6 @@ def follow(solver, b, force, anchor, path: Path) -> PathSolution:
         leg = solve_leg(solver, b[:, k], b[:, k + 1], force, anchor, path)
         force, anchor = leg.force, leg.anchor
         legs.append(leg)
-        path = path.after(leg.trace.travel) if isinstance(path, Followed) else path
     named = [leg.unresolved for leg in legs if leg.unresolved is not None]
     solution = replace(PathSolution.join(legs), unresolved=np.any(named, axis=0) if named else None)
     solution.converged[outside], solution.residual[outside] = False, np.inf

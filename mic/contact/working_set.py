@@ -212,7 +212,7 @@ class WorkingSetSolver:
         lost = np.flatnonzero(~found.converged)
         if not len(lost):
             return found
-        return found.replaced(lost, self._solve_growing(b[lost], force[lost], anchor[lost], _of(path, lost)))
+        return found.replaced(lost, self._solve_growing(b[lost], force[lost], anchor[lost], path))
 
     def _solve_increment(self, b, force, anchor) -> PathSolution:
         """One increment along loads b (n, k + 1, d m), k = 1 with friction, with growing working sets.
@@ -363,8 +363,7 @@ class WorkingSetSolver:
                     force[samples] = found.force[samples]
                 left = todo[~found.converged[todo]]
             for samples, own in _by_working_set(working, left, MAX_RECORDED if checks_path else None):
-                some = _of(recorded_path, samples)
-                solution = self._solved(own, b[samples], force[samples], anchor[samples], some)
+                solution = self._solved(own, b[samples], force[samples], anchor[samples], recorded_path)
                 self._put(found, samples, own, solution, b[samples], spent)
                 if checks_path:
                     on_path[samples] = self._path_penetration(own, b[samples], solution)
@@ -602,8 +601,3 @@ def _by_working_set(
         most = len(samples) if contacts is None else max(1, contacts // max(1, int(own.sum())))
         for first in range(0, len(samples), most):
             yield np.array(samples[first : first + most]), own
-
-
-def _of(path: Path | None, samples: np.ndarray) -> Path | None:
-    """The path of some samples of a batch."""
-    return path.of(samples) if isinstance(path, Followed) else path

@@ -63,7 +63,6 @@ class DifferentiatedProcess:
         if offset is not None:
             self.drive = self.drive.combined(lambda value, slope: value + offset[:, None] * slope, self.drive_slope)
         self.steps: dict[tuple, Any] = {}
-        self.travel = np.zeros(self.n)  # of the contacts so far
         self.reach, self.where = np.full(self.n, np.inf), np.full(self.n, "", dtype=object)
         self.reach_along, self.exact = np.full((self.n, self.p), np.inf), np.ones(self.n, dtype=bool)
 
@@ -184,7 +183,7 @@ class DifferentiatedProcess:
             b = [(1 - s) * (start + lift) + s * last for start, lift, last in zip(starts, lifts, stop)]
             return self._varied(*b), self._varied(*(rest.pushed(response, side.ramp.at(s)[1]) for side in sides))
 
-        for segment, (s_end, path) in enumerate(rest.segments(stage.path_after(self.travel), law)):
+        for segment, (s_end, path) in enumerate(rest.segments(stage.path, law)):
             (b0, _), (b1, e1) = ends = loads(s_start), loads(s_end)
             record, target, settled = self._rest_positions(
                 stage, (number, segment), eliminated, ends, nominal, position, force, anchor, path
@@ -251,7 +250,6 @@ class DifferentiatedProcess:
         positions = np.empty(self.n, dtype=object)
         positions[:] = list(target)
         self.steps[key], self.steps[position_key] = solution.record, positions
-        self.travel = self.travel + solution.travel
         return solution.record, target, solution.converged
 
     def _differentiated_path(
@@ -314,9 +312,8 @@ class DifferentiatedProcess:
             self.steps[key] = self.given_steps[key]
             return self.steps[key], np.ones(self.n, dtype=bool)
         force = np.column_stack([batch.force.reshape(self.n, -1), batch.stop])
-        path: Path = replace(stage.path_after(self.travel), recorded=True)
+        path: Path = replace(stage.path, recorded=True)
         found, _ = stage.follow(eliminated, b0, b1, force, batch.anchor, path)
-        self.travel = self.travel + found.travel
         self.steps[key] = found.record
         return found.record, found.converged
 

@@ -129,7 +129,7 @@ class Linear:
         n, (m, d) = len(deviations), self.shape
         z = [np.concatenate([np.ones((n, 1)), deviations], axis=1)]
         force, anchor, failed = np.zeros((n, m * d)), np.zeros((n, m, d - 1)), np.zeros(n, dtype=bool)
-        solutions, travel = [], np.zeros(n)
+        solutions = []
         for solved_step in self.steps:
             stage = stages[solved_step.stage]
             unloaded = solved_step.unloaded(z).reshape(n, 2, m * d)
@@ -137,10 +137,8 @@ class Linear:
                 unloaded[:, 0, ::d] += np.maximum(0.0, solved_step.overlap(z))
             if solved_step.anchor is not None:
                 anchor = solved_step.anchor(z).reshape(n, m, d - 1)
-            solver = stage.solver(stage.required_steps[solved_step.step])
-            solution = solver.follow(unloaded, force, anchor, stage.path_after(travel))
+            solution = stage.solver(stage.required_steps[solved_step.step]).follow(unloaded, force, anchor, stage.path)
             force, anchor = solution.force, solution.anchor
-            travel = travel + solution.travel
             failed |= ~solution.converged
             solutions.append(solution)
             z.append(force)

@@ -174,7 +174,9 @@ class Process:
         self._solvers: dict[tuple, ContactSolver | WorkingSetSolver] = {}
         self._forecast, self._guessing = model.forecast if forecast is None else forecast, False
         self._path_tolerance = path_tolerance or model.scene.path.tolerance
-        self.stages = self._prepared([path_of(plan, applied_law, self._path_tolerance) for plan in plans])
+        thinnest = min((part.thickness for part in model.scene.parts if part.thickness is not None), default=0.0)
+        paths = [path_of(plan, applied_law, self._path_tolerance, thinnest) for plan in plans]
+        self.stages = self._prepared(paths)
 
     def _prepared(self, paths: Sequence[Path]) -> list[PreparedStage]:
         model = self.model
@@ -398,7 +400,7 @@ class Process:
                 force=nan(m, d),
                 displacement=nan(m, d),
                 state=np.zeros((n, m), np.int8),
-                trace=Trace(nan(m, 2), nan(m), nan(m), nan(m, 3), nan(), nan(), nan(), *np.zeros((2, n), int)),
+                trace=Trace(nan(m, 2), nan(m), nan(m), nan(m, 3), nan(), nan(), *np.zeros((2, n), int)),
                 residual=nan(),
                 converged=np.zeros(n, bool),
                 iterations=np.zeros(n, int),

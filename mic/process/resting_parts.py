@@ -39,7 +39,7 @@ import numpy as np
 from mic.compliance.elimination import Response
 from mic.contact.compliance_columns import Columns
 from mic.contact.laws import Law
-from mic.contact.path import Followed, Increments, Path, PathSolution
+from mic.contact.path import Increments, Path, PathSolution
 from mic.contact.solution import Status
 from mic.contact.states import SLIP, STICK
 from mic.process.free_motions import describe_direction
@@ -199,8 +199,7 @@ class Rest:
                 break
             target[todo] -= c * stride[todo, None] * λ[todo]
             end = unloaded(segment.end, segment.pushed_end, target)
-            some = path.of(todo) if isinstance(path, Followed) else path
-            again, pressed = follow(start[todo], end[todo], force[todo], anchor[todo], some)
+            again, pressed = follow(start[todo], end[todo], force[todo], anchor[todo], path)
             solution = solution.replaced(todo, again)
             found[todo] = pressed
         position = target - c * (segment.pushed_end - product(found, G))

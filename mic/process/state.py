@@ -93,8 +93,6 @@ class ProcessState:
         (:class:`mic.contact.path.Trace`); NaN once one of them has no estimate.
     force_error : (n,) array
         Likewise of the contact forces, N.
-    travel : (n,) array
-        Motion of the contacts on all paths so far, mm (:class:`mic.contact.path.Trace`).
     """
 
     reading: Mapping[str, np.ndarray]
@@ -104,7 +102,6 @@ class ProcessState:
     failed: np.ndarray
     path_error: np.ndarray
     force_error: np.ndarray
-    travel: np.ndarray
     value: Values
     reaction: Values
     push: Values
@@ -117,5 +114,5 @@ class ProcessState:
         reading = {kind: np.zeros((n, count)) for kind, count in rows.items()}
         zero, empty = np.zeros((n, m, d)), dict.fromkeys(ROW_VALUES, Values(Names(()), np.zeros((n, 0))))
         anchor, failed = np.zeros((n, m, d - 1)), np.zeros(n, dtype=bool)
-        error, force_error, travel = np.zeros((3, n))
-        return cls(reading, zero, zero.copy(), anchor, failed, error, force_error, travel, **empty)
+        error, force_error = np.zeros((2, n))
+        return cls(reading, zero, zero.copy(), anchor, failed, error, force_error, **empty)

@@ -87,8 +87,8 @@ class FollowedPath(Table):
     """Accuracy of the friction path in stages without a `path` of their own.
 
     The tolerance is the error per step of the contacts' tangential positions, and of the slip of opening contacts,
-    relative to the motion of the contacts so far in the process (root mean squares over the contacts). Contact forces
-    may err by 32 times as much, relative to their own size.
+    relative to their tangential motion in the stage's step so far, at least a fifth of the thickness of the thinnest
+    part (root mean squares over the contacts). Contact forces may err by 64 times as much, relative to their own size.
     """
 
     tolerance: Annotated[FiniteFloat, Field(ge=FINEST, le=COARSEST)] = Followed.tolerance

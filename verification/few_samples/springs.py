@@ -28,7 +28,7 @@ def contacts(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     loads, force = np.zeros((n, 3, 3)), np.zeros((n, 3))
     loads[:, :, 0], loads[:, 1, 1], loads[:, 2, 1], force[:, 0] = -press[:, None], pull, end, press
     anchor = np.zeros((n, 1, 2))
-    followed = slider.follow(loads, force, anchor, Followed(before=0.01)).anchor[:, 0, 0]
+    followed = slider.follow(loads, force, anchor, Followed(least=0.01)).anchor[:, 0, 0]
     one_step = slider.follow(loads[:, [0, 2]], force, anchor, Increments(1)).anchor[:, 0, 0]
     apart = np.column_stack([gap - depth, np.zeros((n, 2))])
     moved = stop.solve(apart).force[:, 0] - depth

@@ -164,15 +164,6 @@ def _motion(w, unit):
     return np.sqrt(3.0 * total / max(len(unit), 1))
 
 
-@kernel(NUMBER(VECTOR, VECTOR, VECTOR))
-def _way(w0, w, unit):
-    """Root mean square over the contacts of a motion, normal and tangential, a length."""
-    total = 0.0
-    for i in range(len(unit)):
-        total += ((w[i] - w0[i]) * unit[i]) ** 2
-    return np.sqrt(3.0 * total / max(len(unit), 1))
-
-
 @kernel(NUMBER(VECTOR, VECTOR))
 def _mean(y, unit):
     """Root mean square over the contacts of forces, N."""
@@ -1288,6 +1279,7 @@ def _compile(digest):
             NUMBER,
             NUMBER,
             NUMBER,
+            NUMBER,
             int64,
             MATRIX,
             BLOCKS,
@@ -1315,6 +1307,7 @@ def _compile(digest):
         order,
         ends,
         tolerance,
+        least,
         bearable,
         tol,
         sweeps,
@@ -1344,10 +1337,10 @@ def _compile(digest):
             1 for backward Euler's method as it is: neither prediction nor shifts, and no estimate.
         ends : (k,) array
             Where steps end, in shares of the path, the last at 1; none for steps of controlled error.
-        tolerance, bearable : float
-            A step's error in positions may be the one share of the way that the contacts made so far or, those that
-            touch, will make if they go on; in forces the other share of the largest so far or at the end of the path,
-            likewise: all root mean square over the contacts.
+        tolerance, least, bearable : float
+            A step's error in positions may be the first share of the tangential motion so far, or of the length
+            ``least`` if that is larger; in forces ``bearable`` times the largest so far or at the end of the path if
+            those that press go on: all root mean square over the contacts.
         tol : float
             Newton's tolerance at the end.
         sweeps : int
@@ -1356,9 +1349,8 @@ def _compile(digest):
             Receives the right-hand side of the last step: what the certificate is measured against.
         slip, length, work, share : (n, m, 2), (n, m), (n, m), (n, m, 3) array
             Receive what :class:`mic.contact.path.Trace` holds, the first two in scaled lengths.
-        sums : (n, 3) array
-            Receives the sums of the steps' errors, in positions and in forces, N, and, after the way that the contacts
-            made before, that until the end of the path.
+        sums : (n, 2) array
+            Receives the sums of the steps' errors, in positions and in forces, N.
         counts : (n, 5) int array
         passed, passed_force : (n, k), (n, k, 3m) array
             Receive where the first k steps end, and the forces there; of second order from the start on, at 0.
@@ -1425,7 +1417,7 @@ def _compile(digest):
             if solved == 0:
                 done[FAILED] += 1
                 continue
-            s, h, made, bearing, most = 0.0, ends[0] if given else 1.0, sums[sample, 2], 0.0, 0.0
+            s, h, made, bearing, most = 0.0, ends[0] if given else 1.0, 0.0, 0.0, 0.0
             while True:
                 taken = done[STEPS] - 1 + (order == 2)
                 if 0 <= taken < passed.shape[1]:
@@ -1461,7 +1453,7 @@ def _compile(digest):
                             loose[k] = 0.0 if state0[k] == SLIP else 1.0
                     else:
                         behind = 1.0 if given else min(TOGETHER, max(smallest, BEHIND * step))
-                        allowed = np.inf if given else tolerance * made
+                        allowed = np.inf if given else tolerance * max(least, made)
                         step = predict(
                             equation,
                             W,
@@ -1484,13 +1476,13 @@ def _compile(digest):
                             gone,
                             done,
                         )
-                    yp[:], wp[:] = y0 + (1.0 - s) / step * x, w0 + (1.0 - s) / step * motion  # if all goes on
+                    yp[:] = y0 + (1.0 - s) / step * x  # if all goes on
                     for k in range(m):
                         if yp[3 * k] <= 0.0:
-                            yp[3 * k : 3 * k + 3], wp[3 * k : 3 * k + 3] = 0.0, w0[3 * k : 3 * k + 3]
-                    bearing, ahead = bearable * max(most, _mean(yp, unit)), _way(w0, wp, unit)
+                            yp[3 * k : 3 * k + 3] = 0.0
+                    bearing = bearable * max(most, _mean(yp, unit))
                     yp[:], wp[:] = y0 + x, w0 + motion
-                    allowed = tolerance * (made + max(ahead, _way(w0, wp, unit)))
+                    allowed = tolerance * max(least, made + _motion(motion, unit))
                     target = 1.0 if s + step > 1.0 - 1e-9 else s + step
                     if order == 2:
                         _shifts(w0, state0, e0, grip, loose, yp, wp, state0, False, shift, touched)
@@ -1567,6 +1559,7 @@ def _compile(digest):
                         error = np.hypot(placed, unsure)
                         if last:  # neither a shorter step nor one without shifts would tell when a contact opens
                             unsure, error = 0.0, placed
+                        bearing = max(bearing, bearable * _mean(y, unit))  # nothing pressed before
                         excess = _excess(error, allowed, force, bearing)
                         if solved == 1 and (turn == 1 if given else excess <= 1.0):
                             break
@@ -1621,7 +1614,7 @@ def _compile(digest):
                 sums[sample, 1] += force
                 done[STEPS] += 1
                 s = target
-                made += _way(w0, w, unit)
+                made += _motion(w, unit)
                 h = min(1.0, max(smallest, step * min(GROWTH, _rounded(SAFETY / np.sqrt(max(excess, 1e-300))))))
                 if short:  # now it is known
                     h = max(h, LONGEST)
@@ -1630,7 +1623,7 @@ def _compile(digest):
                 elif done[STEPS] > MOST:
                     done[FAILED] += 1
                     break
-            Q[sample], Y[sample], sums[sample, 2] = q, y, made
+            Q[sample], Y[sample] = q, y
 
     @kernel(
         void(
@@ -1708,7 +1701,7 @@ def _compile(digest):
         """
         digest  # noqa: B018
         at_end, none, nothing = np.ones(1), np.empty((1, 0)), np.empty((1, 0, 0))
-        sums = np.zeros((1, 3))
+        sums = np.zeros((1, 2))
         for s in some:
             own = np.flatnonzero(working[s][among])
             m, done = len(own), counts[s : s + 1]
@@ -1742,6 +1735,7 @@ def _compile(digest):
                 y,
                 1,
                 at_end,
+                0.0,
                 0.0,
                 0.0,
                 tol,

@@ -221,12 +221,11 @@ class NativeSolver:
         Y, Q = np.ascontiguousarray(force / D), np.zeros_like(Q0)
         L = np.ascontiguousarray((anchor / unit[:, None]).reshape(n, 2 * m))
         slip, length, work, share = np.zeros((n, m, 2)), np.zeros((n, m)), np.zeros((n, m)), np.zeros((n, m, 3))
-        sums, counts = np.zeros((n, 3)), np.zeros((n, 5), dtype=np.int64)
+        sums, counts = np.zeros((n, 2)), np.zeros((n, 5), dtype=np.int64)
         if isinstance(path, Increments):
-            order, tolerances = 1, (0.0, 0.0)
+            order, tolerances = 1, (0.0, 0.0, 0.0)
         else:
-            order, tolerances, sums[:, 2] = 2, (path.tolerance, FORCES * path.tolerance), path.before
-        before = sums[:, 2].copy()
+            order, tolerances = 2, (path.tolerance, path.least, FORCES * path.tolerance)
         room, unguessed = follower.MOST + 1 if path.recorded else 0, np.empty((0, 3 * m))
         passed, passed_force = lazy_zeros(n, room), lazy_zeros(n, room, 3 * m)
         follow, _ = follower.follower()
@@ -250,7 +249,6 @@ class NativeSolver:
             )
 
         self._each(chunk, n)
-        sums[:, 2] -= before
         record = self._records(order, counts[:, follower.STEPS], passed, passed_force) if room else None
         return self._leg(Y, Q, L, slip, length, work, share, counts, sums, record)
 
@@ -297,7 +295,6 @@ class NativeSolver:
             share=share,
             error=sums[:, 0].copy(),
             force_error=sums[:, 1].copy(),
-            travel=sums[:, 2].copy(),
             steps=counts[:, follower.STEPS].copy(),
             factorisations=counts[:, follower.FACTORISATIONS].copy(),
             given_up=counts[:, follower.FAILED] > 0,
