@@ -315,3 +315,12 @@ def test_forces_are_as_exact_as_their_estimate():
     true, estimate, size = np.array(true), np.array(estimate), np.array(size)
     assert (true <= estimate + 1e-9 * size).mean() >= 0.95
     assert np.median(true / size) < 0.01 and np.median(estimate / size) < 0.1
+
+
+def test_friction_is_exact_to_a_hundredth_of_the_largest_force_where_positions_may_err_by_more():
+    """A stiff slider turns a corner within 0.01 mm; its position alone may err by 0.025 mm in a step."""
+    loads = [[-0.01, 0.004, 0.0], [-0.01, 0.004, 0.01]]
+    found, exact = (
+        follow(loads, path, S=0.01 * np.eye(3)).force[0] for path in (Followed(least=100.0), Followed(1e-6))
+    )
+    assert np.linalg.norm(found - exact) < 0.01 * exact.max()
