@@ -5,17 +5,14 @@ followed, with the contacts of W alone, f = 0 elsewhere; then the gaps of *all* 
 If candidates outside W penetrate by more than `PENETRATION` allows, the deepest of each neighbourhood joins W (on a
 path of several steps, all of them and their neighbours), and the sample is solved again from the start of its path.
 Working sets only grow, so the iteration ends. Then every contact outside W satisfies the law with f = 0 to
-`PENETRATION`, and the solution is that of all candidates, at the cost of the closed ones.
-
-With friction the loading history matters: candidates that penetrate by more than `PATH_PENETRATION` allows at the end
-of any step join as well, even if they are open at the end of the path. This is checked on the last leg.
+`PENETRATION`, and the solution is that of all candidates, at the cost of the closed ones. With friction, candidates
+that penetrate by more than `PATH_PENETRATION` allows at the end of a step of the last leg join as well.
 
 The initial working set holds the candidates that carry force, and those that did in a few pilot samples
-(`PathForecast`). From more than `MAX_INITIAL` of these, only those that carry force at the start or the end of the path
-are taken. With more than `MANY_CANDIDATES` candidates, screening ignores friction. A path of one increment starts from
-a forecast of the forces: their change in the pilot sample with the nearest load; with more than `MAX_INITIAL` initial
-candidates, from forces without friction (:mod:`mic.contact.large_increment`). The result of a sample does not depend
-on the other samples of its batch.
+(`PathForecast`). From more than `MAX_INITIAL` of these, only those that carry force at an end of the path are taken.
+With more than `MANY_CANDIDATES` candidates, screening ignores friction. A path of one increment starts from the forces'
+change in the nearest pilot sample; with more than `MAX_INITIAL` candidates, from forces without friction
+(:mod:`mic.contact.large_increment`). A sample does not depend on others of its batch.
 """
 
 from __future__ import annotations

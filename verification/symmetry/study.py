@@ -25,7 +25,7 @@ LENGTHS, FORCES = (1e-3, 10.0, 1 / 25.4, 1e3), (1e6, 1.0, 1e-3, 37.0)
 SCALED, PERMUTED = "scaled", "permuted"
 REFUSALS = (MicError, FactorisationError, ValueError, ArithmeticError)
 PLAIN, SLIVERS = 1e-9, 1e-6  # limits
-FOLLOWED = 2 * path.FORCES * path.Followed.tolerance  # of paths with error control, where a step is accepted or not
+FOLLOWED = path.FORCES * path.Followed.tolerance  # of paths with error control, where a step is accepted or not
 COLUMNS = ["point", "sliver", "followed", "transformation", "disagreement", "stage", "quantity", "name", "reason"]
 
 
@@ -156,8 +156,8 @@ STUDY = Study(
             "Followed paths, with and without slivers: largest disagreement of a number.",
             FOLLOWED,
             reason=(
-                "Two paths that rounding lets take other steps may each err by what step control allows a force, "
-                "32 × 2.5e-4 of the largest."
+                "Rounding may let a path take other steps: it may then change by what step control allows a force, "
+                "64 × 2.5e-4 of the largest."
             ),
         ),
         Acceptance(
