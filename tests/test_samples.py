@@ -287,7 +287,7 @@ def test_a_run_of_a_design_gives_intervals_from_its_groups(lap_scene, cache, tmp
     outcome = run(lap_scene.model_copy(update={"monte_carlo": asked, "report": laws}), tmp_path / "out", cache)
     own = outcome.measurement_statistics.iloc[0]
     x = outcome.measured("coulomb", own["measurement"])
-    expected = estimates.grouped_jackknife(x, np.arange(24) // 2, np.mean)
+    expected = estimates.grouped_jackknife(x, np.arange(24) // 2, np.mean, added=0)
     assert own["mean_low"] == pytest.approx(expected.low) and own["mean_high"] == pytest.approx(expected.high)
     assert own["mean_high"] - own["mean_low"] < 0.5 * np.subtract(*_ends(estimates.mean(x)))
     assert own["sigma_low"] < own["sigma"] < own["sigma_high"] and own["cp_low"] < own["cp"] < own["cp_high"]

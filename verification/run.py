@@ -103,7 +103,7 @@ def run(chosen: list[Study], folder: Path, quick: bool, team: Team, say=print) -
         if first:
             begin(study)
         end(*perform(study, team))
-    if forks.workers > 1:
+    if forks.workers > 1 and whole:
         say(f"{len(whole)} studies on {forks.workers} processes …")
         with closing(forks.completed(perform, whole)) as completed:
             for _, found in completed:
