@@ -1,4 +1,4 @@
-"""The tutorial that starts from two meshes does what it says, and the machine needs less than three minutes for it."""
+"""The tutorial that starts from two meshes does what it says, and the machine needs less than four minutes for it."""
 
 import contextlib
 import io
@@ -132,5 +132,5 @@ def test_the_decision_holds(played):
     assert capability(folder, "panel+channel")["panel-M2"]["cpk"] + 0.25 < cpk < 1.33
 
 
-def test_the_tutorial_takes_less_than_three_minutes_of_processor_time(played):
-    assert played[2] < 150  # fields take up to half a minute more
+def test_the_tutorial_takes_less_than_four_minutes_of_processor_time(played):
+    assert played[2] < 210  # fields take up to half a minute more
