@@ -83,5 +83,5 @@ def _samples(source: Path, law: str, kind):
     own, scene = outcome.sample_numbers(law)[:MAX_SAMPLES], outcome.model.scene
     if not len(own) or not scene.measurements or not scene.deviations:
         return None
-    x = np.column_stack([outcome.deviation(law, item.name, own) for item in scene.deviations])
+    x = outcome.deviations(law, own)
     return kind(own, x, np.column_stack([outcome.measured(law, item.name, own) for item in scene.measurements]))

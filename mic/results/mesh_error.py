@@ -101,9 +101,8 @@ def mesh_changes(outcome: Outcome, finer: FinerModel) -> pd.DataFrame:
         numbers = outcome.sample_numbers(law)[:SAMPLES]
         if not len(numbers):
             continue
-        deviations = [outcome.deviation(law, name, numbers) for name in model.parameters]
         process = model.process(law, backend=model.scene.monte_carlo.backend, threads=available_cores())
-        again = process.attempt(np.column_stack([np.zeros((len(numbers), 0)), *deviations]))
+        again = process.attempt(outcome.deviations(law, numbers))
         for k, item in enumerate(model.scene.measurements):
             x = np.where(again.failed, np.nan, again.measurements[:, k])
             y = outcome.measured(law, item.name, numbers)

@@ -58,16 +58,13 @@ def _repeat(outcome, law, numbers) -> tuple[pd.DataFrame, pd.DataFrame]:
     """The tables PATH and PATH_ERRORS of one law, for samples with these numbers."""
     model = outcome.model
     backend, threads = model.scene.monte_carlo.backend, available_cores()
-    deviations = np.column_stack(
-        [np.zeros((len(numbers), 0)), *(outcome.deviation(law, name, numbers) for name in model.parameters)]
-    )
     process = Process(model, law, backend=backend, threads=threads)
     several = {stage.plan.name: np.zeros(len(numbers), dtype=bool) for stage in process.stages}
     for stage in process.stages:
         stage.path = tighter(stage.path)
         if LAWS[law].followed and model.contacts.dimension == 3:
             stage.inspect = partial(_note_other_solutions, model, law, stage.plan.name, several)
-    evaluation = process.attempt(deviations)
+    evaluation = process.attempt(outcome.deviations(law, numbers))
     motion = tables(model, evaluation)[SLIPS.name]
     converged = ~evaluation.failed
     last = process.stages[-1].plan.name

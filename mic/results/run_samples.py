@@ -154,6 +154,11 @@ class RunSamples:
         """(n,) sampled values of a deviation, N or mm."""
         return self._gathered(law, samples, lambda block: block.column("deviations", "value", deviation=name))
 
+    def deviations(self, law: str, samples: ArrayLike) -> np.ndarray:
+        """(n, k) sampled values of all deviations of the model, in its order, N or mm."""
+        values = [self.deviation(law, name, samples) for name in self.model.parameters]
+        return np.stack(values, axis=1) if values else np.zeros((len(np.asarray(samples)), 0))
+
     def residual(self, law: str, stage: str, samples: ArrayLike | None = None) -> np.ndarray:
         """(n,) certificate residuals of a stage."""
         return self._gathered(law, samples, lambda block: block.column("resolutions", "residual", stage=stage))

@@ -100,7 +100,7 @@ def effectivities(scene: Scene, cache: Path, halvings: int) -> pd.DataFrame:
         outcome = run(scene, Path(folder), cache)
         changes = MESH_CHANGES.read(Path(folder), "")
     model, finer = reduced_and_assembly(scene, cache)
-    deviations = np.column_stack([outcome.deviation(LAW, name, np.arange(SAMPLES)) for name in model.parameters])
+    deviations = outcome.deviations(LAW, np.arange(SAMPLES))
     for _ in range(halvings):
         finer = with_halved_elements(finer)
     coarse, fine = (one.process(LAW).evaluate(deviations).measurements for one in (model, reduced_model(finer, cache)))
