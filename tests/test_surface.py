@@ -39,6 +39,15 @@ def test_the_projection_skips_triangles_that_face_elsewhere():
     assert wall.project(x, [[0, 1.0, 0]], max_angle=0.1).triangle[0] == -1
 
 
+def test_points_of_needles_are_their_own_closest_points():
+    rng = np.random.default_rng(0)
+    for width in 10.0 ** rng.uniform(-6, -2, size=50):
+        turn = np.linalg.qr(rng.normal(size=(3, 3)))[0]
+        needle = np.array([[0, 0, 0], [1, 0, 0], [rng.uniform(), width, 0]]) @ turn
+        x = rng.dirichlet(np.ones(3)) @ needle
+        np.testing.assert_allclose(Surface(needle, [[0, 1, 2]]).project([x]).point[0], x, rtol=0, atol=1e-13)
+
+
 def test_ties_between_closest_triangles_are_decided_by_shape():
     roof = [[0, 0, 0], [0, 10, 0], [10, 0, 3], [10, 10, 3], [20, 0, 2], [20, 10, 2]]  # ridge at x = 10
     triangles = np.array([[0, 2, 1], [2, 3, 1], [2, 4, 3], [4, 5, 3]])

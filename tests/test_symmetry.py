@@ -15,7 +15,7 @@ from fem_reference.full.model import ContactFailure, FullModel
 from mic.compliance.superelement import Superelement
 from mic.errors import Problems
 from mic.geometry.load import LoadedPart
-from mic.model.assembly import load_placed
+from mic.model.assembly import assemble_placed, load_placed
 from mic.scene import Scene
 from verification.comparison import reduced_and_assembly
 from verification.study import Team
@@ -80,6 +80,15 @@ def test_a_transformed_scene_has_the_same_numbers_and_a_forgotten_unit_shows(mon
     monkeypatch.setitem(transformation.POWERS, "density", (-2, 1))
     found = solve(placed, samples, Transformation("wrong", length=2.0), given.pairs).numbers["associated"]
     assert disagreement(table, found)["relative"].max() > 1e-6
+
+
+@pytest.mark.slow
+def test_the_order_of_locators_and_clamps_does_not_move_candidates(tmp_path):
+    """Distances from the locators break ties, and candidates stand under clamps."""
+    placed, _ = design.scene(one_point(pairs=0))
+    other = Transformation("another order", permuted=True).apply(placed)
+    given, found = (assemble_placed(each, tmp_path).contacts for each in (placed, other))
+    np.testing.assert_array_equal(found.point, given.point)
 
 
 def test_a_superelement_is_transformed_with_its_part():

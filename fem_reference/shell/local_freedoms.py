@@ -18,7 +18,9 @@ freedom, so it suffices to separate what is stiff from what is soft:
 
       v_j − R_ji v_i = Σ_{a of j, not of i} R_ja w_a − Σ_{a of i, not of j} R_ja w_a.                                (2)
 
-Nothing is neglected.
+Nothing is neglected. A rigid rotation by θ still strains a stiffness of doubles by their rounding times θ, which costs
+bending some 12 (L/t)² of it over the length L of a sheet. A thin sheet's matrices are therefore in extended precision,
+with which :class:`fem_reference.shell.part.ShellPart` refines its solutions.
 """
 
 from __future__ import annotations
@@ -30,11 +32,12 @@ import numpy as np
 from scipy.sparse import bsr_matrix, csr_matrix
 
 from mic.geometry.surface import Surface
+from mic.geometry.triangles import unit
 
 __all__ = ["NARROW", "THIN", "LocalFreedoms", "local_freedoms"]
 
 NARROW = 0.1  # the ends of a side shorter than this share of the longest side of its triangle form a cluster
-THIN = 50.0  # sides over thickness beyond which a sheet without slivers has local freedoms, too
+THIN = 50.0  # sides over thickness beyond which a sheet has local freedoms without slivers, too, and solutions refined
 
 
 @dataclass(frozen=True)
@@ -46,10 +49,22 @@ class LocalFreedoms:
     surface : Surface
     ancestors : tuple of tuple of int
         Of each vertex, itself last.
+    thin : bool
+        Whether the sheet is thin: axes and matrices are then in extended precision.
     """
 
     surface: Surface
     ancestors: tuple[tuple[int, ...], ...]
+    thin: bool
+
+    @cached_property
+    def _points(self) -> np.ndarray:
+        return self.surface.points.astype(np.longdouble if self.thin else float)
+
+    @property
+    def _corners(self) -> np.ndarray:
+        """(k, 3, 3) corners of each triangle in the order of :attr:`order`."""
+        return self._points[np.take_along_axis(self.surface.triangles, self.order, axis=1)]
 
     @property
     def relative(self) -> np.ndarray:
@@ -60,12 +75,11 @@ class LocalFreedoms:
     def axes(self) -> np.ndarray:
         """(n, 3, 3) axes of each vertex as columns, the third the mean normal of its triangles."""
         surface = self.surface
-        normal = np.zeros_like(surface.points)
+        normal = np.zeros_like(self._points)
         for corner in range(3):
             np.add.at(normal, surface.triangles[:, corner], surface.normals * surface.areas[:, None])
-        normal /= np.linalg.norm(normal, axis=1, keepdims=True)
-        first = np.cross(normal, np.eye(3)[np.abs(normal).argmin(axis=1)])
-        first /= np.linalg.norm(first, axis=1, keepdims=True)
+        normal = unit(normal)
+        first = unit(np.cross(normal, np.eye(3)[np.abs(normal).argmin(axis=1)]))
         return np.stack([first, np.cross(normal, first), normal], axis=2)
 
     @cached_property
@@ -77,23 +91,23 @@ class LocalFreedoms:
     @cached_property
     def triangle_axes(self) -> np.ndarray:
         """(k, 3, 3) axes of each triangle as columns: along its shortest side, across, and its normal."""
-        corner = np.take_along_axis(self.surface.corners, self.order[:, :, None], axis=1)
-        along, normal = corner[:, 1] - corner[:, 0], self.surface.normals
-        along = along / np.linalg.norm(along, axis=1, keepdims=True)
+        corner = self._corners
+        along = unit(corner[:, 1] - corner[:, 0])
+        normal = unit(np.cross(along, corner[:, 2] - corner[:, 0])) if self.thin else self.surface.normals
         return np.stack([along, np.cross(normal, along), normal], axis=2)
 
     @property
     def flattened(self) -> np.ndarray:
         """(k, 3, 3) corners of each triangle in its own axes, in the order of :attr:`order`."""
-        corner = np.take_along_axis(self.surface.corners, self.order[:, :, None], axis=1)
-        flat = (corner - corner[:, :1]) @ self.triangle_axes
+        corner = self._corners
+        flat = ((corner - corner[:, :1]) @ self.triangle_axes).astype(float)
         flat[:, :, 2], flat[:, 1, 1] = 0.0, 0.0
         return flat
 
     def absolute(self) -> csr_matrix:
-        """(6n, 6n) matrix that gives the freedoms along the scene's axes."""
+        """(6n, 6n) matrix that gives the freedoms along the scene's axes, in double precision."""
         rows = [(j, a, j, a, 1.0) for j, above in enumerate(self.ancestors) for a in above]
-        return self._matrix(rows, np.broadcast_to(np.eye(3), (len(rows), 3, 3)), len(self.ancestors))
+        return self._matrix(rows, np.broadcast_to(np.eye(3), (len(rows), 3, 3)), len(self.ancestors)).astype(float)
 
     def stiffness(self, blocks: np.ndarray) -> csr_matrix:
         """(6n, 6n) stiffness, from the matrices (k, 18, 18) of the flattened triangles."""
@@ -106,16 +120,16 @@ class LocalFreedoms:
                 rows += new
                 owner += [e] * len(new)
         motion = self._matrix(rows, self.triangle_axes[owner], 2 * len(blocks))
-        count = len(blocks)
-        middle = bsr_matrix((blocks[:, 6:, 6:], np.arange(count), np.arange(count + 1)), shape=(12 * count, 12 * count))
+        count, blocks = len(blocks), blocks[:, 6:, 6:].astype(self._points.dtype)
+        middle = bsr_matrix((blocks, np.arange(count), np.arange(count + 1)), shape=(12 * count, 12 * count))
         return (motion.T @ (middle @ motion)).tocsr()
 
     def _matrix(self, rows: list[tuple[int, int, int, int, float]], axes: np.ndarray, height: int) -> csr_matrix:
         """Blocks ``factor · R_ja`` at given block rows and columns, read along axes (r, 3, 3)."""
         row, column, end, start, factor = (np.array(each) for each in zip(*rows))
         own, turn = self.axes[start], axes.transpose(0, 2, 1)
-        d = self.surface.points[end] - self.surface.points[start]
-        block = np.zeros((len(row), 6, 6))
+        d = self._points[end] - self._points[start]
+        block = np.zeros((len(row), 6, 6), dtype=d.dtype)
         block[:, :3, :3] = block[:, 3:, 3:] = turn @ own
         block[:, :3, 3:] = turn @ np.cross(own, d[:, :, None], axis=1)  # θ × d
         entries = block * factor[:, None, None]
@@ -132,7 +146,8 @@ def local_freedoms(surface: Surface, thickness: float) -> LocalFreedoms | None:
     length, ends = surface.edge_lengths, surface.triangles[:, [[1, 2], [2, 0], [0, 1]]]
     allowed = NARROW * np.broadcast_to(length.max(axis=1)[:, None], length.shape)
     short = length < allowed
-    if not short.any() and length.max() <= THIN * thickness:
+    thin = bool(length.max() > THIN * thickness)
+    if not (thin or short.any()):
         return None
     root, above, members = list(range(len(surface.points))), {}, {}
     ends, allowed = ends[short], allowed[short]
@@ -150,4 +165,4 @@ def local_freedoms(surface: Surface, thickness: float) -> LocalFreedoms | None:
         while chain[-1] in above:
             chain.append(above[chain[-1]])
         ancestors.append(tuple(chain[::-1]))
-    return LocalFreedoms(surface, tuple(ancestors))
+    return LocalFreedoms(surface, tuple(ancestors), thin)

@@ -20,7 +20,7 @@ from scipy.sparse.csgraph import connected_components
 
 from fem_reference.shell import compat
 from fem_reference.shell.element import ELEMENTS, Material, opt_beta0
-from fem_reference.shell.factorisation import Factorisation, FactorisationError, upper_triangle
+from fem_reference.shell.factorisation import BLOCK, Factorisation, FactorisationError, upper_triangle
 from fem_reference.shell.influence import influence_matrix
 from fem_reference.shell.interpolation import P1
 from fem_reference.shell.local_freedoms import LocalFreedoms, local_freedoms
@@ -389,7 +389,7 @@ class ShellPart:
         flat, normals = self._local.flattened, None
         if self._kind.normals is not None:
             corner = np.take_along_axis(self._kind.normals(self.surface), self._local.order[:, :, None], axis=1)
-            normals = corner @ self._local.triangle_axes
+            normals = (corner @ self._local.triangle_axes).astype(float)
         count = len(flat)
         apart = Surface(flat.reshape(-1, 3), np.arange(3 * count).reshape(count, 3), normals)
         part = ShellPart(apart, self.thickness, self.young, self.poisson, self.element, connected=False)
@@ -398,16 +398,27 @@ class ShellPart:
         return self._by_freedom(self._local.stiffness(blocks))
 
     @cached_property
-    def _pinned(self) -> tuple[csr_matrix, csr_matrix]:
-        """Upper triangle of K_ff, and K_fp, for free freedoms f and pins p; only half of K is stored."""
+    def _pinned(self) -> tuple[csr_matrix, csr_matrix, csr_matrix | None]:
+        """Upper triangle of K_ff, and K_fp, for free freedoms f and pins p; only half of K is stored. Of a thin sheet
+        also K_ff in extended precision."""
         rows = self._solved_stiffness()[self._free]
-        return upper_triangle(rows[:, self._free]), rows[:, self.pins]
+        free = rows[:, self._free]
+        exact = free if self._local is not None and self._local.thin else None
+        return upper_triangle(free.astype(float)), rows[:, self.pins].astype(float), exact
 
     @cached_property
     def _factorisation(self) -> Factorisation:
         factorisation = Factorisation(self._pinned[0])
         self._check_conditioning(factorisation)
         return factorisation
+
+    def _solved(self, loads: np.ndarray) -> np.ndarray:
+        """K_ff⁻¹ of loads (m, r), for a thin sheet refined once by residuals in extended precision."""
+        found, exact = self._factorisation.solve(loads), self._pinned[2]
+        if exact is None:
+            return found
+        residual = loads - exact @ found.astype(np.longdouble)
+        return found + self._factorisation.solve(residual.astype(float))
 
     @property
     def memory(self) -> float:
@@ -445,7 +456,7 @@ class ShellPart:
         loads = np.asarray(nodal_forces, dtype=float)
         loads = loads if self._absolute is None else self._absolute.T @ loads
         freedoms = np.zeros_like(loads)
-        freedoms[self._free] = self._factorisation.solve(loads[self._free])
+        freedoms[self._free] = self._solved(loads[self._free])
         return freedoms if self._absolute is None else self._absolute @ freedoms
 
     def influence(self, functionals: Functionals) -> tuple[np.ndarray, np.ndarray]:
@@ -455,9 +466,16 @@ class ShellPart:
         """
         L = self.functional_matrix(functionals)
         solved = L if self._absolute is None else (L @ self._absolute).tocsr()
-        H, self._factorisation = influence_matrix(self._pinned[0], solved[:, self._free])
-        self._check_conditioning(self._factorisation)
-        return H, L @ self.rigid_modes
+        solved = solved[:, self._free]
+        if self._pinned[2] is None:
+            H, self._factorisation = influence_matrix(self._pinned[0], solved)
+            self._check_conditioning(self._factorisation)
+            return H, L @ self.rigid_modes
+        H = np.empty((len(functionals), len(functionals)))
+        for first in range(0, len(H), BLOCK):
+            columns = slice(first, first + BLOCK)
+            H[:, columns] = solved @ self._solved(solved[columns].T.toarray())
+        return 0.5 * (H + H.T), L @ self.rigid_modes
 
     def field(self, functionals: Functionals, forces: np.ndarray) -> np.ndarray:
         """Displacements and rotations (n_points, 6, r) at the vertices of the pinned part.

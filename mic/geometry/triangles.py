@@ -25,6 +25,8 @@ __all__ = [
     "unit",
 ]
 
+NARROW = 1e-3  # squared sine between edges, below which a triangle is narrow
+
 
 def unit(vector):
     """Vectors along the last axis divided by their lengths."""
@@ -127,6 +129,9 @@ def closest_barycentric(corners, x):
     denominator = d00 * d11 - d01**2
     v = (d11 * d20 - d01 * d21) / denominator
     w = (d00 * d21 - d01 * d20) / denominator
+    narrow = np.flatnonzero(denominator < NARROW * d00 * d11)
+    if len(narrow):
+        v[narrow], w[narrow] = _narrow_barycentric(ab[narrow], ac[narrow], ax[narrow])
     result = np.column_stack([1 - v - w, v, w])
     outside = np.flatnonzero((result < 0).any(1))
     if len(outside):
@@ -142,3 +147,17 @@ def closest_barycentric(corners, x):
         nearest = np.argmin(distances, axis=0)
         result[outside] = np.stack(options)[nearest, np.arange(len(outside))]
     return result
+
+
+def _narrow_barycentric(ab, ac, ax):
+    """Second and third barycentric coordinates (q,) of points ax (q, 3) in narrow triangles with edges ab, ac (q, 3).
+
+    Inner products of nearly parallel edges would lose twice the digits.
+    """
+    normal, v, w = np.cross(ab, ac), np.zeros((len(ab), 1)), np.zeros((len(ab), 1))
+    square = dot(normal, normal)
+    for _ in range(2):  # the second time for what rounding left
+        rest = ax - v * ab - w * ac
+        v = v + (dot(normal, np.cross(rest, ac)) / square)[:, None]
+        w = w + (dot(normal, np.cross(ab, rest)) / square)[:, None]
+    return v[:, 0], w[:, 0]

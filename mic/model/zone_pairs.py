@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
+from typing import Any
 
 import numpy as np
 
@@ -18,8 +19,13 @@ OPPOSED = 0.5  # cosine of the angle between a clamp and a locator: above it the
 
 
 def landmarks(scene: Scene) -> np.ndarray:
-    """(n, 3) points of the locators, mm: they anchor the pattern of contact pairs."""
-    return np.array([locator.point for locator in scene.locators]).reshape(-1, 3)
+    """(n, 3) points of the locators in the order of their names, mm: they anchor the pattern of contact pairs."""
+    return np.array([locator.point for locator in _by_name(scene.locators)]).reshape(-1, 3)
+
+
+def _by_name(items: Iterable[Any]) -> list[Any]:
+    """Items in an order that does not depend on that of the scene file."""
+    return sorted(items, key=lambda item: item.name)
 
 
 def zone_pairs(
@@ -66,7 +72,7 @@ def pressed_places(scene: Scene, zone, bodies: Mapping[str, Side]) -> list[Press
     """
     stacked = _stacked_parts(scene, zone, bodies)
     clamps, places = [], []
-    for clamp in scene.clamps:
+    for clamp in _by_name(scene.clamps):
         point = _projected_point(clamp, zone, bodies, stacked)
         if point is not None:
             clamps.append(clamp)
@@ -74,7 +80,7 @@ def pressed_places(scene: Scene, zone, bodies: Mapping[str, Side]) -> list[Press
     for i, weld in enumerate(scene.welds):
         if set(weld.parts) == set(zone.parts):
             places.append(PressedPoint(np.array(weld.point), weld.radius, i, _weld_normal(zone, weld, bodies)))
-    for locator in scene.locators:
+    for locator in _by_name(scene.locators):
         point = _projected_point(locator, zone, bodies, stacked)
         if point is not None:
             backed = _backed_radius(locator, clamps)
