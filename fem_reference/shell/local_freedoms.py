@@ -32,7 +32,6 @@ import numpy as np
 from scipy.sparse import bsr_matrix, csr_matrix
 
 from mic.geometry.surface import Surface
-from mic.geometry.triangles import unit
 
 __all__ = ["NARROW", "THIN", "LocalFreedoms", "local_freedoms"]
 
@@ -78,8 +77,8 @@ class LocalFreedoms:
         normal = np.zeros_like(self._points)
         for corner in range(3):
             np.add.at(normal, surface.triangles[:, corner], surface.normals * surface.areas[:, None])
-        normal = unit(normal)
-        first = unit(np.cross(normal, np.eye(3)[np.abs(normal).argmin(axis=1)]))
+        normal = _unit(normal)
+        first = _unit(np.cross(normal, np.eye(3)[np.abs(normal).argmin(axis=1)]))
         return np.stack([first, np.cross(normal, first), normal], axis=2)
 
     @cached_property
@@ -92,8 +91,8 @@ class LocalFreedoms:
     def triangle_axes(self) -> np.ndarray:
         """(k, 3, 3) axes of each triangle as columns: along its shortest side, across, and its normal."""
         corner = self._corners
-        along = unit(corner[:, 1] - corner[:, 0])
-        normal = unit(np.cross(along, corner[:, 2] - corner[:, 0])) if self.thin else self.surface.normals
+        along = _unit(corner[:, 1] - corner[:, 0])
+        normal = _unit(np.cross(along, corner[:, 2] - corner[:, 0])) if self.thin else self.surface.normals
         return np.stack([along, np.cross(normal, along), normal], axis=2)
 
     @property
@@ -136,6 +135,10 @@ class LocalFreedoms:
         places = (6 * row[:, None, None] + np.arange(6)[:, None], 6 * column[:, None, None] + np.arange(6))
         places = [np.broadcast_to(each, entries.shape).ravel() for each in places]
         return csr_matrix((entries.ravel(), tuple(places)), shape=(6 * height, 6 * len(self.ancestors)))
+
+
+def _unit(vector: np.ndarray) -> np.ndarray:
+    return vector / np.linalg.norm(vector, axis=-1, keepdims=True)
 
 
 def local_freedoms(surface: Surface, thickness: float) -> LocalFreedoms | None:
