@@ -105,11 +105,11 @@ def idle(arguments) -> None:
     import mic.runs  # noqa: F401
     from mic.compliance import provider
     from mic.contact.laws import LAWS
-    from mic.contact.native.follower import follower
+    from mic.contact.native.follower import follow
     from mic.contact.native.law_equation import compiled
 
     provider.installed()
-    follower()
+    follow.load()
     compiled(LAWS[LAW].equation)
     tell(arguments.folder, 0)
 

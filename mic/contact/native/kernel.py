@@ -2,18 +2,23 @@
 
 A kernel has one signature. Its cache is valid as long as no source of this package changes: Numba would compare only
 the file of the kernel itself, not those of the kernels that it calls. Importing a module compiles and loads nothing,
-and a kernel read from the cache brings the code of those that it calls with it.
+and a kernel that is loaded loads those that it calls.
+
+A kernel calls another one, as functions of a library call each other. Numba would copy the code of the callee into each
+caller, so that what stands at the bottom would be optimised again for all that stand above it.
 """
 
 from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable
+from copy import copy
 from functools import cache
 from pathlib import Path
 
 from numba import float64, int64
 from numba.core import caching
+from numba.core.codegen import ll
 from numba.core.compiler_lock import global_compiler_lock
 from numba.core.registry import CPUDispatcher
 
@@ -68,12 +73,28 @@ class Kernel(CPUDispatcher):
         with global_compiler_lock:
             if not self._can_compile:
                 return
+            for name in self.__code__.co_names:
+                called = self.py_func.__globals__.get(name)
+                if isinstance(called, Kernel):
+                    called.load()
             try:
                 self._cache = _PackageCache(self.py_func)
             except RuntimeError:  # no folder can be written: each process compiles anew
                 pass
             self.compile(self._signature)
             self.disable_compile()
+            self._replace_by_symbol()
+
+    def _replace_by_symbol(self) -> None:
+        """Let callers refer to the function by its name, which no process changes, and do without its code."""
+        (compiled,) = self.overloads.values()
+        description = copy(compiled.fndesc)
+        description.mangled_name = f"{self.__module__}.{self.__qualname__}"
+        ll.add_symbol(
+            description.mangled_name, compiled.library.get_pointer_to_function(compiled.fndesc.llvm_func_name)
+        )
+        self.targetctx.remove_user_function(compiled.entry_point)
+        self.targetctx.insert_user_function(compiled.entry_point, description)
 
     def _compile_for_args(self, *_):  # at the first call: what Numba calls instead
         self.load()

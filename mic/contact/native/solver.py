@@ -228,10 +228,9 @@ class NativeSolver:
             order, tolerances = 2, (path.tolerance, path.least, FORCES * path.tolerance)
         room, unguessed = follower.MOST + 1 if path.recorded else 0, np.empty((0, 3 * m))
         passed, passed_force = lazy_zeros(n, room), lazy_zeros(n, room, 3 * m)
-        follow, _ = follower.follower()
 
         def chunk(own):
-            follow(
+            follower.follow(
                 problem.equation,
                 problem.W,
                 problem.factors,
@@ -258,10 +257,9 @@ class NativeSolver:
         given = tuple(map(np.ascontiguousarray, (b, force, anchor, working, guess)))
         told = leg.force, leg.b, leg.anchor, leg.slip, leg.length, leg.work, leg.share
         counts = np.zeros((len(b), 5), dtype=np.int64)
-        _, follow_among = follower.follower()
 
         def chunk(own):
-            follow_among(
+            follower.follow_among(
                 problem.equation,
                 problem.W,
                 problem.factors,
