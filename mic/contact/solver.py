@@ -14,6 +14,7 @@ from mic.contact.backends import BACKENDS
 from mic.contact.certificate import contact_stiffness, in_units, measure, residual, series_compliance
 from mic.contact.contact_residual import RESOLVED, as_contacts, contact_residuals
 from mic.contact.friction import Friction, finite
+from mic.contact.large_increment import forces_without_friction
 from mic.contact.laws import Law, find
 from mic.contact.path import Followed, Path, PathSolution, follow, with_samples
 from mic.contact.refinement import refined
@@ -209,7 +210,7 @@ class ContactSolver:
         """(n,) samples whose displacements (n, k), or whose S, lie outside :data:`mic.contact.units.RANGE`."""
         return out_of_range(rows) | self._scaled
 
-    def _solve(self, rows, guess, refine) -> ContactSolution:
+    def _solve(self, rows, guess, refine, retry=True) -> ContactSolution:
         """Solve problems whose numbers are within range."""
         if self._rigid:  # forces cause no displacement
             force, counts = np.zeros_like(rows), np.zeros((2, len(rows)), dtype=np.int64)
@@ -231,12 +232,20 @@ class ContactSolver:
                     self._apply_fallbacks(sample, rows, force, counts, rung)
             solution = self.certify(rows, force, counts[0], counts[1], rung, infeasible)
             lost = ~solution.converged & ~infeasible
-            if guess is not None and lost.any():  # try again without the guess
-                again = self._solve(rows[lost], None, False)
+            if guess is not None and retry and lost.any():  # try again from forces without friction
+                again = self._solve(rows[lost], self._pressing(rows[lost]), False, retry=False)
                 counts = counts[:, lost] + [again.iterations, again.factorisations]
                 again = replace(again, iterations=counts[0], factorisations=counts[1])
                 solution = with_samples(solution, lost, again)
         return self._refine(rows, solution) if refine and self.certify_each else solution
+
+    def _pressing(self, rows) -> np.ndarray:
+        """(n, d m) forces without friction."""
+        force, normal = np.zeros_like(rows), slice(None, None, self.dimension)
+        S = self.S[normal, normal]
+        for b, found in zip(rows[:, normal], force[:, normal]):
+            found[:] = forces_without_friction(S, b, found)
+        return force
 
     def _overlaps_rigidly(self, rows) -> np.ndarray:
         """(n,) samples with a contact that overlaps, though no force moves it."""
