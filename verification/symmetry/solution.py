@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -10,13 +11,16 @@ import numpy as np
 import pandas as pd
 from scipy.optimize import linear_sum_assignment
 
+from mic.contact import ContactSolver
+from mic.contact.second_start import has_other_solution
 from mic.model.assembly import PlacedScene, assemble_placed
 from mic.process.model import ReducedModel
+from mic.process.process import Process
 from verification.comparison import reduced_model
 from verification.symmetry.numbers import numbers
 from verification.symmetry.transformation import Transformation
 
-__all__ = ["Solution", "matched", "pairs_of", "solve"]
+__all__ = ["Solution", "has_several_solutions", "matched", "pairs_of", "solve"]
 
 
 @dataclass(frozen=True)
@@ -73,6 +77,26 @@ def solve(
         order = matched(np.column_stack([change.points(pairs[:, :3]), pairs[:, 3]]), found)
     values = change.deviations(placed.scene, deviations)
     return Solution({law: _numbers(model, law, values, change, order) for law in placed.scene.report.laws}, found)
+
+
+def has_several_solutions(placed: PlacedScene, deviations: np.ndarray) -> bool:
+    """Whether other contact forces than the computed ones are found, and certified, in a step under the first law."""
+    with TemporaryDirectory() as temporary:
+        model = reduced_model(assemble_placed(placed, Path(temporary)), Path(temporary))
+    law, rows, found = placed.scene.report.laws[0], 3 * len(model.contacts), []
+    process = Process(model, law, backend=model.scene.monte_carlo.backend)
+
+    def inspect(stage, eliminated, state, solution):
+        S = eliminated.compliance[0].block(np.arange(rows))
+        load = (solution.displacement[:, :rows] - solution.force[:, :rows] @ S).reshape(len(deviations), -1, 3)
+        load[:, :, 1:] -= state.anchor
+        solver = ContactSolver(S, model.contacts.friction_in(stage), law, certify_each=False)
+        found.append(has_other_solution(solver, load.reshape(len(load), -1)).any())
+
+    for stage in process.stages:
+        stage.inspect = partial(inspect, stage.plan.name)
+    process.attempt(deviations)
+    return any(found)
 
 
 def _numbers(model: ReducedModel, law: str, values, change, order) -> pd.DataFrame:
