@@ -285,18 +285,31 @@ def test_a_path_in_other_units_takes_the_same_steps(length, force):
     np.testing.assert_allclose(other.trace.force_error, force * own.trace.force_error, rtol=0.1)
 
 
-@pytest.mark.parametrize("mu", [0.0, 0.3])
-def test_a_path_does_not_depend_on_the_tangential_axes_of_its_contacts(mu):
+@pytest.mark.parametrize("mu, seed, mirror", [(0.0, 6, 1), (0.3, 6, 1), (0.3, 9, -1)])
+def test_a_path_does_not_depend_on_the_tangential_axes_of_its_contacts(mu, seed, mirror):
     """Nor does the slip under load of contacts without friction, whose force has no direction."""
-    rng = np.random.default_rng(6)
+    rng, path = np.random.default_rng(seed), Followed(least=2.0)
     A = rng.normal(size=(12, 12))
-    S, loads = A @ A.T + 0.1 * np.eye(12), rng.normal(size=(2, 12))
-    loads[:, ::3] = [[0.1], [-1.0]]
-    turn = block_diag(*([[1, 0, 0], [0, np.cos(a), -np.sin(a)], [0, np.sin(a), np.cos(a)]] for a in (0.7, 2, 3, 5)))
-    own, other = follow(loads, S=S, mu=mu).trace, follow(loads @ turn.T, S=turn @ S @ turn.T, mu=mu).trace
+    S, loads = A @ A.T + 0.1 * np.eye(12), rng.normal(size=(3, 12))
+    loads[:, ::3] = [[0.1], [-1.0], [-2.0]]
+    axes = (np.array([[np.cos(a), -mirror * np.sin(a)], [np.sin(a), mirror * np.cos(a)]]) for a in (0.7, 2, 3, 5))
+    turn = block_diag(*(block_diag(1, plane) for plane in axes))
+    own, other = follow(loads, path, S=S, mu=mu).trace, follow(loads @ turn.T, path, S=turn @ S @ turn.T, mu=mu).trace
     assert own.length.max() > 0.1 and own.steps == other.steps
     np.testing.assert_allclose(other.length, own.length, rtol=0, atol=1e-9)
     np.testing.assert_allclose(other.share, own.share, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(other.force_error, own.force_error, rtol=1e-6, atol=1e-12)
+
+
+def test_contacts_whose_load_goes_back_the_way_it_came_open_without_slip():
+    """Their forces vanish at the tip of the cone, where rounding would decide whether they slide before they open."""
+    rng = np.random.default_rng(5)
+    A = rng.normal(size=(6, 6))
+    S, pull = A @ A.T + 0.1 * np.eye(6), np.array([-1, 0.3, 0.1, -1.5, -0.2, 0.4])
+    for _ in range(3):
+        loads = np.array([0 * pull, pull, -0.7 * pull]) * (1 + 1e-13 * rng.normal(size=(3, 6)))
+        found = follow(loads, Followed(least=1.0), S=S, mu=50.0)
+        assert found.force[0].max() == 0.0 and found.trace.length.max() == 0.0
 
 
 def test_forces_are_as_exact_as_their_estimate():

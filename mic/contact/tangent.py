@@ -11,7 +11,8 @@ contact
 where σ is the law's share of the shift, g its bound, a the anchor, and ``w' = w_t - shift``. Linearised, ``P df + Q dw
 = r``, it is one linear system over the closed contacts, with all inputs as right-hand sides. The last equation uses the
 direction of the force and not ``w'/‖w'‖``: a contact that slipped before lies on its cone with ``w' = 0`` in a step
-without motion. The steps are compiled (:mod:`mic.contact.native.tangent`).
+without motion. The steps are compiled
+(:mod:`mic.contact.native.path_derivative`).
 
 Second-order steps use the shift of the follower (:mod:`mic.contact.native.follower`), as an unknown: a contact that
 lies on its cone at the start of the step, with ``e⁰ = f_t⁰/‖f_t⁰‖``, and slips by ``l = -e⁰·w_t``, has
@@ -257,7 +258,12 @@ class _PathSolver:
         none = np.zeros((0, d * len(contact.friction)))
         slope = contact.compliance_slope or ComplianceDerivative(none, none, np.zeros(0))
         sides = (np.ascontiguousarray(side[:, self.rows]) for side in (slope.left, slope.right))
-        self.compliance_slope = (*sides, slope.inputs.astype(np.int64))
+        left, right, inputs = (*sides, slope.inputs.astype(np.int64))
+        # The contacts' own compliance changes, too.
+        longest = size * np.arange(m) + self.S.diagonal().reshape(m, size).argmax(axis=1)
+        softer = np.zeros_like(self.friction_slope)
+        np.add.at(softer.T, inputs, left[:, longest] * right[:, longest])
+        self.compliance_slope = softer, left, right, inputs
 
     def solve(self, records: Sequence[PathRecord], start: Dual, end: Dual, anchor: Dual):
         """Forces (n, s m), their slopes (n, s m, p) and states (n, m) at the end of the paths, and whether all steps
@@ -268,38 +274,27 @@ class _PathSolver:
         state, first = np.zeros((n, m), dtype=np.int64), np.zeros(n, dtype=np.int64)
         if not m:  # no contact carries force
             return f, F, state, np.ones(n, dtype=bool)
-        from mic.contact.native.tangent import walks  # compiles, or reads the cache, when it is imported
+        from mic.contact.native.linearised_law import Contacts  # compiles, or reads the cache, when it is called
+        from mic.contact.native.path_derivative import Loads, Records, differentiate
 
+        law = self.equation, self.law.varies, float(self.law.shift)
+        contacts = Contacts(*law, self.S, self.length, self.parameters, self.friction_slope, *self.compliance_slope)
         followed = np.array([record.order == 2 for record in records])
         edges = np.concatenate([[0], np.cumsum([len(record.ends) for record in records])]).astype(np.int64)
         ends = np.concatenate([record.ends for record in records]).astype(float)
         guess = np.concatenate([record.force[:, self.rows] for record in records])
-        loads = [np.ascontiguousarray(load[:, self.rows]) for load in (start.value, end.value, start.slope, end.slope)]
-        anchors = [np.ascontiguousarray(array[:, self.sides]) for array in (anchor.value, anchor.slope)]
+        b0, b1, B0, B1 = (load[:, self.rows] for load in (start.value, end.value, start.slope, end.slope))
+        anchors = (array[:, self.sides] for array in (anchor.value, anchor.slope))
+        loads = Loads(*(np.ascontiguousarray(load) for load in (b0, b1 - b0, B0, B1 - B0, *anchors)))
 
         def advance(own: np.ndarray, guess: np.ndarray, forced: bool = False) -> np.ndarray:
             """Solve further steps of some samples (k,); the number of steps that each has reached."""
             step, steps = first[own], [np.arange(a, b) for a, b in zip(edges[own], edges[own + 1])]
-            all_steps = np.concatenate(steps)
+            every_step = np.concatenate(steps)
+            cut = np.concatenate([[0], np.cumsum([len(numbers) for numbers in steps])]).astype(np.int64)
+            some_records = Records(followed[own], cut, ends[every_step], np.ascontiguousarray(guess[every_step]))
             some = f[own], F[own], state[own], q[own]
-            walks(
-                self.equation,
-                self.law.varies,
-                float(self.law.shift),
-                self.S,
-                self.length,
-                self.parameters,
-                self.friction_slope,
-                followed[own],
-                np.concatenate([[0], np.cumsum([len(numbers) for numbers in steps])]).astype(np.int64),
-                ends[all_steps],
-                np.ascontiguousarray(guess[all_steps]),
-                *(array[own] for array in (*loads, *anchors)),
-                *self.compliance_slope,
-                step,
-                np.full(len(own), forced),
-                *some,
-            )
+            differentiate(contacts, some_records, Loads(*(load[own] for load in loads)), step, forced, *some)
             f[own], F[own], state[own], q[own] = some
             return step
 

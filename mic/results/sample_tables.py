@@ -127,8 +127,9 @@ def zone_motion(resolution: Resolution, contacts, pairs: np.ndarray, frictional:
     weight = weight / weight.sum()
     share = weight @ trace.share[:, pairs]
     work = np.maximum(trace.work[:, pairs], 0.0)
-    total = np.maximum(work.sum(axis=1, keepdims=True), np.finfo(float).tiny)
-    slip_weight = np.where(contacts.watched[pairs], work / total, weight)
+    total = work.sum(axis=1, keepdims=True)
+    by_work = contacts.watched[pairs] & (total > 0)  # without friction by area
+    slip_weight = np.where(by_work, work / np.where(total > 0, total, 1.0), weight)
     under_load = {
         "rms_slip": np.sqrt(((trace.slip[:, pairs] ** 2).sum(axis=2) * slip_weight).sum(axis=1)),
         "slip_length": np.sqrt((trace.length[:, pairs] ** 2 * slip_weight).sum(axis=1)),

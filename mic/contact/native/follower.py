@@ -58,8 +58,8 @@ BEHIND, TOGETHER, HARMLESS = 0.25, 1e-2, 0.5
 #: Newton's tolerance within a path; at its end it is the solver's.  It is relative to what overlap alone would be
 #: answered with, which is a thousand times the motion where parts hang together loosely: looser, paths part.
 INNER = 1e-12
-#: A contact this near its cone (relative) at the start of a step may slide.
-NEAR = 1e-7
+#: A contact this near its cone (relative) at the start of a step may slide, or by so many of Newton's tolerances.
+NEAR, LEFT = 1e-7, 10.0
 #: Shrinking the step aims below the tolerance by this factor, the usual one of step control; and how much it may grow.
 SAFETY, GROWTH = 0.8, 4.0
 #: A step in which contacts begin to press of which nothing is known is so long at most: the prediction leaves them out.
@@ -183,25 +183,30 @@ def _rounded(factor):
     return 2.0 ** (0.5 * np.floor(2.0 * np.log2(factor)))
 
 
-@kernel(void(VECTOR, VECTOR))
-def _forward(y, w):
-    """Sliders go a little forward along their way, so that a contact on its cone is one, whatever its last bits."""
+@kernel(void(VECTOR, VECTOR, NUMBER))
+def _forward(y, w, slack):
+    """Sliders go a little forward along their way, so that a contact on its cone is one, whatever its last bits.
+
+    ``slack`` is how far Newton's tolerance may leave a force from its cone; one without friction has no way.
+    """
     for i in range(0, len(y), 3):
-        w[i + 1] -= NEAR * y[i + 1] + 1e-12 * abs(y[i])
-        w[i + 2] -= NEAR * y[i + 2]
+        t = np.sqrt(y[i + 1] ** 2 + y[i + 2] ** 2)
+        share = NEAR + slack / max(t, 1e-300)
+        w[i + 1] -= share * y[i + 1] + 1e-12 * abs(y[i])
+        w[i + 2] -= share * y[i + 2]
 
 
-@kernel(boolean(VECTOR, VECTOR, VECTOR, boolean))
-def _unforeseen(y, w, rate, starts):
+@kernel(boolean(VECTOR, VECTOR, VECTOR, NUMBER, boolean))
+def _unforeseen(y, w, rate, slack, starts):
     """Whether contacts may press in the next step of which nothing is known: any, where none presses yet, and where a
     path starts those that touch without force."""
     presses = soon = at_once = False
     for i in range(0, len(y), 3):
-        if y[i] > 0.0:
+        if y[i] > slack:
             presses = True
         else:
-            soon = soon or w[i] + FIRST * rate[i] < 0.0
-            at_once = at_once or w[i] + SHORTEST * rate[i] < 0.0
+            soon = soon or w[i] + FIRST * rate[i] < -slack
+            at_once = at_once or w[i] + SHORTEST * rate[i] < -slack
     return (soon and not presses) or (at_once and starts)
 
 
@@ -241,8 +246,8 @@ def _error(y0, state0, e0, grip, loose, motion, y, w, state, shift, other, unit,
     Per contact, how far the shifts of the solution are from those that were taken; for a slider that turns by Δφ along
     its way l what its chord and the mean of its two directions differ by, ``l Δφ²/12``, and ``l Δφ/2`` by as much as
     its step is backward Euler's, which has the last direction all along, and where nobody foresaw that it would slide;
-    and half the way of a slider that was foreseen to go on and stops.  ``doubt`` (3m,) receives it as a displacement;
-    a slider's is across its way, because along it the slider bears what it bears wherever it is.
+    and half the way of a slider that was foreseen to go on and stops.  ``doubt`` (3m,) receives it as a displacement:
+    a slider's across its way, because along it the slider bears what it bears wherever it is, to where it slid before.
     """
     total = 0.0
     for k in range(len(state)):
@@ -252,19 +257,22 @@ def _error(y0, state0, e0, grip, loose, motion, y, w, state, shift, other, unit,
         t = np.sqrt(y[i + 1] ** 2 + y[i + 2] ** 2)
         if state0[k] != OPEN and state[k] == SLIP and t > ROUNDING * y[i]:  # without friction it has no direction
             moved = np.sqrt(w[i + 1] ** 2 + w[i + 2] ** 2)
+            e1, e2, before1, before2 = y[i + 1] / t, y[i + 2] / t, e0[k, 0], e0[k, 1]
+            part = 1.0
             if loose[k] < 1.0:
-                turn = 2.0 - 2.0 * (e0[k, 0] * y[i + 1] + e0[k, 1] * y[i + 2]) / max(t, 1e-300)
-                more = moved * max(turn, 0.0) / 12.0
-                part = 1.0 - 2.0 * _lag(moved / max(min(t, grip[k]), 1e-300))
-                more += 0.5 * part * moved * np.sqrt(max(turn, 0.0))
+                part -= 2.0 * _lag(moved / max(min(t, grip[k]), 1e-300))
             else:
-                t0 = np.sqrt(y0[i + 1] ** 2 + y0[i + 2] ** 2)
-                turn = 2.0 - 2.0 * (y0[i + 1] * y[i + 1] + y0[i + 2] * y[i + 2]) / max(t0 * t, 1e-300)
-                more = 0.5 * moved * np.sqrt(max(turn, 0.0))
-            d1, d2 = -y[i + 2] / max(t, 1e-300), y[i + 1] / max(t, 1e-300)
+                t0 = max(np.sqrt(y0[i + 1] ** 2 + y0[i + 2] ** 2), 1e-300)
+                before1, before2 = y0[i + 1] / t0, y0[i + 2] / t0
+            turn = np.sqrt((before1 - e1) ** 2 + (before2 - e2) ** 2)
+            more = 0.5 * part * moved * turn
+            if loose[k] < 1.0:
+                more += moved * turn**2 / 12.0
+            side = 1.0 if before1 * e2 >= before2 * e1 else -1.0
+            d1, d2 = -side * e2, side * e1
         elif loose[k] < 1.0 and state[k] == STICK:  # it stops on the way
             more = 0.5 * np.sqrt(motion[i + 1] ** 2 + motion[i + 2] ** 2)
-            d1, d2 = 0.5 * motion[i + 1] / max(more, 1e-300), 0.5 * motion[i + 2] / max(more, 1e-300)
+            d1, d2 = -0.5 * motion[i + 1] / max(more, 1e-300), -0.5 * motion[i + 2] / max(more, 1e-300)
         sign = 1.0 if doubt[i + 1] * d1 + doubt[i + 2] * d2 >= 0.0 else -1.0
         doubt[i + 1] += sign * more * d1
         doubt[i + 2] += sign * more * d2
@@ -347,7 +355,8 @@ def _record(
             f1, f2 = f1 + 0.5 * grip[k] * e0[k, 0], f2 + 0.5 * grip[k] * e0[k, 1]
         elif state0[k] == STICK:
             f1, f2 = 2.0 * f1, 2.0 * f2
-        work[k] -= f1 * m1 + f2 * m2
+        if np.sqrt(f1 * f1 + f2 * f2) > ROUNDING * max(y0[i], y[i]):
+            work[k] -= f1 * m1 + f2 * m2
 
 
 @kernel(MATRIX(MATRIX))
@@ -736,8 +745,10 @@ def closings(W, own, inverse, w0, state0, y, w, state, shift, touched):
         late[first] = False
 
 
-@kernel(SOLVED(EQUATION_POINTER, MATRIX, MATRIX, VECTOR, VECTOR, VECTOR, NUMBER, NUMBER, *LAST_PROBLEM, COUNTS))
-def newton_by_pivots(equation, W, parameters, y, w, q, tol, scale, kept, stretch, A, B, own, inverse, counts):
+@kernel(
+    SOLVED(EQUATION_POINTER, MATRIX, MATRIX, VECTOR, VECTOR, VECTOR, NUMBER, NUMBER, boolean, *LAST_PROBLEM, COUNTS)
+)
+def newton_by_pivots(equation, W, parameters, y, w, q, tol, scale, current, kept, stretch, A, B, own, inverse, counts):
     """Newton's method whose linear problems keep their inequalities (Josephy's), from the guess (y, w).
 
     Equations are linearised where they are, statuses are not held: after each linear solution the contact whose
@@ -749,6 +760,8 @@ def newton_by_pivots(equation, W, parameters, y, w, q, tol, scale, kept, stretch
 
     Parameters
     ----------
+    current : bool
+        Whether the linear problem has the statuses of the solution in any case, however it was found.
     kept, stretch, A, B : (m,), (m,), (m, 3, 3), (m, 3, 3) array
         Of the linear problem that was solved last: statuses, how many times tangential displacements count, and
         the equations.
@@ -775,10 +788,14 @@ def newton_by_pivots(equation, W, parameters, y, w, q, tol, scale, kept, stretch
         derivative(equation, parameters, y, w, phi, new_A, new_B, state)
         size = force_scale(scale, q, y, w)
         error = np.sqrt(np.dot(phi, phi))
-        if error <= tol * size:
+        solved, changed = error <= tol * size, 0
+        for k in range(m):
+            if state[k] != (kept[k] if len(own) > 0 else OPEN):
+                changed += 1
+        if solved and (not current or changed == 0):
             return 1, own, inverse
-        serves = len(own) > 0 and error <= CHORD * before
-        if tried and before < error:
+        serves = len(own) > 0 and (solved or error <= CHORD * before)
+        if tried and before < error and not solved:
             y[:] = y_old
             times(W, y, w)
             w += q
@@ -819,7 +836,7 @@ def newton_by_pivots(equation, W, parameters, y, w, q, tol, scale, kept, stretch
                     own, inverse = _border(W, B, own, inverse, k)
                     A[k], B[k] = one, none
         else:
-            if renewed == NEWTON:
+            if renewed == NEWTON and not solved:
                 break
             own = np.flatnonzero(place >= 0)
             for a in range(len(own)):
@@ -833,6 +850,8 @@ def newton_by_pivots(equation, W, parameters, y, w, q, tol, scale, kept, stretch
                 continue
             _change(W, A, B, own, inverse, place[k], new_A[k], new_B[k])
             kept[k], stretch[k] = state[k], scaling[k]
+        if solved:
+            return 1, own, inverse
         y_old[:], before = y, error
         settled = False
         turned[:] = 0
@@ -919,6 +938,7 @@ def newton_by_pivots(equation, W, parameters, y, w, q, tol, scale, kept, stretch
         int64,
         int64,
         boolean,
+        boolean,
         *LAST_PROBLEM,
         COUNTS,
     )
@@ -937,6 +957,7 @@ def solve(
     sweeps,
     calls,
     near,
+    current,
     kept,
     stretch,
     A,
@@ -962,7 +983,7 @@ def solve(
             best[:] = y
     if near:
         solved, own, inverse = newton_by_pivots(
-            equation, W, parameters, y, w, q, tol, scale, kept, stretch, A, B, own, inverse, counts
+            equation, W, parameters, y, w, q, tol, scale, current, kept, stretch, A, B, own, inverse, counts
         )
         if solved == 1:
             return 1, own, inverse
@@ -991,7 +1012,7 @@ def solve(
         run *= 2
         if not near and call == 0:
             solved, own, inverse = newton_by_pivots(
-                equation, W, parameters, y, w, q, tol, scale, kept, stretch, A, B, own, inverse, counts
+                equation, W, parameters, y, w, q, tol, scale, current, kept, stretch, A, B, own, inverse, counts
             )
             if solved == 1:
                 return 1, own, inverse
@@ -1032,6 +1053,7 @@ def lands(equation, W, parameters, guess, y, w, q, tol, counts):
         NUMBER,
         NUMBER,
         NUMBER,
+        NUMBER,
         VECTOR,
         COUNTS,
         MATRIX,
@@ -1055,6 +1077,7 @@ def predict(
     step,
     behind,
     allowed,
+    slack,
     pace,
     state0,
     e0,
@@ -1085,6 +1108,8 @@ def predict(
     allowed : float
         Error of the step, a length: motion below it does not count.  A contact that slid farther ends the step
         where it opens, too.
+    slack : float
+        As :func:`_forward` has it.
     pace : (m,) array
         Slip that is expected of sliders, over the whole path; 0 if nothing is.
     state0, e0 : (m,), (m, 2) array
@@ -1107,13 +1132,13 @@ def predict(
     phi, A, B = np.zeros(3 * m), np.zeros((m, 3, 3)), np.zeros((m, 3, 3))
     y, w, found = y0.copy(), w0.copy(), np.zeros(m, np.int64)
     dy, dw = np.empty(3 * m), np.empty(3 * m)
-    _forward(y, w)
+    _forward(y, w, slack)
     opened[:] = 1.0
     gone[:] = 0.0
     derivative(equation, parameters, y, w, phi, A, B, state0)
     for k in range(m):
         i = 3 * k
-        if y[i] <= 0.0:
+        if y[i] <= slack:
             state0[k] = OPEN
         if state0[k] == SLIP:
             v1, v2 = y[i + 1] - w[i + 1], y[i + 2] - w[i + 2]
@@ -1203,6 +1228,9 @@ def predict(
             trial[:] = y + high * dy
             breaks = _breaking(equation, parameters, trial, still, state, held, phi, found)
             advance, first, closes = high, breaks, False
+            i = 3 * breaks
+            if y[i] + high * dy[i] <= NEAR * y0[i]:  # it comes to the tip of its cone: it opens, and does not slide
+                breaks = -1
         if closes:
             harmless = HARMLESS * allowed / max(_motion(dw, unit), 1e-300)
             advance = min(advance + max(behind, harmless), step - reached)
@@ -1398,6 +1426,7 @@ def follow(
                 sweeps,
                 HELP,
                 True,
+                False,
                 kept,
                 stretch,
                 A,
@@ -1422,16 +1451,17 @@ def follow(
             if s == 1.0:
                 break
             y0[:], w0[:] = y, w
+            slack = LEFT * INNER * max(scale, np.sqrt(np.dot(y0, y0)))
             most = max(most, _mean(y, unit))
             step = 1.0 - s if s + 1.0001 * h >= 1.0 else h
-            short = order == 2 and not given and _unforeseen(y0, w0, rate, s == 0.0)
+            short = order == 2 and not given and _unforeseen(y0, w0, rate, slack, s == 0.0)
             if short:
                 step = min(step, FIRST)
             solved, error, force, excess = 1, 0.0, 0.0, 0.0
             while True:
                 if order == 1:
                     wp[:] = w0
-                    _forward(y0, wp)
+                    _forward(y0, wp, slack)
                     equation(parameters, y0, wp, phi, nothing, nothing, state0, False)
                     least = 0.0
                     for k in range(m):
@@ -1457,6 +1487,7 @@ def follow(
                         step,
                         behind,
                         allowed,
+                        slack,
                         pace,
                         state0,
                         e0,
@@ -1522,6 +1553,7 @@ def follow(
                             starting_scale(q) if end else scale,
                             sweeps,
                             HELP if last or order == 1 or _motion(motion, unit) <= allowed else 0,
+                            order == 2,
                             order == 2,
                             kept,
                             stretch,

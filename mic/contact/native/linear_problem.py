@@ -1,0 +1,88 @@
+"""The linear problem of a linearised step, and products with slopes."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import int64
+
+from mic.contact.native.kernel import BLOCKS, COUNTS, MATRIX, VECTOR, kernel
+from mic.contact.native.linearised_law import CONTACTS
+
+__all__ = ["bent", "moved", "solved", "system"]
+
+#: Forces of contacts that hold each other are not unique, their displacements are.
+HYPERSTATIC, UNSOLVED = 1e-11, 1e-9
+
+
+@kernel(MATRIX(MATRIX, MATRIX))
+def solved(matrix, right):
+    """A linear system; where contacts hold each other, the least forces."""
+    size = np.abs(right).max() if right.size else 0.0
+    if size == 0.0:
+        return np.zeros_like(right)
+    try:
+        found = np.ascontiguousarray(np.linalg.solve(matrix, right))
+    except Exception:
+        found = np.full_like(right, np.nan)
+    worst = np.abs(np.dot(matrix, found) - right).max()
+    if worst <= UNSOLVED * size:
+        return found
+    for i in range(len(matrix)):
+        for j in range(len(matrix)):
+            if not np.isfinite(matrix[i, j]):
+                return np.full_like(right, np.nan)
+    return np.ascontiguousarray(np.linalg.lstsq(matrix, right, HYPERSTATIC)[0])
+
+
+@kernel(MATRIX(MATRIX, BLOCKS, BLOCKS, COUNTS))
+def system(S, P, Q, own):
+    """Matrix of ``P_k x_k + Q_k (S x)_k`` over the contacts ``own``."""
+    size, count = P.shape[1], len(own)
+    J = np.empty((size * count, size * count))
+    for a in range(count):
+        i = size * own[a]
+        for row in range(size):
+            target = J[size * a + row]
+            if size == 1:
+                for b in range(count):
+                    target[b] = Q[a, 0, 0] * S[i, own[b]]
+            else:
+                q0, q1, q2 = Q[a, row, 0], Q[a, row, 1], Q[a, row, 2]
+                S0, S1, S2 = S[i], S[i + 1], S[i + 2]
+                for b in range(count):
+                    j = 3 * own[b]
+                    for c in range(3):
+                        target[3 * b + c] = q0 * S0[j + c] + q1 * S1[j + c] + q2 * S2[j + c]
+            for c in range(size):
+                target[size * a + c] += P[a, row, c]
+    return J
+
+
+@kernel(MATRIX(MATRIX, COUNTS, int64, COUNTS, MATRIX))
+def moved(S, rows, size, loaded, F):
+    """(r, p) some rows of ``S F``, F the slopes of the forces of the contacts ``loaded`` and zero elsewhere."""
+    columns = np.empty((len(rows), size * len(loaded)))
+    force = np.empty((size * len(loaded), F.shape[1]))
+    for b in range(len(loaded)):
+        for c in range(size):
+            force[size * b + c] = F[size * loaded[b] + c]
+    for a in range(len(rows)):
+        line = S[rows[a]]
+        for b in range(len(loaded)):
+            for c in range(size):
+                columns[a, size * b + c] = line[size * loaded[b] + c]
+    return np.dot(columns, force)
+
+
+@kernel(MATRIX(CONTACTS, VECTOR))
+def bent(contacts, force):
+    """(d m, p) ``dS f`` of each input."""
+    left, right, inputs = contacts.left, contacts.right, contacts.inputs
+    found = np.zeros((len(force), contacts.rougher.shape[1]))
+    for i in range(len(inputs)):
+        share = 0.0
+        for j in range(len(force)):
+            share += right[i, j] * force[j]
+        for j in range(len(force)):
+            found[j, inputs[i]] += share * left[i, j]
+    return found
