@@ -144,6 +144,8 @@ def test_disagreements_are_relative_to_the_largest_of_their_kind():
         {"key characteristic": 5e-3, "gap of a pair": 1e-4, "normal force": 1e-3, "friction force": 1e-3}
         | {"friction work": 1e-5, "slip": 1e-4}
     )
+    still = given.mul(given.index.get_level_values("quantity") != "key characteristic", axis=0)
+    assert disagreement(still, still + 0.01)["relative"].max() == pytest.approx(1e-3)
     silent = disagreement(0 * given, other)["relative"]
     assert np.isinf(silent).all()
 

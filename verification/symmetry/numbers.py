@@ -128,6 +128,8 @@ def disagreement(given: pd.DataFrame, other: pd.DataFrame) -> pd.DataFrame:
     unit = value.index.get_level_values("unit")
     kind = np.where(np.isin(value.index.get_level_values("quantity"), MEASURED), "measured", unit)
     sizes = value.groupby(kind).max()
+    if not sizes.get("measured", 1.0) > 0:  # a released assembly that did not move, up to rounding
+        sizes["measured"] = sizes.get("mm", 0.0)
     sizes["N mm"] = sizes.get("N", 0.0) * sizes.get("mm", 0.0)
     largest = pd.Series(sizes.reindex(kind).to_numpy(), value.index)
     relative = (difference / largest.where(largest > 0)).fillna(0.0).where(difference > 0, 0.0)
