@@ -273,9 +273,10 @@ def _error(y0, state0, e0, grip, loose, motion, y, w, state, shift, other, unit,
         elif loose[k] < 1.0 and state[k] == STICK:  # it stops on the way
             more = 0.5 * np.sqrt(motion[i + 1] ** 2 + motion[i + 2] ** 2)
             d1, d2 = -0.5 * motion[i + 1] / max(more, 1e-300), -0.5 * motion[i + 2] / max(more, 1e-300)
-        sign = 1.0 if doubt[i + 1] * d1 + doubt[i + 2] * d2 >= 0.0 else -1.0
-        doubt[i + 1] += sign * more * d1
-        doubt[i + 2] += sign * more * d2
+        if doubt[i + 1] * d1 + doubt[i + 2] * d2 < -0.1 * more:  # errors add up
+            d1, d2 = -d1, -d2
+        doubt[i + 1] += more * d1
+        doubt[i + 2] += more * d2
         total += ((error + more) * unit[i + 1]) ** 2
     return np.sqrt(total / max(len(state), 1))
 
