@@ -2,8 +2,9 @@
 
 Where sheets of thickness t differ by w from the shape whose stiffness they are given, the error of the key
 characteristics stays below about 0.4 w/t of the largest one (`verification/nominal_stiffness`). A tenth, which a gauge
-may be off, is reached at a quarter of the thickness. `stiffness = "auto"` uses the cheapest stiffness that stays below:
-the nominal one; that of the mean shape, where w is the scatter; else each sample's to first order.
+may be off, is reached at a quarter of the thickness. `stiffness = "auto"` uses the nominal stiffness up to there, and
+each sample's to first order beyond. That of the mean shape costs less, but leaves contact forces as wrong as the
+nominal one does, because they depend on how each sample differs from the mean.
 """
 
 from __future__ import annotations
@@ -25,7 +26,6 @@ ALLOWED = 0.1  # error of key characteristics there, relative to the largest one
 SAMPLES = 200
 USED = {
     "nominal": "the nominal one",
-    "mean": "that of the mean shape (a second set of influence coefficients for each part)",
     "first-order": (
         "each sample's to first order (two sets of influence coefficients for each source and part that it shapes, and "
         "several times the work for each sample)"
@@ -39,13 +39,13 @@ class StiffnessChoice:
 
     Attributes
     ----------
-    suitable : {"nominal", "mean", "first-order"}
-        The cheapest stiffness whose shape is at most :data:`LIMIT` away.
+    suitable : {"nominal", "first-order"}
+        The nominal stiffness, if its shape is at most :data:`LIMIT` away.
     part : str
         Part with the largest deviation over its thickness; empty if there is none.
-    deviation, scatter : float
-        Largest deviation of its shape at its functionals from nominal and from its mean, root mean square over the
-        samples, over its thickness.
+    deviation : float
+        Largest deviation of its shape at its functionals from nominal, root mean square over the samples, over its
+        thickness.
     obstacle : str
         Why no other stiffness than the nominal one is available; empty if others are.
     """
@@ -53,7 +53,6 @@ class StiffnessChoice:
     suitable: str
     part: str
     deviation: float
-    scatter: float
     obstacle: str
 
     def __str__(self) -> str:
@@ -67,12 +66,10 @@ class StiffnessChoice:
 
     @property
     def measure(self) -> str:
-        """Deviation and scatter in words."""
+        """The deviation in words."""
         if not self.part:
             return "no part deviates in shape"
-        return (
-            f"{self.part} deviates by {self.deviation:.2g} of its thickness, with a scatter of {self.scatter:.2g} of it"
-        )
+        return f"{self.part} deviates by {self.deviation:.2g} of its thickness"
 
 
 def choose_stiffness(assembly: Assembly, nominal: Reduction) -> StiffnessChoice:
@@ -87,26 +84,23 @@ def choose_stiffness(assembly: Assembly, nominal: Reduction) -> StiffnessChoice:
     scene = assembly.scene
     obstacles = check_stiffness(scene.model_copy(update={"stiffness": "first-order"}))
     deviations = draw(scene, scene.monte_carlo.seed, 0, SAMPLES)
-    worst, scatter = ("", 0.0, 0.0), 0.0
+    worst = ("", 0.0)
     for part, rows in zip(assembly.parts, nominal.compliance.functionals):
         if part.superelement is not None:
             continue
-        sizes = _sizes(part, scene, nominal.shape[rows], deviations)
-        worst, scatter = max(worst, (part.name, *sizes), key=lambda one: one[1]), max(scatter, sizes[1])
-    suitable = "nominal" if worst[1] <= LIMIT else "mean" if scatter <= LIMIT else "first-order"
+        worst = max(worst, (part.name, _size(part, scene, nominal.shape[rows], deviations)), key=lambda one: one[1])
+    suitable = "nominal" if worst[1] <= LIMIT else "first-order"
     return StiffnessChoice(suitable, *worst, "" if suitable == "nominal" else next(obstacles, ""))
 
 
-def _sizes(part, scene, shape: np.ndarray, deviations: np.ndarray) -> tuple[float, float]:
-    """Deviation and scatter of a part's shape (:class:`StiffnessChoice`); its expansion by temperature is none."""
+def _size(part, scene, shape: np.ndarray, deviations: np.ndarray) -> float:
+    """Deviation of a part's shape (:class:`StiffnessChoice`); its expansion by temperature is none."""
     grows = [part.name in source.expansion() for source in sources(scene)]
     read = np.where(grows, 0.0, shape) @ deviations.T
     read = read[~part.functionals.rotation]
     if not read.size:
-        return 0.0, 0.0
-    about = read - read.mean(axis=1, keepdims=True)
-    whole, scatter = (float(np.sqrt(np.mean(np.abs(each).max(axis=0) ** 2))) for each in (read, about))
-    return whole / part.thickness, scatter / part.thickness
+        return 0.0
+    return float(np.sqrt(np.mean(np.abs(read).max(axis=0) ** 2))) / part.thickness
 
 
 def stiffness_sentences(assembly: Assembly, nominal: Reduction) -> list[str]:

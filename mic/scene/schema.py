@@ -181,7 +181,7 @@ class Scene(Table):
     stiffness: Literal["nominal", "mean", "first-order", "auto"] = "nominal"
     """shape for which the stiffness is computed: nominal; mean, with gaps and normals (a second set of influence
     coefficients per part); or each sample's to first order (two more sets per relevant source, more work per
-    sample); `auto`: the cheapest of these that suits the deviations"""
+    sample); `auto`: nominal, or first-order where parts are out of shape by more than a quarter of their thickness"""
 
     parts: Annotated[list[Part], Field(min_length=1)]
     fixtures: list[Fixture] = []
