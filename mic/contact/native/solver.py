@@ -14,9 +14,10 @@ from mic.contact import ladder
 from mic.contact.friction import Friction
 from mic.contact.laws import Law
 from mic.contact.lazy_memory import lazy_zeros
-from mic.contact.native import follower
+from mic.contact.native import follower, path_constants
 from mic.contact.native.batch import Batch
 from mic.contact.native.frictionless import active_set
+from mic.contact.native.increment_among import follow_among
 from mic.contact.native.infeasibility import infeasible
 from mic.contact.native.landing import Landing
 from mic.contact.native.matrices import block
@@ -248,7 +249,7 @@ class NativeSolver:
             )
 
         self._each(chunk, n)
-        record = self._records(order, counts[:, follower.STEPS], passed, passed_force) if room else None
+        record = self._records(order, counts[:, path_constants.STEPS], passed, passed_force) if room else None
         return self._leg(Y, Q, L, slip, length, work, share, counts, sums, record)
 
     def step(self, among, some, b, force, anchor, working, guess, near, leg: Leg) -> None:
@@ -259,7 +260,7 @@ class NativeSolver:
         counts = np.zeros((len(b), 5), dtype=np.int64)
 
         def chunk(own):
-            follower.follow_among(
+            follow_among(
                 problem.equation,
                 problem.W,
                 problem.factors,
@@ -276,8 +277,8 @@ class NativeSolver:
             )
 
         self._each(chunk, len(some))
-        leg.factorisations[some] += counts[some, follower.FACTORISATIONS]
-        leg.given_up[some] = counts[some, follower.FAILED] > 0
+        leg.factorisations[some] += counts[some, path_constants.FACTORISATIONS]
+        leg.given_up[some] = counts[some, path_constants.FAILED] > 0
 
     def _leg(self, Y, Q, L, slip, length, work, share, counts, sums, record) -> Leg:
         """What the follower tells in scaled quantities, in mm and N."""
@@ -293,9 +294,9 @@ class NativeSolver:
             share=share,
             error=sums[:, 0].copy(),
             force_error=sums[:, 1].copy(),
-            steps=counts[:, follower.STEPS].copy(),
-            factorisations=counts[:, follower.FACTORISATIONS].copy(),
-            given_up=counts[:, follower.FAILED] > 0,
+            steps=counts[:, path_constants.STEPS].copy(),
+            factorisations=counts[:, path_constants.FACTORISATIONS].copy(),
+            given_up=counts[:, path_constants.FAILED] > 0,
             record=record,
         )
 

@@ -1,0 +1,134 @@
+"""The points from which a step of second order measures slip: those of sliders lag, and closing contacts touch late."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import boolean, void
+
+from mic.contact.native.kept_inverse import inverted
+from mic.contact.native.kernel import COUNTS, MATRIX, NUMBER, VECTOR, kernel
+from mic.contact.states import OPEN, SLIP
+
+__all__ = ["closings", "crossing", "lag", "origins"]
+
+#: Contacts that close in a step are looked at one by one, but those after so many.
+ONE_BY_ONE = 8
+
+
+@kernel(NUMBER(NUMBER))
+def lag(z):
+    """``1 - θ = 1/z - 1/(eᶻ - 1)``: how far behind the end of its slip a slider's reference is, in shares of it."""
+    if z < 1e-3:
+        return 0.5 - z / 12.0
+    if z > 300.0:
+        return 1.0 / z
+    return 1.0 / z - 1.0 / np.expm1(z)
+
+
+@kernel(NUMBER(NUMBER, NUMBER))
+def crossing(start, end):
+    """Where a line from ``start >= 0`` to ``end < 0`` crosses zero."""
+    start = max(start, 0.0)
+    return start / (start - end)
+
+
+@kernel(void(VECTOR, COUNTS, MATRIX, VECTOR, VECTOR, VECTOR, VECTOR, COUNTS, boolean, MATRIX, VECTOR))
+def origins(w0, state0, e0, grip, loose, y, w, state, solved, shift, touched):
+    """Where each contact's slip is measured from in a step, and the share of it after which an open contact touches.
+
+    Parameters
+    ----------
+    w0, state0
+        The step's start: displacements, states.
+    e0, grip, loose
+        Of sliders, as predicted: directions and ‖y_t‖ when they began to slide, and after which share of the step.
+    y, w, state
+        The step's end, as predicted or, where it is ``solved``, as the law has it; ``w_t`` from the anchors.
+    shift : (m, 2) array
+    touched : (m,) array
+        Both are filled; ``touched`` is 0 for contacts that were closed and 1 for those that stay open.  Of those that
+        close in a solution ``closings`` tells them.
+    """
+    for k in range(len(state0)):
+        i = 3 * k
+        shift[k, 0] = shift[k, 1] = touched[k] = 0.0
+        if state0[k] == OPEN:
+            touched[k] = 1.0
+            if w[i] < 0.0 and not solved:
+                c = crossing(w0[i], w[i])
+                touched[k] = c
+                shift[k, 0], shift[k, 1] = c * w[i + 1], c * w[i + 2]
+        elif loose[k] < 1.0 and (not solved or state[k] == SLIP):
+            d1, d2 = e0[k, 0], e0[k, 1]
+            if solved:
+                length = np.sqrt(w[i + 1] ** 2 + w[i + 2] ** 2)
+            else:
+                length = max(-(d1 * w[i + 1] + d2 * w[i + 2]), 0.0)
+            bound = min(grip[k], np.sqrt(y[i + 1] ** 2 + y[i + 2] ** 2))
+            back = lag(length / max(bound, 1e-300)) * length
+            shift[k, 0], shift[k, 1] = -back * d1, -back * d2
+
+
+@kernel(void(MATRIX, COUNTS, MATRIX, VECTOR, COUNTS, VECTOR, VECTOR, COUNTS, MATRIX, VECTOR))
+def closings(W, own, inverse, w0, state0, y, w, state, shift, touched):
+    """Where contacts that close in a step were when they did, and after which share of it: ``shift``, ``touched``.
+
+    One after the other: until the first closes all go where the end would be without the forces of any of them, to
+    which the others' answer, then where it would be with the first one's, and so on.  The inverse over the contacts
+    `own` tells the answers, statuses held; where it is not to be had, they give none.
+    """
+    new = np.flatnonzero((state0 == OPEN) & (state != OPEN))
+    count, passed = len(new), 0.0
+    place, at, free = np.full(len(state), -1), np.empty((count, 3)), np.empty((count, 3))
+    for a in range(len(own)):
+        place[own[a]] = a
+    for a in range(count):
+        for c in range(3):
+            at[a, c] = w0[3 * new[a] + c]
+    late = np.ones(count, np.bool_)  # those that have not closed yet
+    for turn in range(count):
+        left = np.flatnonzero(late)
+        if turn < ONE_BY_ONE:
+            n, change, right = 3 * len(left), np.zeros(len(y)), np.zeros(len(inverse))
+            forces, rows, inner = np.empty(n), np.empty(n, np.int64), np.empty((n, n))
+            for a in range(n):
+                k = new[left[a // 3]]
+                change[3 * k + a % 3] = -y[3 * k + a % 3]
+                forces[a] = change[3 * k + a % 3]
+                rows[a] = 3 * place[k] + a % 3
+            if rows.min() >= 0:
+                for a in range(n):
+                    for b in range(n):
+                        inner[a, b] = inverse[rows[a], rows[b]]
+                inner = inverted(inner)
+                for a in range(n):
+                    for b in range(n):
+                        right[rows[a]] += inner[a, b] * forces[b]
+                answer = np.dot(inverse, right)
+                for a in range(len(own)):
+                    for c in range(3):
+                        change[3 * own[a] + c] = answer[3 * a + c]
+            for a in left:
+                for c in range(3):
+                    i = 3 * new[a] + c
+                    free[a, c] = w[i]
+                    for j in range(len(y)):
+                        free[a, c] += W[i, j] * change[j]
+        first, soonest = -1, 1.0
+        for a in left:
+            if free[a, 0] < 0.0:
+                c = crossing(at[a, 0], free[a, 0])
+                if c < soonest:
+                    first, soonest = a, c
+        if first < 0:  # at the very end
+            for a in left:
+                touched[new[a]] = 1.0
+                shift[new[a]] = free[a, 1:]
+            return
+        for a in left:
+            for c in range(3):
+                at[a, c] += soonest * (free[a, c] - at[a, c])
+        passed += soonest * (1.0 - passed)
+        touched[new[first]] = passed
+        shift[new[first]] = at[first, 1:]
+        late[first] = False
