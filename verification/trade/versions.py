@@ -112,7 +112,7 @@ def truth(size: float, factor: float, samples: int, own: int) -> Truth:
     return Truth(Knobs(size=size, factor=factor, tolerance=FINE), samples, sources)
 
 
-TRUTHS = {"lap_joint": truth(0.625, 0.5, 100, 1000), "bracket": truth(1.0, 0.4, 80, 800)}
+TRUTHS = {"lap_joint": truth(0.625, 0.5, 100, 1000), "bracket": truth(1.0, 0.5, 80, 800)}
 QUICK = {"lap_joint": truth(0.625, 0.5, 16, 60)}
 #: Changes from the setting standard: one parameter at a time, then several.
 TURNED = {
