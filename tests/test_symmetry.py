@@ -115,6 +115,29 @@ def test_a_superelement_is_transformed_with_its_part():
         assert moved @ matrix @ moved == pytest.approx(35.0 * (v @ K @ v), rel=1e-12)
 
 
+def test_superelements_are_transformed_though_the_scene_reads_them_from_files(monkeypatch, tmp_path):
+    placed, samples = design.scene(one_point())
+    body, seen = object(), []
+    parts = [types.SimpleNamespace(name=one.part.name, superelement=body) for one in placed.loaded]
+    model = types.SimpleNamespace(
+        compliance=types.SimpleNamespace(H=[]), contacts=types.SimpleNamespace(gap=0.0, point=np.zeros(3), zone=0.0)
+    )
+    assembly = types.SimpleNamespace(parts=parts, sizes={})
+
+    def solve(placed, *given, **more):
+        seen.append([one.superelement for one in placed.loaded])
+        raise ArithmeticError("not needed")
+
+    monkeypatch.setattr(uncertainty, "load_placed", lambda *given: placed)
+    monkeypatch.setattr(uncertainty, "solve", solve)
+    monkeypatch.setattr(uncertainty, "pairs_of", lambda model: None)
+    case = uncertainty.Solved(placed.scene, placed.scene, assembly, model, samples, "coulomb", tmp_path)
+    monkeypatch.setattr(uncertainty, "REFUSALS", Exception)
+    _, refused = uncertainty.numerical_uncertainty(case, tmp_path, Team(), print)
+    assert len(seen) == 8 and all(one is body for given in seen for one in given)
+    assert "rotated by right angles: not needed" in refused
+
+
 def test_pairs_at_one_point_are_told_apart_by_their_zones():
     """Two zones of a stack of three sheets have pairs at the same points."""
     pairs = np.array([[1.0, 2, 3, 0], [4, 5, 6, 0], [1, 2, 3, 1], [4, 5, 6, 1]])

@@ -1,6 +1,7 @@
 """The two-level estimate on populations with a known answer, and the verification of a user's scene."""
 
 import json
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -8,7 +9,10 @@ from scipy.stats import t as student
 
 import mic
 from fem_reference.full.model import ContactFailure, FullModel
+from mic.errors import SceneError
 from mic.statistics import estimates
+from verification import own_scene
+from verification.comparison import full_model
 from verification.own_scene import choose, verify_scene
 from verification.scenes import with_path, with_stated_pairs
 from verification.study import FOLDER, Team
@@ -170,8 +174,14 @@ def test_a_followed_path_is_verified_with_the_same_increments_and_always_under_c
     only = lap.model_copy(update={"report": lap.report.model_copy(update={"laws": ["frictionless"]})})
     summary = verify_scene(only, tmp_path, cache, 1, False, Team(), lambda line: None, ())
     rows = {row["law"]: row for row in summary["per_sample"]}
-    assert summary["truth"]["law"] == "coulomb" and set(rows) == {"coulomb", "frictionless"}
+    assert (
+        summary["law"] == "frictionless"
+        and summary["truth"]["law"] == "coulomb"
+        and set(rows) == {"coulomb", "frictionless"}
+    )
     assert rows["coulomb"]["force, relative"] < 1e-8 and rows["coulomb"]["changed states"] == 0
+    page = (tmp_path / "report.html").read_text()
+    assert "have no confidence interval" in page and "largest error of 6σ" not in page  # of one full solve
 
 
 @pytest.mark.slow
@@ -190,3 +200,34 @@ def test_a_failed_full_solve_is_named_and_left_out(lap, cache, tmp_path, monkeyp
     solved = {item["sample"] for item in summary["chosen"] if item["failure"] is None}
     assert {row["sample"] for row in summary["per_sample"]} == solved
     assert "planted failure" in (tmp_path / "report.html").read_text()
+
+
+def no_finite_elements(*_):
+    raise SceneError("part 'lower' is a superelement")
+
+
+@pytest.mark.slow
+def test_a_scene_without_whole_finite_elements_is_reported_without_them(lap, cache, tmp_path, monkeypatch):
+    monkeypatch.setattr(own_scene, "full_model", no_finite_elements)
+    summary = verify_scene(lap, tmp_path, cache, 2, True, Team(), lambda line: None, ())
+    assert {item["failure"] for item in summary["chosen"]} == {"part 'lower' is a superelement"}
+    page = (tmp_path / "report.html").read_text()
+    assert "Not solved in full: samples" in page and "0 of them also by full" in page
+
+
+def test_whole_finite_elements_of_a_superelement_are_refused_by_its_name():
+    part = SimpleNamespace(name="lower", superelement=object())
+    with pytest.raises(SceneError, match="part 'lower' is a superelement: whole finite elements need its mesh"):
+        full_model(SimpleNamespace(parts=[part]))
+
+
+def test_a_scene_without_anything_to_compare_is_refused_before_it_is_solved(lap, tmp_path):
+    report = lap.report.model_copy(update={"laws": ["frictionless"]})
+    zones = [zone.model_copy(update={"friction": 0.0}) for zone in lap.zones]
+    empty = lap.model_copy(update={"report": report, "zones": zones, "measurements": []})
+    with pytest.raises(SceneError, match="nothing to verify: neither measurements nor"):
+        verify_scene(empty, tmp_path / "none", tmp_path / "cache", 1, False, Team(), lambda line: None)
+    once = lap.model_copy(update={"monte_carlo": lap.monte_carlo.model_copy(update={"samples": 1})})
+    with pytest.raises(SceneError, match="has one sample"):
+        verify_scene(once, tmp_path / "none", tmp_path / "cache", 1, False, Team(), lambda line: None)
+    assert not list(tmp_path.iterdir())

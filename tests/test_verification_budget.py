@@ -14,6 +14,7 @@ import mic
 from fem_reference.full.model import FullModel
 from mic.compliance.blocks import Blocks
 from mic.report.template import backticks_to_code
+from mic.scene.deviation import FieldDeviation
 from mic.statistics.draw import draw
 from verification import budget, budget_page, own_scene
 from verification.budget import (
@@ -252,11 +253,14 @@ def test_a_reduced_model_of_the_deviated_shape_finds_what_full_finite_elements_f
 
 @pytest.mark.fem
 def test_pairs_and_meshes_are_refined_on_the_path_that_production_follows(cache, tmp_path, monkeypatch):
-    """Though the full solves take one increment a step."""
+    """Though the full solves take one increment a step. A field is sampled by its modes there, too."""
     seen = []
     monkeypatch.setattr(own_scene, "estimate", lambda case, *rest: seen.append(case) or [])
-    verify_scene(lap(), tmp_path, cache, 1, False, Team(), lambda line: None)
+    field = FieldDeviation(name="S", kind="field", part="upper", sigma=0.02, length=40.0)
+    scene = lap().model_copy(update={"deviations": [field, *lap().deviations]})
+    verify_scene(scene, tmp_path, cache, 1, False, Team(), lambda line: None)
     (case,) = seen
+    assert len(case.deviations.T) == len(case.model.scene.deviations) > len(scene.deviations)
     for one in (case.assembly, case.model):
         assert [(stage.path, stage.increments) for stage in one.scene.stages] == [(None, None)] * 5
 

@@ -301,7 +301,9 @@ def total(items: list[Item]) -> pd.DataFrame:
 def _law(case: Case) -> tuple[str, pd.DataFrame]:
     if LAWS[case.law].reads:
         return "none: the scene provides the data of its law", case.none()
-    if case.law == "coulomb" or not LAWS[case.law].frictional and not case.model.contacts.frictional:
+    if not case.model.contacts.frictional:
+        return "none: without friction results do not depend on the law", case.none()
+    if case.law == "coulomb":
         return "none: the scene uses Coulomb's law", case.none()
     return (
         f"the same {case.samples} samples under Coulomb's law instead of {case.law}",
@@ -388,9 +390,9 @@ def _order(case: Case) -> tuple[str, pd.DataFrame]:
         results = case.of(replace(case.model, scene=other.scene), path=_one_increment)
         change = paired(given, results, REFINED["law"], case.six_sigma)[list(FIGURES)].abs()
         most = change if most is None else most.combine(change, np.fmax)
+    counted = f"{len(others) - 1} other order{'s' * (len(others) > 2)}"
     return (
-        f"bound: largest change by {len(others) - 1} other orders on the same {case.samples} samples, with one "
-        "increment per step",
+        f"bound: largest change by {counted} on the same {case.samples} samples, with one increment per step",
         bounded(most["mean"], most["six_sigma"]),
     )
 

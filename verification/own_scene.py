@@ -20,10 +20,10 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
-from mpi4py import MPI
 from threadpoolctl import threadpool_limits
 
-from fem_reference.full.model import ContactFailure, FullModel
+from fem_reference.full.model import ContactFailure
+from mic.contact.laws import LAWS
 from mic.errors import SceneError
 from mic.results.outcome import read_outcome
 from mic.results.run_folder import versions
@@ -32,7 +32,7 @@ from mic.scene import Scene
 from mic.scene.settings import FOLLOWING
 from mic.statistics import estimates
 from mic.statistics.draw import draw
-from verification.budget import EVERY, SAMPLING, Case, Item, bounded, estimate, largest_difference, values
+from verification.budget import EVERY, SAMPLES, SAMPLING, Case, Item, bounded, estimate, largest_difference, values
 from verification.budget_page import (
     budget_figure,
     budget_rows,
@@ -41,7 +41,7 @@ from verification.budget_page import (
     printed,
     quantity_rows,
 )
-from verification.comparison import reduced_and_assembly, relative, zone_slip
+from verification.comparison import full_model, reduced_and_assembly, relative, zone_slip
 from verification.plots import panels, svg
 from verification.report import environment, table_cells
 from verification.stiffness import DeviatedStiffness
@@ -54,6 +54,7 @@ __all__ = ["Choice", "choose", "verify_scene"]
 SHOWN, LINEAR = 5.0, 0.1  # range of the error-bar figure, and its linear part
 TICKS = (-5, -1, -0.1, 0, 0.1, 1, 5)
 ROUNDED = ("value", "uncertainty", "by symmetry")  # columns of the printed uncertainties
+NOTHING = "scene {!r} has nothing to verify: neither measurements nor contact zones with friction; add [[measurements]]"
 LEADING = 0.1  # the headline leaves out quantities whose 6σ is below this fraction of the largest of their kind
 
 
@@ -154,28 +155,38 @@ def _sample_reduced(scene: Scene, original: Scene, folder: Path, cache: Path, re
     seconds : (2,) tuple of float
         Wall time of the model preparation, and of the samples with one increment per step.
     """
-    samples, seed, law = scene.monte_carlo.samples, scene.monte_carlo.seed, scene.report.laws[0]
-    start = time.perf_counter()
-    report(f"{scene.name}: reduced model, {samples} samples, laws {', '.join(scene.report.laws)} …")
+    _refuse_nothing(original)
+    seed, law, start = scene.monte_carlo.seed, scene.report.laws[0], time.perf_counter()
+    report(f"{scene.name}: reduced model …")
     model, assembly = reduced_and_assembly(scene, cache)
-    prepared = time.perf_counter()
+    prepared, samples = time.perf_counter(), model.scene.monte_carlo.samples  # of its table, if it has one
+    report(f"{samples} samples, laws {', '.join(scene.report.laws)} …")
     sample_into(folder / "reduced", model, scene.report.laws, samples, seed)
     evaluated = time.perf_counter()
     production = folder / "reduced"
     if scene != original:
         report(f"{samples} samples with the followed path, law {law} …")
         production = folder / "production"
-        sample_into(production, dataclasses.replace(model, scene=original), [law], samples, seed)
+        sample_into(production, _on_path_of(original, model), [law], samples, seed)
     return model, assembly, production, (prepared - start, evaluated - prepared)
 
 
+def _refuse_nothing(scene: Scene) -> None:
+    """Raise SceneError if there is nothing to compare, before anything is solved."""
+    if not scene.measurements and not (scene.zones and scene.reads_slip):
+        raise SceneError(NOTHING.format(scene.name))
+    if scene.monte_carlo.samples < 2:
+        raise SceneError(f"scene {scene.name!r} has one sample: a verification takes two; raise monte_carlo.samples")
+
+
 def _chosen(cheap, truth: str, scene: Scene, count: int) -> list[Choice]:
-    """Samples to solve in full; raises SceneError if there is no quantity to compare."""
+    """Samples to solve in full; raises SceneError if there is none, or no quantity to compare."""
     base = cheap.get(truth, next(iter(cheap.values())))
-    if base.shape[1] == 0 or len(base) == 0:
+    if base.shape[1] == 0:
+        raise SceneError(NOTHING.format(scene.name))
+    if len(base) < 2:
         raise SceneError(
-            f"scene {scene.name!r} has nothing to verify: it needs valid samples, and measurements or contact zones "
-            "with friction; add [[measurements]], or run `mic run` to see why samples fail"
+            f"scene {scene.name!r} has {len(base)} valid samples, not two; `mic run` tells why others fail"
         )
     return choose(base.to_numpy(), base.index.to_numpy(), count, scene.monte_carlo.seed)
 
@@ -216,15 +227,15 @@ def verify_scene(
     Raises
     ------
     SceneError
-        If no sample of the Monte Carlo is valid, or there is no quantity to compare.
+        If fewer than two samples of the Monte Carlo are valid, or there is no quantity to compare.
     """
     report = say if team.rank == 0 else lambda line: None
-    law, original = scene.report.laws[0], _with_truth(scene)
+    law, truth = scene.report.laws[0], _truth(scene)
+    original = _with_truth(scene, truth)
     scene = _on_increments(original)
-    truth = "coulomb" if any(zone.frictional for zone in scene.zones) else "frictionless"
-    samples, seed = scene.monte_carlo.samples, scene.monte_carlo.seed
     with threadpool_limits(limits=1, user_api="blas"):
         model, assembly, production, seconds = _sample_reduced(scene, original, folder, cache, report)
+        samples, seed = model.scene.monte_carlo.samples, scene.monte_carlo.seed
         outcome = read_outcome(folder / "reduced")
         cheap = {law: _quantities(outcome, law) for law in outcome.laws}
         chosen = _chosen(cheap, truth, scene, count)
@@ -242,7 +253,7 @@ def verify_scene(
             items += estimate(case, folder / "budget", mark, team, sources, say)
         if numbers:
             report("numerical uncertainty: the same samples scaled, rotated, mirrored, renumbered, permuted …")
-            deviations = np.concatenate([draw(scene, seed, number, 1) for number in numbers])
+            deviations = np.concatenate([draw(model.scene, seed, number, 1) for number in numbers])
             once = Solved(original, scene, assembly, model, deviations, truth, cache)
             uncertainty = numerical_uncertainty(once, folder / "symmetry", team, say)
     if team.rank > 0:
@@ -251,7 +262,7 @@ def verify_scene(
     if sources:
         items = [_algebra(stated, law), *items, _sampling(figures)]
         budget = by_quantity(figures, items)
-    summary = _record(scene, chosen, full, seconds, team.size) | {
+    summary = _record(model.scene, chosen, full, seconds, team.size) | {
         "truth": {"law": truth, "deviated_meshes": deviated},
         "budget": None if budget is None else _budget_record(scene.name, budget, items),
         "numerical_uncertainty": uncertainty and _uncertainty_record(folder, *uncertainty, numbers, report),
@@ -264,8 +275,9 @@ def verify_scene(
 
 def _case(original, assembly, model, law, cache, figures) -> Case:
     """The case of the error budget: the scene with its own load paths."""
-    followed = (dataclasses.replace(item, scene=original) for item in (assembly, model))
-    return Case(*followed, law, cache, figures["six_sigma"])
+    followed = (_on_path_of(original, item) for item in (assembly, model))
+    given = model.scene.monte_carlo.values
+    return Case(*followed, law, cache, figures["six_sigma"], SAMPLES if given is None else min(SAMPLES, len(given)))
 
 
 def _tables(outcome, cheap, model, solved) -> tuple[pd.DataFrame, pd.DataFrame]:
@@ -292,7 +304,8 @@ def _reduction(case, model, truth, deviated, solved, team) -> Item:
     """Error of the reduction on the same meshes: reduced against full solves of the selected samples."""
     solved = [(choice, result) for choice, result in solved if "failure" not in result]
     meshes = "meshes with each sample's shape" if deviated else "nominal meshes"
-    how = f"bound: {len(solved)} samples by full finite elements on {meshes}, one increment per step"
+    counted = f"{len(solved)} sample{'s' * (len(solved) != 1)}"
+    how = f"bound: {counted} by full finite elements on {meshes}, one increment per step"
     seconds = float(sum(result.get("cpu", result["seconds"]) for _, result in solved))
     if not solved:
         return Item("reduction", "not estimated: no full solve succeeded", seconds, None)
@@ -351,11 +364,24 @@ def _on_increments(scene):
     return scene.model_copy(update={"stages": stages})
 
 
-def _with_truth(scene):
-    """The scene with Coulomb's law among its laws if it has friction, with all its samples, and without fields."""
+def _on_path_of(scene, item):
+    """An assembly or a model with the paths of a scene; it keeps its modes in place of measured shapes and fields."""
+    own = item.scene.model_copy(update={"stages": scene.stages, "path": scene.path})
+    return dataclasses.replace(item, scene=own)
+
+
+def _truth(scene) -> str:
+    """Law of the full solves: Coulomb's, or that of the scene if its zones have data for it."""
+    if not any(zone.frictional for zone in scene.zones):
+        return "frictionless"
+    return scene.report.laws[0] if LAWS[scene.report.laws[0]].reads else "coulomb"
+
+
+def _with_truth(scene, truth):
+    """The scene with the law of the full solves among its laws if it is frictional, all its samples, and no fields."""
     laws = list(scene.report.laws)
-    if any(zone.frictional for zone in scene.zones) and "coulomb" not in laws:
-        laws.insert(0, "coulomb")
+    if truth != "frictionless" and truth not in laws:
+        laws.append(truth)
     report = scene.report.model_copy(update={"laws": laws, "fields": False})
     everything = scene.monte_carlo.model_copy(update={"accuracy": None})  # extremes are chosen among many samples
     return scene.model_copy(update={"report": report, "monte_carlo": everything})
@@ -373,12 +399,17 @@ def _full_solves(assembly, deviated, law, chosen, folder, key, team, say) -> lis
     if team.rank == 0:
         selected = ", ".join(f"{choice.sample} ({choice.kind})" for choice in chosen)
         say(f"full finite elements, {'deviated' if deviated else 'nominal'} meshes: samples {selected}")
-    full_model, scene = FullModel(assembly, deviated=deviated, comm=MPI.COMM_SELF), assembly.scene
+    try:
+        full, scene = full_model(assembly, deviated), assembly.scene
+    except SceneError as problem:
+        if team.rank == 0:
+            say(f"  none is solved: {problem}")
+        return [{"failure": str(problem)}] * len(chosen)
     seed = scene.monte_carlo.seed
-    return team.map(lambda choice: _full(full_model, scene, seed, law, choice.sample, folder, key, say), chosen)
+    return team.map(lambda choice: _full(full, scene, seed, law, choice.sample, folder, key, say), chosen)
 
 
-def _full(full_model, scene, seed, law, sample, folder, key, say) -> dict:
+def _full(full, scene, seed, law, sample, folder, key, say) -> dict:
     """Full solve of one sample, read from the folder if it is stored there."""
     path = folder / f"{sample:06d}-{key}.npz"
     if path.is_file():
@@ -386,7 +417,7 @@ def _full(full_model, scene, seed, law, sample, folder, key, say) -> dict:
             return dict(data)
     start, worked = time.perf_counter(), time.process_time()
     try:
-        evaluation = full_model.evaluate(draw(scene, seed, sample, 1)[0], law)
+        evaluation = full.evaluate(draw(scene, seed, sample, 1)[0], law)
     except ContactFailure as problem:
         say(f"  sample {sample} failed: {problem}")
         return {"failure": str(problem)}
@@ -538,7 +569,7 @@ def _figure(table, truth):
 
 def _page(summary, per_sample, table, truth, budget, items) -> str:
     image = None
-    if len(table) and "corrected mean" in table:
+    if len(table) and "corrected mean" in table and table["corrected mean low"].notna().any():
         image = base64.b64encode(svg(_figure(table, truth))).decode()
     drawn = {}
     if budget is not None:
@@ -564,14 +595,17 @@ def _page(summary, per_sample, table, truth, budget, items) -> str:
 
 
 def worst(table) -> list[dict]:
-    """Largest error of mean and 6σ over the leading quantities by the two-level estimate, for each law."""
+    """Largest error of mean and 6σ over the leading quantities by the two-level estimate, for each law.
+
+    Fewer than three full solves give no interval, and no law.
+    """
     errors = []
     kind = table["quantity"].str.split(":").str[0]
     leading = (
         table[table["6σ"] >= LEADING * table.groupby(["law", kind])["6σ"].transform("max")] if len(table) else table
     )
     for law, rows in leading.groupby("law", sort=False):
-        if "error of 6σ" in rows:
+        if "error of 6σ" in rows and (rows := rows[rows["corrected 6σ low"].notna()]).size:
             six, mean = (rows.loc[rows[column].abs().idxmax()] for column in ("error of 6σ", "error of the mean, σ"))
             errors.append(
                 {

@@ -16,9 +16,8 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from mpi4py import MPI
 
-from fem_reference.full.model import ContactFailure, FullModel
+from fem_reference.full.model import ContactFailure
 from mic.errors import MicError, Problems
 from mic.model.assembly import Assembly, PlacedScene, load_placed
 from mic.process.model import ReducedModel
@@ -26,6 +25,7 @@ from mic.process.process import Process
 from mic.results.path_error import tighter
 from mic.results.run_folder import versions
 from mic.scene import Scene
+from verification.comparison import full_model
 from verification.study import Team
 from verification.symmetry.numbers import KEYS, disagreement, full_numbers, numbers
 from verification.symmetry.solution import pairs_of, solve
@@ -81,7 +81,7 @@ def numerical_uncertainty(
     refused : list of str
         Ways that gave no result, each with the reason.
     """
-    placed = load_placed(case.scene, case.cache, case.assembly.sizes, Problems())
+    placed = _placed(case)
     ways: dict[str, Callable[[], dict[Law, pd.DataFrame]]] = {
         STANDS: lambda: solve(placed, case.samples, cache=case.cache).numbers,
         WHOLE: partial(_whole, case),
@@ -113,6 +113,13 @@ def numerical_uncertainty(
         return pd.DataFrame(columns=FIGURES), refused
     solutions = {name: one for name, one in found.items() if not isinstance(one, str)}
     return pd.concat({law: _largest(law, given[law], solutions) for law in given}, names=["law"]), refused
+
+
+def _placed(case: Solved) -> PlacedScene:
+    """The placed scene, with matrices of superelements in memory: read from files, they would not be transformed."""
+    placed = load_placed(case.scene, case.cache, case.assembly.sizes, Problems())
+    bodies = {part.name: part.superelement for part in case.assembly.parts}
+    return replace(placed, loaded=tuple(replace(one, superelement=bodies[one.part.name]) for one in placed.loaded))
 
 
 def _largest(law: Law, given: pd.DataFrame, solutions: dict[str, Any]) -> pd.DataFrame:
@@ -158,7 +165,7 @@ def _whole(case: Solved) -> dict[Law, pd.DataFrame]:
     """The first sample, on nominal meshes, with one increment per step; and the reduced model likewise."""
     sample = case.samples[:1]
     model = replace(case.model, scene=case.model.scene.model_copy(update=_path(case.stepped)))
-    full = FullModel(replace(case.assembly, scene=model.scene), comm=MPI.COMM_SELF).evaluate(sample[0], case.truth)
+    full = full_model(replace(case.assembly, scene=model.scene)).evaluate(sample[0], case.truth)
     reduced = numbers(model, model.process(case.truth).attempt(sample))
     return {case.truth: full_numbers(model, full), f"{case.truth}, reduced": reduced}
 
