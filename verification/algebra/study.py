@@ -296,7 +296,7 @@ STUDY = Study(
             reason="Rounding, as for the forces.",
         ),
     ),
-    seconds=(330, 35),
-    memory=1.7,
+    seconds=(480, 35),
+    memory=2.7,
     run=run,
 )

@@ -606,6 +606,6 @@ STUDY = Study(
             reason="Rounding of a solve, 1e-8.",
         ),
     ),
-    seconds=(215, 40),
+    seconds=(690, 40),
     run=run,
 )

@@ -575,7 +575,7 @@ STUDY = Study(
             reason="Ten times the rounding of the two routes, 1e-8.",
         ),
     ),
-    seconds=(850, 20),
-    memory=4.5,
+    seconds=(1440, 20),
+    memory=13.8,
     run=run,
 )
