@@ -120,7 +120,9 @@ def test_superelements_are_transformed_though_the_scene_reads_them_from_files(mo
     body, seen = object(), []
     parts = [types.SimpleNamespace(name=one.part.name, superelement=body) for one in placed.loaded]
     model = types.SimpleNamespace(
-        compliance=types.SimpleNamespace(H=[]), contacts=types.SimpleNamespace(gap=0.0, point=np.zeros(3), zone=0.0)
+        slopes=object(),
+        compliance=types.SimpleNamespace(H=[]),
+        contacts=types.SimpleNamespace(gap=0.0, point=np.zeros(3), zone=0.0),
     )
     assembly = types.SimpleNamespace(parts=parts, sizes={})
 
@@ -136,6 +138,7 @@ def test_superelements_are_transformed_though_the_scene_reads_them_from_files(mo
     _, refused = uncertainty.numerical_uncertainty(case, tmp_path, Team(), print)
     assert len(seen) == 8 and all(one is body for given in seen for one in given)
     assert "rotated by right angles: not needed" in refused
+    assert any(one.startswith("by whole finite elements: they have the nominal stiffness") for one in refused)
 
 
 def test_pairs_at_one_point_are_told_apart_by_their_zones():

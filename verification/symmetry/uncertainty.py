@@ -18,7 +18,7 @@ import numpy as np
 import pandas as pd
 
 from fem_reference.full.model import ContactFailure
-from mic.errors import MicError, Problems
+from mic.errors import MicError, Problems, SceneError
 from mic.model.assembly import Assembly, PlacedScene, load_placed
 from mic.process.model import ReducedModel
 from mic.process.process import Process
@@ -163,6 +163,8 @@ def _path(scene: Scene) -> dict[str, Any]:
 
 def _whole(case: Solved) -> dict[Law, pd.DataFrame]:
     """The first sample, on nominal meshes, with one increment per step; and the reduced model likewise."""
+    if case.model.slopes is not None or case.scene.stiffness == "mean":
+        raise SceneError("they have the nominal stiffness, and the scene has that of its deviated shapes")
     sample = case.samples[:1]
     model = replace(case.model, scene=case.model.scene.model_copy(update=_path(case.stepped)))
     full = full_model(replace(case.assembly, scene=model.scene)).evaluate(sample[0], case.truth)
