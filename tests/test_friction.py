@@ -8,9 +8,12 @@ from support.springs import at_face, six, spring_model
 from typer.testing import CliRunner
 
 import mic
+from mic.contact.increments import Increments
 from mic.options import app
+from mic.process.process import Process
 from mic.report.driver_sentences import friction_words
 from mic.results.schema import FRICTION_EFFECTS
+from mic.statistics.draw import draw
 from mic.studies.friction import friction_effects, friction_needed, with_scaled_friction
 
 MU, LIFT, PULL, SAMPLES = 0.3, 0.4, 2.0, 10
@@ -82,10 +85,21 @@ def test_friction_that_varies_is_scaled_with_its_mean(dragged):
     rough = mic.scene.deviation.FrictionDeviation(name="R", kind="friction", target="above", sigma=0.05)
     varied = dragged.varied(dragged.scene.model_copy(update={"deviations": [*dragged.scene.deviations, rough]}))
     found = friction_effects(varied, "coulomb", 6, seed=2)
-    mean = varied.evaluate(mic.statistics.draw.draw(varied.scene, 2, 0, 6), "coulomb").measurements.mean()
+    mean = varied.evaluate(draw(varied.scene, 2, 0, 6), "coulomb").measurements.mean()
     own = found[found["zone"] == ""].set_index("factor")
     assert (own["samples"] == 6).all()  # none has less than no friction
     np.testing.assert_allclose(own["mean_change"], [-mean, -mean / 2, mean], rtol=1e-8)
+
+
+def test_samples_of_their_own_friction_take_the_path_of_the_process(lap_model):
+    rough = mic.scene.deviation.FrictionDeviation(name="R", kind="friction", target="lap", sigma=0.05)
+    varied = lap_model.varied(lap_model.scene.model_copy(update={"deviations": [*lap_model.scene.deviations, rough]}))
+    process, deviations = Process(varied, "coulomb"), draw(varied.scene, 2, 0, 2)
+    for count in (2, 3):
+        for stage in process.stages:
+            stage.path = Increments(count)
+        steps = process.evaluate(deviations).resolutions["clamp"].trace.steps
+        assert (steps == 2 * count).all()  # of two moves
 
 
 def test_friction_without_effect_is_reported_so(lap_model):

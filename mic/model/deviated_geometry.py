@@ -71,7 +71,7 @@ def gap_change(assembly, kind: str, parts: list[Part], read: np.ndarray) -> np.n
 
     distance_change = change(dilation)
     if kind == "contact":  # rotated directions cancel in a row, except in one with a fixture
-        turned = change(_direction).reshape(len(assembly.contacts), -1, 3)
+        turned = change(_direction).reshape(len(assembly.contacts), assembly.contacts.dimension, 3)
         distance_change -= np.einsum("kdi,ki->kd", turned, _fixture_points(assembly)).ravel()
     return np.where(turns, read, distance_change)
 

@@ -354,7 +354,10 @@ class Process:
             if len(self._process_cache) >= (1 if template is None else CACHED_PROCESSES):
                 self._process_cache.clear()
             self._process_cache[key] = process
-        return self._process_cache[key]
+        process = self._process_cache[key]
+        for own, given in zip(process.stages, self.stages):
+            own.path = given.path  # which a caller may have changed
+        return process
 
     def _fill_needed_forces(self, found: Evaluation, unreached: np.ndarray) -> None:
         """Fill ``needed`` with the forces of these samples without any limit; NaN if that evaluation fails."""
