@@ -210,7 +210,7 @@ STUDY = Study(
             full_only=True,
         ),
     ),
-    seconds=(600, 18),
+    seconds=(3000, 18),
     memory=6.0,
     run=run,
 )

@@ -381,7 +381,7 @@ STUDY = Study(
             reason="A method that leaves more than a third of the error is not worth its cost.",
         ),
     ),
-    seconds=(450, 12),
-    memory=2.3,
+    seconds=(920, 12),
+    memory=3.2,
     run=run,
 )
