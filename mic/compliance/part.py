@@ -18,7 +18,7 @@ __all__ = ["GENERATION", "Part"]
 
 #: Increased whenever the coefficients of the same part change, by another formulation of its element or another
 #: meaning of a functional: cached coefficients then become invalid.
-GENERATION = 8
+GENERATION = 9
 
 
 @dataclass(frozen=True)
