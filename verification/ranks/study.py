@@ -49,6 +49,7 @@ def solve(name: str, size: str, count: int, cache: Path) -> dict[str, np.ndarray
     RuntimeError
         With its output, if it fails.
     """
+    cache = cache.resolve()  # the processes start in it
     result = cache / f"ranks-{name}-{size}-{count}.npz"
     program = launcher()
     about = subprocess.run([program, "--version"], capture_output=True, text=True).stdout
