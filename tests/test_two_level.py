@@ -12,7 +12,6 @@ from fem_reference.full.model import ContactFailure, FullModel
 from mic.errors import SceneError
 from mic.statistics import estimates
 from verification import own_scene
-from verification.comparison import full_model
 from verification.own_scene import choose, verify_scene
 from verification.scenes import with_path, with_stated_pairs
 from verification.study import FOLDER, Team
@@ -202,13 +201,13 @@ def test_a_failed_full_solve_is_named_and_left_out(lap, cache, tmp_path, monkeyp
     assert "planted failure" in (tmp_path / "report.html").read_text()
 
 
-def no_finite_elements(*_):
+def no_finite_elements(*_, **__):
     raise SceneError("part 'lower' is a superelement")
 
 
 @pytest.mark.slow
 def test_a_scene_without_whole_finite_elements_is_reported_without_them(lap, cache, tmp_path, monkeypatch):
-    monkeypatch.setattr(own_scene, "full_model", no_finite_elements)
+    monkeypatch.setattr(own_scene, "FullModel", no_finite_elements)
     summary = verify_scene(lap, tmp_path, cache, 2, True, Team(), lambda line: None, ())
     assert {item["failure"] for item in summary["chosen"]} == {"part 'lower' is a superelement"}
     page = (tmp_path / "report.html").read_text()
@@ -218,7 +217,7 @@ def test_a_scene_without_whole_finite_elements_is_reported_without_them(lap, cac
 def test_whole_finite_elements_of_a_superelement_are_refused_by_its_name():
     part = SimpleNamespace(name="lower", superelement=object())
     with pytest.raises(SceneError, match="part 'lower' is a superelement: whole finite elements need its mesh"):
-        full_model(SimpleNamespace(parts=[part]))
+        FullModel(SimpleNamespace(parts=[part]))
 
 
 def test_a_scene_without_anything_to_compare_is_refused_before_it_is_solved(lap, tmp_path):

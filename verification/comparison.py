@@ -6,11 +6,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from mpi4py import MPI
 
-from fem_reference.full.model import FullModel
 from mic.contact import certify
-from mic.errors import SceneError
 from mic.model.assembly import Assembly, assemble
 from mic.process.evaluation import Evaluation
 from mic.process.model import ReducedModel
@@ -23,7 +20,6 @@ __all__ = [
     "apart",
     "certificates",
     "difference",
-    "full_model",
     "reduced_and_assembly",
     "reduced_model",
     "relative",
@@ -43,14 +39,6 @@ def reduced_and_assembly(scene: Scene, cache: Path) -> tuple[ReducedModel, Assem
 def reduced_model(assembly: Assembly, cache: Path) -> ReducedModel:
     """Reduced model of an assembly with the stiffness stated in its scene, built on this process alone."""
     return ReducedModel.build(assembly, coefficients(assembly, cache)[0])
-
-
-def full_model(assembly: Assembly, deviated: bool = False) -> FullModel:
-    """Full finite-element model of an assembly on this process alone; raises SceneError if it has a superelement."""
-    for part in assembly.parts:
-        if part.superelement is not None:
-            raise SceneError(f"part {part.name!r} is a superelement: whole finite elements need its mesh and material")
-    return FullModel(assembly, deviated=deviated, comm=MPI.COMM_SELF)
 
 
 @dataclass(frozen=True)

@@ -20,9 +20,10 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
+from mpi4py import MPI
 from threadpoolctl import threadpool_limits
 
-from fem_reference.full.model import ContactFailure
+from fem_reference.full.model import ContactFailure, FullModel
 from mic.contact.laws import LAWS
 from mic.errors import SceneError
 from mic.results.outcome import read_outcome
@@ -41,7 +42,7 @@ from verification.budget_page import (
     printed,
     quantity_rows,
 )
-from verification.comparison import full_model, reduced_and_assembly, relative, zone_slip
+from verification.comparison import reduced_and_assembly, relative, zone_slip
 from verification.plots import panels, svg
 from verification.report import environment, table_cells
 from verification.stiffness import DeviatedStiffness
@@ -400,7 +401,7 @@ def _full_solves(assembly, deviated, law, chosen, folder, key, team, say) -> lis
         selected = ", ".join(f"{choice.sample} ({choice.kind})" for choice in chosen)
         say(f"full finite elements, {'deviated' if deviated else 'nominal'} meshes: samples {selected}")
     try:
-        full, scene = full_model(assembly, deviated), assembly.scene
+        full, scene = FullModel(assembly, deviated=deviated, comm=MPI.COMM_SELF), assembly.scene
     except SceneError as problem:
         if team.rank == 0:
             say(f"  none is solved: {problem}")

@@ -24,6 +24,7 @@ from fem_reference.full.friction import friction_of
 from fem_reference.full.load_path import ROUTES, ContactFailure, Penalty, Route, Solve, route_taken
 from fem_reference.full.stage import FullResolution, FullStage, FullState
 from mic.contact import laws
+from mic.errors import SceneError
 from mic.model.characteristics import Characteristics
 from mic.model.deviated_geometry import deviated_parts, gap_change
 from mic.model.shape import controlling_forces, datum_rows, known_shapes, thickening
@@ -103,6 +104,13 @@ class FullModel:
     route : {"whole", "condensed"}
         Newton's method on all unknowns, or on contact forces alone with a compliance of the contacts (faster; on one
         process). A load that does not converge by the chosen route is solved by the other one, which the result states.
+
+    Raises
+    ------
+    SceneError
+        If a part is a superelement.
+    ValueError
+        If an option is unknown or not positive, or a path is followed without augmentation.
     """
 
     def __init__(
@@ -115,6 +123,11 @@ class FullModel:
         path_tolerance: float = 1e-4,
         route: Route = "whole",
     ):
+        for part in assembly.parts:
+            if part.superelement is not None:
+                raise SceneError(
+                    f"part {part.name!r} is a superelement: whole finite elements need its mesh and material"
+                )
         if route not in ROUTES:
             raise ValueError(f"route {route!r}: choose one of {', '.join(ROUTES)}")
         for name, value in (("penalty", penalty), ("path_tolerance", path_tolerance)):

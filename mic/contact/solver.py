@@ -233,13 +233,13 @@ class ContactSolver:
             solution = self.certify(rows, force, counts[0], counts[1], rung, infeasible)
             lost = ~solution.converged & ~infeasible
             if guess is not None and retry and lost.any():  # try again from forces without friction
-                again = self._solve(rows[lost], self._pressing(rows[lost]), False, retry=False)
+                again = self._solve(rows[lost], self._without_friction(rows[lost]), False, retry=False)
                 counts = counts[:, lost] + [again.iterations, again.factorisations]
                 again = replace(again, iterations=counts[0], factorisations=counts[1])
                 solution = with_samples(solution, lost, again)
         return self._refine(rows, solution) if refine and self.certify_each else solution
 
-    def _pressing(self, rows) -> np.ndarray:
+    def _without_friction(self, rows) -> np.ndarray:
         """(n, d m) forces without friction."""
         force, normal = np.zeros_like(rows), slice(None, None, self.dimension)
         S = self.S[normal, normal]

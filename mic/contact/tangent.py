@@ -11,8 +11,7 @@ contact
 where σ is the law's share of the shift, g its bound, a the anchor, and ``w' = w_t - shift``. Linearised, ``P df + Q dw
 = r``, it is one linear system over the closed contacts, with all inputs as right-hand sides. The last equation uses the
 direction of the force and not ``w'/‖w'‖``: a contact that slipped before lies on its cone with ``w' = 0`` in a step
-without motion. The steps are compiled
-(:mod:`mic.contact.native.path_derivative`).
+without motion. The steps are compiled (:mod:`mic.contact.native.path_derivative`).
 
 Second-order steps use the shift of the follower (:mod:`mic.contact.native.follower`), as an unknown: a contact that
 lies on its cone at the start of the step, with ``e⁰ = f_t⁰/‖f_t⁰‖``, and slips by ``l = -e⁰·w_t``, has

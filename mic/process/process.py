@@ -169,7 +169,7 @@ class Process:
             changing |= dict(zip(slopes.source.tolist(), slopes.about.tolist()))
         self._changing = list(changing)
         self._changed_by, self._limited = np.array(list(changing.values())), limited
-        self._process_cache: dict[bytes, Process] = {}
+        self._process_cache: dict[tuple[bytes, tuple[Path, ...]], Process] = {}
         self._sample_compliance = False  # whether the compliance belongs to one sample
         self._solvers: dict[tuple, ContactSolver | WorkingSetSolver] = {}
         self._forecast, self._guessing = model.forecast if forecast is None else forecast, False
@@ -326,7 +326,7 @@ class Process:
 
     def _process_for(self, amplitudes: np.ndarray) -> Process:
         """The process with the contacts and parts of these deviations; shapes are unchanged."""
-        key = amplitudes.tobytes()
+        key = amplitudes.tobytes(), tuple(stage.path for stage in self.stages)
         if key not in self._process_cache:
             deviations = np.zeros(len(self.model.scene.deviations))
             deviations[self._changing] = amplitudes
@@ -354,10 +354,7 @@ class Process:
             if len(self._process_cache) >= (1 if template is None else CACHED_PROCESSES):
                 self._process_cache.clear()
             self._process_cache[key] = process
-        process = self._process_cache[key]
-        for own, given in zip(process.stages, self.stages):
-            own.path = given.path  # which a caller may have changed
-        return process
+        return self._process_cache[key]
 
     def _fill_needed_forces(self, found: Evaluation, unreached: np.ndarray) -> None:
         """Fill ``needed`` with the forces of these samples without any limit; NaN if that evaluation fails."""
@@ -375,10 +372,13 @@ class Process:
         return process
 
     def _copy(self, model, **options: Any) -> Process:
-        """A process of another model or with other options, under the same law with the same solver."""
+        """A process of another model or with other options, under the same law, with the same solver and paths."""
         backend = "native" if self._settings["backend"] == "native" else "paper"
         tol, threads = self._settings["tol"], self._settings["threads"]
-        return Process(model, self.law, tol, backend, threads, self._path_tolerance, **options)
+        found = Process(model, self.law, tol, backend, threads, self._path_tolerance, **options)
+        for own, given in zip(found.stages, self.stages):
+            own.path = given.path  # which a caller may have changed
+        return found
 
     def attempt(self, deviations: np.ndarray, at: str | None = None) -> Evaluation:
         """As :meth:`evaluate`; after a numerical error sample by sample, so that only the faulty samples fail."""

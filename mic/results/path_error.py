@@ -23,7 +23,7 @@ from mic.results.sample_tables import tables
 from mic.results.schema import SLIPS
 from mic.system.cores import available_cores
 
-__all__ = ["SAMPLES", "study_path", "tighter"]
+__all__ = ["SAMPLES", "other_solution_of", "study_path", "tighter"]
 
 SAMPLES = 12  # first valid samples that are repeated
 TOLERANCE = 1 / 16  # factor on the path tolerance; the error is of second order and falls to about a sixth
@@ -93,12 +93,32 @@ def _note_other_solutions(model, law, stage, several, eliminated, state, solutio
         own = np.flatnonzero((force[sample, :, 0] > 0) | (state.force[sample, :, 0] > 0))
         if not len(own):
             continue
-        rows = (3 * own[:, None] + np.arange(3)).ravel()
-        block = S.block(rows)
-        load = (solution.displacement[sample, rows] - block @ solution.force[sample, rows]).reshape(-1, 3)
-        load[:, 1:] -= state.anchor[sample, own]
-        solver = ContactSolver(block, friction.take(own), law, certify_each=False)
-        several[stage][sample] = has_other_solution(solver, load.reshape(1, -1))[0]
+        several[stage][sample] = other_solution_of(S, friction, law, state, solution, sample, own)
+
+
+def other_solution_of(S, friction, law, state, solution, sample: int, own: np.ndarray) -> bool:
+    """Whether the pairs `own` could also carry other forces than a sample's after a step.
+
+    Parameters
+    ----------
+    S : (3m, 3m) Columns
+        mm/N.
+    friction : Friction
+    law : str
+    state : mic.process.state.ProcessState
+        Before the step.
+    solution : mic.contact.path.PathSolution
+        Of the step, for n samples.
+    sample : int
+        One of them.
+    own : (k,) int array
+    """
+    rows = (3 * own[:, None] + np.arange(3)).ravel()
+    block = S.block(rows)
+    load = (solution.displacement[sample, rows] - block @ solution.force[sample, rows]).reshape(-1, 3)
+    load[:, 1:] -= state.anchor[sample, own]
+    solver = ContactSolver(block, friction.take(own), law, certify_each=False)
+    return bool(has_other_solution(solver, load.reshape(1, -1))[0])
 
 
 def _errors(outcome, law, numbers, evaluation, several) -> pd.DataFrame:

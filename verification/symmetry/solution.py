@@ -11,11 +11,10 @@ import numpy as np
 import pandas as pd
 from scipy.optimize import linear_sum_assignment
 
-from mic.contact import ContactSolver
-from mic.contact.second_start import has_other_solution
 from mic.model.assembly import PlacedScene, assemble_placed
 from mic.process.model import ReducedModel
 from mic.process.process import Process
+from mic.results.path_error import other_solution_of
 from verification.comparison import reduced_model
 from verification.symmetry.numbers import numbers
 from verification.symmetry.transformation import Transformation
@@ -83,15 +82,12 @@ def has_several_solutions(placed: PlacedScene, deviations: np.ndarray) -> bool:
     """Whether other contact forces than the computed ones are found, and certified, in a step under the first law."""
     with TemporaryDirectory() as temporary:
         model = reduced_model(assemble_placed(placed, Path(temporary)), Path(temporary))
-    law, rows, found = placed.scene.report.laws[0], 3 * len(model.contacts), []
+    law, every, found = placed.scene.report.laws[0], np.arange(len(model.contacts)), []
     process = Process(model, law, backend=model.scene.monte_carlo.backend)
 
     def inspect(stage, eliminated, state, solution):
-        S = eliminated.compliance[0].block(np.arange(rows))
-        load = (solution.displacement[:, :rows] - solution.force[:, :rows] @ S).reshape(len(deviations), -1, 3)
-        load[:, :, 1:] -= state.anchor
-        solver = ContactSolver(S, model.contacts.friction_in(stage), law, certify_each=False)
-        found.append(has_other_solution(solver, load.reshape(len(load), -1)).any())
+        given = eliminated.compliance[0], model.contacts.friction_in(stage), law, state, solution
+        found.extend(other_solution_of(*given, sample, every) for sample in range(len(deviations)))
 
     for stage in process.stages:
         stage.inspect = partial(inspect, stage.plan.name)

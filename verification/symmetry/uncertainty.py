@@ -16,8 +16,9 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
+from mpi4py import MPI
 
-from fem_reference.full.model import ContactFailure
+from fem_reference.full.model import ContactFailure, FullModel
 from mic.errors import MicError, Problems, SceneError
 from mic.model.assembly import Assembly, PlacedScene, load_placed
 from mic.process.model import ReducedModel
@@ -25,7 +26,6 @@ from mic.process.process import Process
 from mic.results.path_error import tighter
 from mic.results.run_folder import versions
 from mic.scene import Scene
-from verification.comparison import full_model
 from verification.study import Team
 from verification.symmetry.numbers import KEYS, disagreement, full_numbers, numbers
 from verification.symmetry.solution import pairs_of, solve
@@ -167,7 +167,7 @@ def _whole(case: Solved) -> dict[Law, pd.DataFrame]:
         raise SceneError("they have the nominal stiffness, and the scene has that of its deviated shapes")
     sample = case.samples[:1]
     model = replace(case.model, scene=case.model.scene.model_copy(update=_path(case.stepped)))
-    full = full_model(replace(case.assembly, scene=model.scene)).evaluate(sample[0], case.truth)
+    full = FullModel(replace(case.assembly, scene=model.scene), comm=MPI.COMM_SELF).evaluate(sample[0], case.truth)
     reduced = numbers(model, model.process(case.truth).attempt(sample))
     return {case.truth: full_numbers(model, full), f"{case.truth}, reduced": reduced}
 

@@ -70,7 +70,7 @@ class Records(NamedTuple):
 
 
 class Step(NamedTuple):
-    """A step from the forces ``f0`` (d m,) with derivatives ``F0`` (d m, p).
+    """A step from the forces ``f0`` (d m,) with derivatives ``F0`` (d m, p), which its solution replaces in place.
 
     Attributes
     ----------
@@ -114,12 +114,12 @@ def _begin(contacts, loads, first, begin, s, second, guess, f, F):
     """The step from ``begin`` to ``s``, of second order or not, at whose end forces are near ``guess``."""
     m, p, h = len(contacts.length), F.shape[1], s - begin
     size = len(f) // m
-    f0, F0, q = f.copy(), F.copy(), loads.b + s * loads.rate
-    loaded, closing = np.flatnonzero(f0[::size] != 0.0), np.zeros(0, np.int64)
+    q = loads.b + s * loads.rate
+    loaded, closing = np.flatnonzero(f[::size] != 0.0), np.zeros(0, np.int64)
     turns, dshift = np.zeros(m, np.bool_), np.zeros((0, p))
-    change = bent(contacts, f0)
+    change = bent(contacts, f)
     if size == 3:
-        response = np.dot(contacts.S, f0)
+        response = np.dot(contacts.S, f)
         for k in range(m):
             i = 3 * k
             for c in range(1, 3):
@@ -128,19 +128,19 @@ def _begin(contacts, loads, first, begin, s, second, guess, f, F):
                 else:
                     q[i + c] = h * loads.rate[i + c] - response[i + c]
         if second:
-            on_cone(contacts, f0, turns)
-            closing = np.flatnonzero((f0[::3] <= 0.0) & (guess[::3] > 0.0))
+            on_cone(contacts, f, turns)
+            closing = np.flatnonzero((f[::3] <= 0.0) & (guess[::3] > 0.0))
         if len(closing):
             rows = 3 * closing
-            gap, dgap = np.empty(len(rows)), moved(contacts.S, rows, 3, loaded, F0)
+            gap, dgap = np.empty(len(rows)), moved(contacts.S, rows, 3, loaded, F)
             for a in range(len(rows)):
                 gap[a] = response[rows[a]] + loads.b[rows[a]] + begin * loads.rate[rows[a]]
                 dgap[a] += loads.B[rows[a]] + begin * loads.drate[rows[a]] + change[rows[a]]
-            shift, dshift = touching(contacts, loads.rate, loads.drate, f0, F0, turns, closing, h, gap, dgap)
+            shift, dshift = touching(contacts, loads.rate, loads.drate, f, F, turns, closing, h, gap, dgap)
             for a in range(len(closing)):
                 for c in range(2):
                     q[rows[a] + 1 + c] -= shift[a, c]
-    return Step(first, s, h, f0, F0, q, loaded, closing, turns, dshift, change)
+    return Step(first, s, h, f, F, q, loaded, closing, turns, dshift, change)
 
 
 @kernel(void(CONTACTS, VECTOR, VECTOR, COUNTS, VECTOR))
@@ -299,5 +299,5 @@ def differentiate(contacts, records, loads, first, forced, f, F, state, q):
             step = _begin(contacts, own, number == 0, begin, ends[number], second, x, f[i], F[i])
             q[i] = step.q
             if not _solve(contacts, own, step, alone or not second, alone, x, f[i], F[i], state[i]):
-                f[i], first[i] = step.f0, number
+                first[i] = number
                 break

@@ -16,8 +16,8 @@ from mic.contact.laws import Law
 from mic.contact.lazy_memory import lazy_zeros
 from mic.contact.native import follower, path_constants
 from mic.contact.native.batch import Batch
+from mic.contact.native.candidate_increment import follow_among
 from mic.contact.native.frictionless import active_set
-from mic.contact.native.increment_among import follow_among
 from mic.contact.native.infeasibility import infeasible
 from mic.contact.native.landing import Landing
 from mic.contact.native.matrices import block
