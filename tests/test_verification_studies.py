@@ -304,11 +304,16 @@ def test_settings_reach_the_trade():
         assert all(zone.candidates and zone.spacing_factor == given["spacing_factor"] for zone in scene.zones)
     assert versions["path", "increments 1"].stages[1].increments == 1
     assert versions["pairs", "pairs 34"].zones[0].pairs == 34
-    exact = versions["truth", "all finer"]
+    exact = versions["truth", trade_versions.ALL_FINER]
     assert exact.parts[0].size == 0.625 and exact.path.tolerance == trade_versions.FINE
     assert exact.zones[0].spacing_factor < SETTINGS["reference"]["spacing_factor"]
     assert versions["law", "associated"].report.laws == ["associated"]
-    assert versions["truth", "pairs, coarse"].zones[0].spacing_factor > exact.zones[0].spacing_factor
+    pairs = trade_versions.QUICK["lap_joint"].own["pairs"]
+    fine, coarse = (
+        [versions["truth", knobs.words].zones[0].spacing_factor for knobs in some]
+        for some in (pairs.fine, pairs.coarse)
+    )
+    assert fine == [exact.zones[0].spacing_factor] and min(coarse) > max(fine)
 
 
 def test_the_trade_finds_the_worst_figure_of_each_kind_and_the_error_of_the_reference():
@@ -332,11 +337,19 @@ def test_the_trade_finds_the_worst_figure_of_each_kind_and_the_error_of_the_refe
 
 def test_the_error_of_the_reference_is_that_of_its_coarser_versions():
     fine = pd.DataFrame({"slip:clamp:lap": np.random.default_rng(2).normal(size=30)})
+    truth = trade_versions.truth(0.625, 0.5, 16, 30)
     shares = {"element size": 1.03, "pairs": 1.02, "path": 0.95}
-    found = {("lap_joint", "truth", f"{source}, fine"): {"values": fine} for source in shares}
-    found |= {("lap_joint", "truth", f"{source}, coarse"): {"values": fine * share} for source, share in shares.items()}
-    left = trade.own_error(found, trade_versions.QUICK, 0.01).set_index("source")["left"]
+    found = {}
+    for name, source in truth.own.items():
+        for i, (own, coarse) in enumerate(zip(source.fine, source.coarse)):
+            place = 1 + 0.1 * i  # scatter that the mean over the places keeps
+            found["lap_joint", "truth", own.words] = {"values": place * fine}
+            found["lap_joint", "truth", coarse.words] = {"values": place * shares[name] * fine}
+    left = trade.own_error(found, {"lap_joint": truth}, 0.01).set_index("source")["left"]
     assert left.to_dict() == pytest.approx({"element size": 1.0, "pairs": 3.4, "path": 1.0})
+    found["lap_joint", "truth", trade_versions.ALL_FINER] = {"values": 2 * fine[:16]}
+    averaged = trade.averaged(found, "lap_joint", truth)["slip:clamp:lap"]
+    assert averaged.to_numpy() == pytest.approx(2.15 * fine["slip:clamp:lap"][:16].to_numpy())
 
 
 def test_sampling_error_is_that_of_normal_samples():

@@ -23,7 +23,19 @@ from verification.scenes import shipped, with_path
 from verification.study import Acceptance, Finding, Study
 from verification.target import as_set
 from verification.trade.picture import picture
-from verification.trade.versions import QUICK, QUICK_TURNED, TRUTHS, TURNED, Knobs, left_open, opened, versions_of
+from verification.trade.versions import (
+    ALL_FINER,
+    QUICK,
+    QUICK_TURNED,
+    TRUTHS,
+    TURNED,
+    Knobs,
+    Truth,
+    left_open,
+    named,
+    opened,
+    versions_of,
+)
 from verification.validation import COVERAGE, Uncertainty
 
 TARGETS = (0.01, 0.02, 0.05, 0.10)  # of 6σ
@@ -33,6 +45,7 @@ STILL = 4  # increments a step, if the path is not adaptive
 KINDS = {"measurement": "key characteristics", "slip": "slips"}
 HALF, EACH = f"sampling error of {FEW} followed samples with surrogates", "per sample with surrogates, ms"
 RESOLUTION = 2e-3  # mm: that of coordinate measuring machines; a smaller error decides nothing
+TOGETHER = 200  # samples evaluated at once
 NOISE = 0.1  # scatter of processor time
 ESTIMATED = [("setting", "standard")]  # also by surrogates and an emulator
 FULL = {"penalties": (1e2, 1e4), "full": "medium"}
@@ -53,11 +66,12 @@ def measure(scene: Scene, deviations: np.ndarray, cache, estimators: bool) -> di
     process = model.process(law)
     process.attempt(deviations[:2])  # compile before the time is measured
     compiled = time.process_time()
-    evaluation = process.attempt(deviations)
+    # a few hundred at a time, since the contacts of all samples may fill the memory
+    parts = [process.attempt(some) for some in np.array_split(deviations, -(-len(deviations) // TOGETHER))]
     evaluated = time.process_time()
     few = measure_sampling(model, law, SEED) if estimators else SamplingCost()
     return {
-        "values": values(model, evaluation),
+        "values": pd.concat([values(model, part) for part in parts], ignore_index=True),
         "emulator": emulated(model, law, deviations) if estimators else None,
         "pairs": len(assembly.contacts),
         "nodes": sum(len(part.surface.points) for part in assembly.parts),
@@ -65,7 +79,7 @@ def measure(scene: Scene, deviations: np.ndarray, cache, estimators: bool) -> di
         "per sample, ms": 1e3 * (evaluated - compiled) / len(deviations),
         HALF: few.half,
         EACH: 1e3 * few.each,
-        "failed": int(evaluation.failed.sum()),
+        "failed": sum(int(part.failed.sum()) for part in parts),
     }
 
 
@@ -177,7 +191,7 @@ def with_surrogates(line) -> tuple[float, float]:
 
 def turn_knobs(truths, context) -> tuple[pd.DataFrame, dict]:
     """All versions of all scenes against their truths: the table, and the measured versions by scene, knob, value."""
-    counts = {name: max([truth.samples, *(one[3] for one in truth.own.values())]) for name, truth in truths.items()}
+    counts = {name: max(truth.counts().values()) for name, truth in truths.items()}
     deviations = {name: draw(opened(name), SEED, 0, count) for name, count in counts.items()}
     turned = QUICK_TURNED if context.quick else TURNED
     scenes = {
@@ -187,17 +201,19 @@ def turn_knobs(truths, context) -> tuple[pd.DataFrame, dict]:
     def of(key) -> dict:
         name, knob, value = key
         count = truths[name].samples // (2 if knob in TURNED else 1)
-        if knob == "truth" and value != "all finer":
-            count = truths[name].own[value.partition(",")[0]][3]
+        if knob == "truth":
+            count = truths[name].counts()[named(truths[name])[value]]
         estimators = key[1:] in ESTIMATED and not context.quick
         return measure(scenes[key], deviations[name][:count], context.cache, estimators)
 
     found = dict(zip(scenes, context.team.map(of, scenes)))
+    for name, truth in truths.items():
+        found[name, "truth", ALL_FINER]["values"] = averaged(found, name, truth)
     rows = []
     for (name, knob, value), one in found.items():
         if knob == "truth":
             continue
-        exact = found[name, "truth", "all finer"]
+        exact = found[name, "truth", ALL_FINER]
         rows.append(row(name, knob, value, one, exact))
         if one["emulator"] is not None:
             frame, seconds = one["emulator"]
@@ -212,15 +228,32 @@ def with_costs(lines: pd.DataFrame) -> pd.DataFrame:
     return lines.assign(**{"whole answer, CPU s": [cost(line, samples) for _, line in lines.iterrows()]})
 
 
+def mean_of(found: dict, name: str, versions: tuple[Knobs, ...]) -> pd.DataFrame:
+    """Mean of what some versions of a truth give for each sample."""
+    return sum(found[name, "truth", knobs.words]["values"] for knobs in versions) / len(versions)
+
+
+def averaged(found: dict, name: str, truth: Truth) -> pd.DataFrame:
+    """What the truth gives for each sample, averaged over places of the candidates.
+
+    One followed version stands for the truth; what other places change is measured in one increment a step.
+    """
+    own, placed = found[name, "truth", ALL_FINER]["values"], truth.own["pairs"].fine
+    return own + (mean_of(found, name, placed) - mean_of(found, name, placed[:1])).loc[own.index]
+
+
 def own_error(found: dict, truths, limit: float) -> pd.DataFrame:
     """Error of each truth by scene, source and quantity, over the larger of a share of its 6σ and the resolution."""
     rows = []
     for name, truth in truths.items():
-        for source, (_, _, factor, count) in truth.own.items():
-            fine, coarse = (found[name, "truth", f"{source}, {which}"]["values"] for which in ("fine", "coarse"))
+        for title, source in truth.own.items():
+            fine, coarse = (
+                mean_of(found, name, versions)[: source.samples] for versions in (source.fine, source.coarse)
+            )
             for quantity, value in over(coarse, fine, limit).items():
+                left = source.factor * value
                 rows.append(
-                    {"scene": name, "source": source, "quantity": quantity, "samples": count, "left": factor * value}
+                    {"scene": name, "source": title, "quantity": quantity, "samples": source.samples, "left": left}
                 )
     return pd.DataFrame(rows)
 
@@ -265,7 +298,7 @@ def chosen_automatically(found: dict, truths, context) -> pd.DataFrame:
         spent = time.process_time() - start
         deviations = draw(opened(name), SEED, 0, truths[name].samples)
         one = measure(choice.scene, deviations, context.cache, estimators=False)
-        exact = found[name, "truth", "all finer"]["values"]
+        exact = found[name, "truth", ALL_FINER]["values"]
         accepted = [trial for trial in choice.trials if trial.accepted]
         return row(name, "auto", "auto", one, {"values": exact}) | {
             "chosen": "; ".join(choice.chosen),
@@ -435,7 +468,7 @@ def run(context):
 def setting_finding(name, limit, settings, found, truths, of_truth) -> Finding:
     """Error of a setting on all scenes, over its limit."""
     measured = {
-        scene: over(found[scene, "setting", name]["values"], found[scene, "truth", "all finer"]["values"], limit).max()
+        scene: over(found[scene, "setting", name]["values"], found[scene, "truth", ALL_FINER]["values"], limit).max()
         for scene in truths
     }
     own = settings[settings["value"] == name]

@@ -11,10 +11,27 @@ from mic.scene.process import FollowedPath
 from mic.scene.settings import AUTO, FOLLOWING
 from verification.target import as_set
 
-__all__ = ["FINE", "QUICK", "QUICK_TURNED", "TRUTHS", "TURNED", "Knobs", "Truth", "left_open", "opened", "versions_of"]
+__all__ = [
+    "ALL_FINER",
+    "FINE",
+    "QUICK",
+    "QUICK_TURNED",
+    "TRUTHS",
+    "TURNED",
+    "Knobs",
+    "Source",
+    "Truth",
+    "left_open",
+    "named",
+    "opened",
+    "versions_of",
+]
 
 FINE = Followed.tolerance / 4
 COARSER = 16  # ratio of path tolerances for the error of the truth: a sixteenth reduces the error to about a sixth
+#: Factors on the distance between candidates whose results are averaged, since where candidates lie scatters them.
+PLACES = tuple(2 ** (i / 8) for i in range(4))
+ALL_FINER = "all finer"
 
 
 @dataclass(frozen=True)
@@ -72,11 +89,31 @@ class Knobs:
     @property
     def words(self) -> str:
         """The changed parameters as text; a tolerance as a multiple of the default."""
-        shown = dict(self.given)
+        shown = {key: round(value, 3) if key == "factor" else value for key, value in self.given.items()}
         if self.tolerance is not None:
             shown["tolerance"] = f"{self.tolerance / Followed.tolerance:g}×"
         plain = ("size", "element", "law")
-        return ", ".join(value if key in plain else f"{key} {value}" for key, value in shown.items())
+        named = (str(value) if key in plain else f"{key} {value}" for key, value in shown.items())
+        return ", ".join(named)
+
+
+@dataclass(frozen=True)
+class Source:
+    """A source of the truth's error: versions as fine as the truth, and coarser ones that differ in this alone.
+
+    Attributes
+    ----------
+    fine, coarse : tuple of Knobs
+        The results of several versions are averaged.
+    factor : float
+        Converts the difference of the two to the error of the truth.
+    samples : int
+    """
+
+    fine: tuple[Knobs, ...]
+    coarse: tuple[Knobs, ...]
+    factor: float
+    samples: int
 
 
 @dataclass(frozen=True)
@@ -89,31 +126,39 @@ class Truth:
     samples : int
         Half of them for parameters that are changed one at a time.
     own : dict
-        By source of the truth's error: its version, one that is coarser in this parameter alone, the factor that
-        converts their difference to the error of the truth, and the number of samples. Meshes and pairs are compared in
-        one increment a step, which costs a twentieth, so that enough samples show their effect; paths on the mesh of
-        the setting standard.
+        Sources of its error by name. Meshes and pairs are compared in one increment a step, which costs a twentieth,
+        so that enough samples show their effect; paths on the mesh of the setting standard.
     """
 
     knobs: Knobs
     samples: int
-    own: dict[str, tuple[Knobs, Knobs, float, int]]
+    own: dict[str, Source]
+
+    def counts(self) -> dict[Knobs, int]:
+        """Number of samples of each version that the truth and its error need."""
+        found = {self.knobs: self.samples}
+        for source in self.own.values():
+            for knobs in (*source.fine, *source.coarse):
+                found[knobs] = max(source.samples, found.get(knobs, 0))
+        return found
 
 
-def truth(size: float, factor: float, samples: int, own: int) -> Truth:
+def truth(size: float, factor: float, samples: int, own: int, places: tuple[float, ...] = PLACES) -> Truth:
     """Factors for mesh and candidates. Meshes are of second order, candidates between first and second."""
     cheap, tight = Knobs(size=size, factor=factor, increments=1), Knobs(tolerance=FINE)
+    placed = tuple(replace(cheap, factor=place * factor) for place in places)
+    apart = tuple(replace(cheap, factor=2**0.5 * place * factor) for place in places)
     sources = {
-        "element size": (cheap, replace(cheap, size=2 * size), 1 / 3, own),
+        "element size": Source((cheap,), (replace(cheap, size=2 * size),), 1 / 3, own),
         # 1 / (2^(p/2) - 1), p from 1 to 2: 2.4 to 1
-        "pairs": (cheap, replace(cheap, factor=2**0.5 * factor), 1.7, own),
-        "path": (tight, Knobs(tolerance=COARSER * FINE), 1 / 5, samples),
+        "pairs": Source(placed, apart, 1.7, own),
+        "path": Source((tight,), (Knobs(tolerance=COARSER * FINE),), 1 / 5, samples),
     }
     return Truth(Knobs(size=size, factor=factor, tolerance=FINE), samples, sources)
 
 
 TRUTHS = {"lap_joint": truth(0.625, 0.5, 100, 1000), "bracket": truth(1.0, 0.5, 80, 800)}
-QUICK = {"lap_joint": truth(0.625, 0.5, 16, 60)}
+QUICK = {"lap_joint": truth(0.625, 0.5, 16, 60, places=(1.0,))}
 #: Changes from the setting standard: one parameter at a time, then several.
 TURNED = {
     "mesh": (Knobs(size="coarse"), Knobs(size="medium")),
@@ -151,14 +196,15 @@ def left_open(scene: Scene) -> Scene:
     return as_set(scene, "standard").model_copy(update={"setting": AUTO, "left_open": [*names, "path"]})
 
 
+def named(truth: Truth) -> dict[str, Knobs]:
+    """The versions that a truth and its error need, by name."""
+    return {ALL_FINER if knobs == truth.knobs else knobs.words: knobs for knobs in truth.counts()}
+
+
 def versions_of(name: str, truth: Truth, turned=TURNED) -> dict[tuple[str, str], Scene]:
     """All versions of a scene by parameter and value: the truth, what shows its error, settings, changes."""
     scene = opened(name)
     standard = as_set(scene, "standard")
-    found = {("truth", "all finer"): truth.knobs.turn(standard)}
-    for source, (fine, coarse, _, _) in truth.own.items():
-        found |= {
-            ("truth", f"{source}, {name}"): one.turn(standard) for name, one in (("fine", fine), ("coarse", coarse))
-        }
+    found = {("truth", name): knobs.turn(standard) for name, knobs in named(truth).items()}
     found |= {("setting", setting): as_set(scene, setting) for setting in SETTINGS}
     return found | {(knob, knobs.words): knobs.turn(standard) for knob, some in turned.items() for knobs in some}
