@@ -7,6 +7,7 @@ import sys
 
 import pytest
 
+from mic.commands import compile as compilation
 from mic.contact.laws import LAWS
 from mic.contact.native import kernel as native_kernel
 from mic.system.compilation import MESSAGE
@@ -77,3 +78,11 @@ def test_a_kernel_is_loaded_when_called_and_compiled_again_when_one_that_it_call
     found = [python("-c", CALL).splitlines()[-1] for _ in range(2)]
     (package / "adding.py").write_text(MODULES["adding"].replace("+ 1", "+ 2"))
     assert [*found, python("-c", CALL).splitlines()[-1]] == ["0 4.0 0", "0 4.0 1", "0 6.0 0"]
+
+
+def test_a_run_calls_no_kernel_of_derivatives():
+    """What is compiled for a run alone is complete: it calls nothing beyond, and the rest is that of derivatives."""
+    for_a_run = compilation.kernels(derivatives=False)
+    beyond = set(compilation.kernels(derivatives=True)) - set(for_a_run)
+    assert {one.__module__.rpartition(".")[2] for one in beyond} == compilation.DERIVATIVES
+    assert not any(called in beyond for one in for_a_run for called in one.called)

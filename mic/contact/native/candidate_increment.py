@@ -8,7 +8,7 @@ from numba import boolean, int64, types, void
 from mic.contact.native.follower import follow
 from mic.contact.native.kernel import BLOCKS, COUNTS, MATRIX, NUMBER, VECTOR, kernel
 from mic.contact.native.law_equation import EQUATION_POINTER
-from mic.contact.native.matrices import block
+from mic.contact.native.matrices import assign, block
 
 __all__ = ["follow_among"]
 
@@ -103,7 +103,8 @@ def follow_among(
         for a in range(m):
             k = own[a]
             i, j = 3 * a, 3 * among[k]
-            some_P[a], some_parameters[a] = P[k], parameters[k]
+            assign(some_P[a], P[k])
+            assign(some_parameters[a], parameters[k])
             for c in range(3):
                 d = D[3 * k + c]
                 unit[i + c] = 1.0 / d

@@ -39,7 +39,7 @@ from numba import boolean, int64, types, void
 
 from mic.contact.native.kernel import BLOCKS, MATRIX, NUMBER, VECTOR, kernel
 from mic.contact.native.law_equation import EQUATION_POINTER, starting_scale
-from mic.contact.native.matrices import times
+from mic.contact.native.matrices import assign, assign_sum, times
 from mic.contact.native.path_constants import CUT, FAILED, LONGEST, ROUNDING, STEPS
 from mic.contact.native.prediction import forward, predict
 from mic.contact.native.slip_origins import closings, origins
@@ -210,17 +210,17 @@ def follow(
     smallest = 1.0 if given else SHORTEST
     for sample in range(len(Q0)):
         done = counts[sample]
-        y[:] = Y[sample]
-        q[:] = Q0[sample]
+        assign(y, Y[sample])
+        assign(q, Q0[sample])
         for k in range(m):
             q[3 * k + 1] -= L[sample, 2 * k]
             q[3 * k + 2] -= L[sample, 2 * k + 1]
         times(W, y, w)
         w += q
-        rate[:] = Q1[sample] - Q0[sample]
+        assign_sum(rate, Q1[sample], -1.0, Q0[sample])
         scale = max(starting_scale(q), starting_scale(q + rate))
         pace[:] = 0.0
-        y0[:] = y
+        assign(y0, y)
         solved, own, inverse = 1, np.empty(0, np.int64), np.empty((0, 0))
         if order == 1:  # what does not balance is part of the first step
             for k in range(m):
@@ -257,14 +257,15 @@ def follow(
             taken = done[STEPS] - 1 + (order == 2)
             if 0 <= taken < passed.shape[1]:
                 passed[sample, taken] = s
-                passed_force[sample, taken] = y
+                assign(passed_force[sample, taken], y)
             for k in range(m):
                 for c in range(2):
                     L[sample, 2 * k + c] += w[3 * k + 1 + c]
                     w[3 * k + 1 + c] = 0.0
             if s == 1.0:
                 break
-            y0[:], w0[:] = y, w
+            assign(y0, y)
+            assign(w0, w)
             slack = LEFT * INNER * max(scale, np.sqrt(np.dot(y0, y0)))
             most = max(most, mean_force(y, unit))
             step = 1.0 - s if s + 1.0001 * h >= 1.0 else h
@@ -274,7 +275,7 @@ def follow(
             solved, error, force, excess = 1, 0.0, 0.0, 0.0
             while True:
                 if order == 1:
-                    wp[:] = w0
+                    assign(wp, w0)
                     forward(y0, wp, slack)
                     equation(parameters, y0, wp, phi, nothing, nothing, state0, False)
                     least = 0.0
@@ -313,12 +314,13 @@ def follow(
                         gone,
                         done,
                     )
-                yp[:] = y0 + (1.0 - s) / step * x  # if all goes on
+                assign_sum(yp, y0, (1.0 - s) / step, x)  # if all goes on
                 for k in range(m):
                     if yp[3 * k] <= 0.0:
                         yp[3 * k : 3 * k + 3] = 0.0
                 bearing = bearable * max(most, mean_force(yp, unit))
-                yp[:], wp[:] = y0 + x, w0 + motion
+                assign_sum(yp, y0, 1.0, x)
+                assign_sum(wp, w0, 1.0, motion)
                 allowed = tolerance * max(least, made + motion_size(motion, unit))
                 target = 1.0 if s + step > 1.0 - 1e-9 else s + step
                 if order == 2:
@@ -327,14 +329,14 @@ def follow(
                 # none: backward Euler's method as it is, which always leads on.
                 turn, last = 0, step <= 1.0001 * smallest
                 while True:
-                    q[:] = Q0[sample] + target * rate
+                    assign_sum(q, Q0[sample], target, rate)
                     for k in range(m):
                         for c in range(2):
                             q[3 * k + 1 + c] -= L[sample, 2 * k + c] + shift[k, c]
                     if turn == 2:
-                        y[:] = y0
+                        assign(y, y0)
                     elif turn == 0:
-                        y[:] = yp
+                        assign(y, yp)
                         for k in range(m):
                             if order == 2 and opened[k] < 1.0:
                                 y[3 * k : 3 * k + 3] = 0.0
@@ -345,7 +347,7 @@ def follow(
                                 grown = max(y[i], 0.0) / y0[i]
                                 y[i + 1], y[i + 2] = grown * y0[i + 1], grown * y0[i + 2]
                     if len(guess) > 0 and not near:
-                        y[:] = guess[sample]
+                        assign(y, guess[sample])
                     times(W, y, w)
                     w += q
                     end, landed = target == 1.0, False
@@ -408,7 +410,9 @@ def follow(
                     left = over_allowed(left, allowed, force_error(W, B, own, inverse, doubt, unit), bearing)
                     if turn == 0 and solved == 1 and (given or last or left <= 1.0):
                         turn = 1
-                        shift[:], touched[:] = other, late
+                        assign(touched, late)
+                        for k in range(m):
+                            assign(shift[k], other[k])
                     elif last:
                         turn = 2
                         shift[:], touched[:] = 0.0, 0.0
@@ -462,4 +466,5 @@ def follow(
             elif done[STEPS] > MOST:
                 done[FAILED] += 1
                 break
-        Q[sample], Y[sample] = q, y
+        assign(Q[sample], q)
+        assign(Y[sample], y)

@@ -12,6 +12,7 @@ from mic.contact.native.batch import BATCH, Batch
 from mic.contact.native.kernel import MATRIX, NUMBER, kernel
 from mic.contact.native.law_equation import force_scale, relative
 from mic.contact.native.linear_step import solve_dense
+from mic.contact.native.matrices import assign
 from mic.contact.native.problem import ScaledProblem
 
 __all__ = ["active_set", "solve_frictionless"]
@@ -52,7 +53,7 @@ def solve_frictionless(W, batch, tol, rounds):
                 error = relative(error, size)
                 if error < best:
                     best = error
-                    Y[s] = y
+                    assign(Y[s], y)
                 if error <= tol:
                     break
                 count = 0
@@ -61,23 +62,23 @@ def solve_frictionless(W, batch, tol, rounds):
                         active[count] = i
                         count += 1
                 J = np.empty((count, count))
-                r = np.empty(count)
+                r = np.empty((count, 1))
                 for a in range(count):
                     i = active[a]
-                    r[a] = -q[i] + 1e-12 * y[i]
+                    r[a, 0] = -q[i] + 1e-12 * y[i]
                     for b in range(count):
                         J[a, b] = W[i, active[b]]
                     J[a, a] += 1e-12
                 d = solve_dense(J, r)
                 y[:] = 0.0
                 for a in range(count):
-                    y[active[a]] = d[a]
+                    y[active[a]] = d[a, 0]
                 w = np.dot(W, y) + q
                 total += 1
                 factorisations[s] += 1
             if best <= tol:
                 break
-            y[:] = guess
+            assign(y, guess)
             w = np.dot(W, y) + q
             sweeps *= 2
         errors[s] = best

@@ -6,7 +6,7 @@ import numpy as np
 from numba import boolean, int64, types, void
 
 from mic.contact.native.kernel import BLOCKS, COUNTS, MATRIX, kernel
-from mic.contact.native.matrices import system
+from mic.contact.native.matrices import assign, system
 
 __all__ = ["DAMPING", "LARGE", "border", "change", "inverse_of", "inverted", "let_go"]
 
@@ -49,7 +49,9 @@ def _pivots(M, four, trial, place, k):
 
     ``place`` receives where the rows were; ``trial`` is scratch.
     """
-    trial[:] = four
+    for i in range(len(M)):
+        for c in range(4):
+            trial[i, c] = four[i, c]
     for c in range(4):
         p = k + c
         for i in range(k + c + 1, len(M)):
@@ -93,10 +95,13 @@ def inverted(matrix):
     for i in range(n, rows):
         M[i, i] = 1.0
     for k in range(0, rows, 4):
-        four[:] = M[:, k : k + 4]
+        for i in range(rows):
+            for c in range(4):
+                four[i, c] = M[i, k + c]
         if not _pivots(M, four, trial, place, k):
             return np.zeros((n, n))
-        block[:] = four[k : k + 4]
+        for a in range(4):
+            assign(block[a], four[k + a])
         _inverted_four(block, inner)
         row0, row1, row2, row3 = M[k], M[k + 1], M[k + 2], M[k + 3]
         for a in range(4):
@@ -104,7 +109,7 @@ def inverted(matrix):
             line = pivot[a]
             for j in range(width):
                 line[j] = x0 * row0[j] + x1 * row1[j] + x2 * row2[j] + x3 * row3[j]
-            line[k : k + 4] = inner[a]
+            assign(line[k : k + 4], inner[a])
         row0, row1, row2, row3 = pivot[0], pivot[1], pivot[2], pivot[3]
         for i in range(0, rows, 2):
             if k <= i < k + 4:
@@ -117,7 +122,8 @@ def inverted(matrix):
                 x0, x1, x2, x3 = row0[j], row1[j], row2[j], row3[j]
                 one[j] -= f0 * x0 + f1 * x1 + f2 * x2 + f3 * x3
                 two[j] -= g0 * x0 + g1 * x1 + g2 * x2 + g3 * x3
-        M[k : k + 4] = pivot
+        for a in range(4):
+            assign(M[k + a], pivot[a])
     for k in range(rows - 1, -1, -1):
         p = place[k]
         if p != k:
@@ -188,7 +194,9 @@ def change(W, A, B, closed, inverse, a, new_A, new_B):
             V[row, 3 * a + column] += (
                 new_A[row, column] - A[k, row, column] + DAMPING * (new_B[row, column] - B[k, row, column])
             )
-    A[k], B[k] = new_A, new_B
+    for row in range(3):
+        assign(A[k, row], new_A[row])
+        assign(B[k, row], new_B[row])
     X = np.zeros((3, n))  # V times the inverse
     X0, X1, X2 = X[0], X[1], X[2]
     for j in range(n):
@@ -214,10 +222,14 @@ def border(W, B, own, inverse, k):
                 for i in range(3):
                     total += B[own[a], row, i] * W[3 * own[a] + i, 3 * k + j]
                 column[3 * a + row, j] = total
-    joined, grown = np.empty(c + 1, np.int64), np.zeros((n + 3, n + 3))
-    joined[:c], joined[c] = own, k
-    grown[:n, :n] = inverse
-    grown[:n, n:] = -np.dot(inverse, column)
+    response, joined, grown = np.dot(inverse, column), np.empty(c + 1, np.int64), np.zeros((n + 3, n + 3))
+    for a in range(c):
+        joined[a] = own[a]
+    joined[c] = k
+    for i in range(n):
+        assign(grown[i, :n], inverse[i])
+        for j in range(3):
+            grown[i, n + j] = -response[i, j]
     for i in range(n, n + 3):
         grown[i, i] = 1.0
     return joined, grown

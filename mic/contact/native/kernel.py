@@ -68,15 +68,19 @@ class Kernel(CPUDispatcher):
         super().__init__(function, targetoptions={"nopython": True, "nogil": True, "error_model": "numpy"})
         self._signature = signature
 
+    @property
+    def called(self) -> list[Kernel]:
+        """The kernels that this one calls."""
+        found = (self.py_func.__globals__.get(name) for name in self.__code__.co_names)
+        return [value for value in found if isinstance(value, Kernel)]
+
     def load(self) -> None:
         """Read the function from the cache, or compile it, unless that is done."""
         with global_compiler_lock:
             if not self._can_compile:
                 return
-            for name in self.__code__.co_names:
-                called = self.py_func.__globals__.get(name)
-                if isinstance(called, Kernel):
-                    called.load()
+            for kernel in self.called:
+                kernel.load()
             try:
                 self._cache = _PackageCache(self.py_func)
             except RuntimeError:  # no folder can be written: each process compiles anew

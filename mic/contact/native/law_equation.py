@@ -24,6 +24,7 @@ __all__ = [
     "compiled",
     "derivative",
     "force_scale",
+    "linear_equation",
     "merit",
     "relative",
     "starting_scale",
@@ -60,6 +61,15 @@ def merit(equation, parameters, y, w, phi, state):
     return np.sqrt(total)
 
 
+@kernel(void(MATRIX, MATRIX, NUMBER))
+def linear_equation(A, B, open_):
+    """Fill the derivatives of ``Φ = y`` (`open_` 1) or of ``Φ = w`` (0: stick) of one contact, both (3, 3)."""
+    for row in range(3):
+        for column in range(3):
+            A[row, column] = B[row, column] = 0.0
+        A[row, row], B[row, row] = open_, 1.0 - open_
+
+
 @kernel(void(EQUATION_POINTER, MATRIX, VECTOR, VECTOR, VECTOR, BLOCKS, BLOCKS, COUNTS))
 def derivative(equation, parameters, y, w, phi, A, B, state):
     """Fill all contacts' equations, their derivatives and states.
@@ -73,10 +83,7 @@ def derivative(equation, parameters, y, w, phi, A, B, state):
             continue
         open_, z = (1.0, y) if state[k] == OPEN else (0.0, w)
         phi[i], phi[i + 1], phi[i + 2] = z[i], z[i + 1], z[i + 2]
-        for row in range(3):
-            for column in range(3):
-                A[k, row, column] = B[k, row, column] = 0.0
-            A[k, row, row], B[k, row, row] = open_, 1.0 - open_
+        linear_equation(A[k], B[k], open_)
 
 
 @kernel(NUMBER(NUMBER, VECTOR, VECTOR, VECTOR))

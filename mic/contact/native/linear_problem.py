@@ -6,7 +6,9 @@ import numpy as np
 from numba import int64
 
 from mic.contact.native.kernel import BLOCKS, COUNTS, MATRIX, VECTOR, kernel
+from mic.contact.native.linear_step import solve_dense
 from mic.contact.native.linearised_law import CONTACTS
+from mic.contact.native.matrices import assign
 
 __all__ = ["bent", "moved", "solved", "system"]
 
@@ -20,10 +22,7 @@ def solved(matrix, right):
     size = np.abs(right).max() if right.size else 0.0
     if size == 0.0:
         return np.zeros_like(right)
-    try:
-        found = np.ascontiguousarray(np.linalg.solve(matrix, right))
-    except Exception:
-        found = np.full_like(right, np.nan)
+    found = solve_dense(np.ascontiguousarray(matrix.T), right)
     worst = np.abs(np.dot(matrix, found) - right).max()
     if worst <= UNSOLVED * size:
         return found
@@ -65,7 +64,7 @@ def moved(S, rows, size, loaded, F):
     force = np.empty((size * len(loaded), F.shape[1]))
     for b in range(len(loaded)):
         for c in range(size):
-            force[size * b + c] = F[size * loaded[b] + c]
+            assign(force[size * b + c], F[size * loaded[b] + c])
     for a in range(len(rows)):
         line = S[rows[a]]
         for b in range(len(loaded)):

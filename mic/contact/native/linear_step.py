@@ -44,13 +44,13 @@ LARGE = 900
 KRYLOV, NEAR = 40, 1e-8
 
 
-@kernel(VECTOR(MATRIX, VECTOR))
-def solve_dense(columns, r):
-    """``J⁻¹ r`` of a matrix given by its columns, ``Jᵀ``, as LAPACK has it; zeros if it is singular to the last bit."""
+@kernel(MATRIX(MATRIX, MATRIX))
+def solve_dense(columns, right):
+    """``J⁻¹ R`` of a matrix given by its columns, ``Jᵀ``, as LAPACK has it; zeros if it is singular to the last bit."""
     try:
-        return np.linalg.solve(columns.T, r)
+        return np.ascontiguousarray(np.linalg.solve(columns.T, right))
     except Exception:
-        return np.zeros_like(r)
+        return np.zeros_like(right)
 
 
 @kernel(void(NUMBER, NUMBER, NUMBER, BLOCKS, int64))
@@ -131,7 +131,9 @@ def _approached(columns, r, d):
         return True
     V, R = np.empty((KRYLOV + 1, n)), np.zeros((KRYLOV, KRYLOV))
     c, s, g = np.zeros(KRYLOV), np.zeros(KRYLOV), np.zeros(KRYLOV + 1)
-    V[0], g[0] = r / size, 1.0
+    g[0] = 1.0
+    for j in range(n):
+        V[0, j] = r[j] / size
     for k in range(KRYLOV):
         v = np.dot(V[k], columns)
         for i in range(k + 1):
@@ -155,7 +157,8 @@ def _approached(columns, r, d):
             return True
         if 4 * (k + 1) == KRYLOV and abs(g[k + 1]) > NEAR**0.25:
             return False
-        V[k + 1] = v / beyond
+        for j in range(n):
+            V[k + 1, j] = v[j] / beyond
     return False
 
 
@@ -273,7 +276,7 @@ def linear_step(W, A, B, phi, state, known, z, damping, approach, x):
     large = approach and len(r) > LARGE
     approach = approach and (not large or _approached(columns, r, d))
     if not large or not approach:
-        d = solve_dense(columns, r)
+        d = solve_dense(columns, r.reshape((len(r), 1))).ravel()
     for a in range(len(contacts)):
         for q in range(unknowns.some[a]):
             for c in range(3):

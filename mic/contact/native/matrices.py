@@ -7,12 +7,26 @@ from numba import int64, void
 
 from mic.contact.native.kernel import BLOCKS, COUNTS, MATRIX, NUMBER, VECTOR, kernel
 
-__all__ = ["TOGETHER", "block", "responses", "symmetric", "system", "times", "times_together"]
+__all__ = ["TOGETHER", "assign", "assign_sum", "block", "responses", "symmetric", "system", "times", "times_together"]
 
 #: Samples that one pass over a large matrix serves.
 TOGETHER = 4
 #: Rows and columns of pieces of a matrix that are read with those of its transpose.
 TILE = 32
+
+
+@kernel(void(VECTOR, VECTOR))
+def assign(target, source):
+    """``target[:] = source``, which Numba would compile anew at each place, with the words of its errors."""
+    for i in range(len(target)):
+        target[i] = source[i]
+
+
+@kernel(void(VECTOR, VECTOR, NUMBER, VECTOR))
+def assign_sum(target, a, factor, b):
+    """``target[:] = a + factor * b``."""
+    for i in range(len(target)):
+        target[i] = a[i] + factor * b[i]
 
 
 @kernel(void(MATRIX, VECTOR, VECTOR))

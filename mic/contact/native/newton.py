@@ -10,7 +10,7 @@ from numba import int64, typeof, types
 from mic.contact.native.kernel import NUMBER, VECTOR, kernel
 from mic.contact.native.law_equation import EQUATION_POINTER, derivative, force_scale, merit, relative
 from mic.contact.native.linear_step import linear_step
-from mic.contact.native.matrices import times
+from mic.contact.native.matrices import assign, assign_sum, times
 from mic.contact.states import OPEN, STICK
 
 __all__ = ["COUPLING", "NO_INVERSE", "Coupling", "NewtonSettings", "newton"]
@@ -99,7 +99,8 @@ def newton(equation, coupling, q, y, w, settings):
         trial = np.sqrt(np.dot(phi, phi))
         if iteration == 0 or trial < error or (halvings > 0 and np.isfinite(trial)):
             error, gained = trial, iteration
-            y[:], w[:] = trial_y, trial_w
+            assign(y, trial_y)
+            assign(w, trial_w)
             size = force_scale(scale, q, y, w)
         if error <= tol * size or iteration - gained > PATIENT or iteration == steps or not np.isfinite(trial):
             return relative(error, size), iteration
@@ -120,8 +121,8 @@ def newton(equation, coupling, q, y, w, settings):
             times(W, step, change)
             length = 1.0
             for _ in range(halvings):
-                trial_y[:] = y + length * step
-                trial_w[:] = w + length * change
+                assign_sum(trial_y, y, length, step)
+                assign_sum(trial_w, w, length, change)
                 trial = merit(equation, parameters, trial_y, trial_w, trial_phi, trial_state)
                 if trial <= (1.0 - 1e-4 * length) * error:
                     break

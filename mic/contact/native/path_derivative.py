@@ -16,6 +16,7 @@ from numba import boolean, int64, types, void
 from mic.contact.native.kernel import BLOCKS, COUNTS, MATRIX, NUMBER, VECTOR, kernel
 from mic.contact.native.linear_problem import bent, moved, solved, system
 from mic.contact.native.linearised_law import CONTACTS, EQUATIONS, MASK, Equations, bound, equations, on_cone, states
+from mic.contact.native.matrices import assign, assign_sum
 from mic.contact.native.touching import touching
 from mic.contact.states import OPEN, SLIP
 
@@ -135,7 +136,8 @@ def _begin(contacts, loads, first, begin, s, second, guess, f, F):
             gap, dgap = np.empty(len(rows)), moved(contacts.S, rows, 3, loaded, F)
             for a in range(len(rows)):
                 gap[a] = response[rows[a]] + loads.b[rows[a]] + begin * loads.rate[rows[a]]
-                dgap[a] += loads.B[rows[a]] + begin * loads.drate[rows[a]] + change[rows[a]]
+                row = dgap[a]
+                row += loads.B[rows[a]] + begin * loads.drate[rows[a]] + change[rows[a]]
             shift, dshift = touching(contacts, loads.rate, loads.drate, f, F, turns, closing, h, gap, dgap)
             for a in range(len(closing)):
                 for c in range(2):
@@ -147,7 +149,7 @@ def _begin(contacts, loads, first, begin, s, second, guess, f, F):
 def _classify(contacts, q, x, state, w):
     """Fill states and displacements at the forces x (d m,), of which those that the states exclude are replaced."""
     size, moves = len(x) // len(state), False
-    w[:] = np.dot(contacts.S, x) + q
+    assign_sum(w, np.dot(contacts.S, x), 1.0, q)
     states(contacts, x, w, state)
     for k in range(len(state)):
         i = size * k
@@ -162,7 +164,7 @@ def _classify(contacts, q, x, state, w):
                 t = np.sqrt(v1 * v1 + v2 * v2)
                 x[i + 1], x[i + 2], moves = g * v1 / t, g * v2 / t, True
     if moves:
-        w[:] = np.dot(contacts.S, x) + q
+        assign_sum(w, np.dot(contacts.S, x), 1.0, q)
 
 
 @kernel(BLOCKS(CONTACTS, LOADS, STEP, COUNTS, VECTOR))
@@ -183,19 +185,21 @@ def _load_slopes(contacts, loads, step, own, x):
     for a in range(count):
         k = own[a]
         i = size * k
-        dq[a, 0] = loads.B[i] + step.s * loads.drate[i]
-        for c in range(1, size):
-            if step.first:
-                dq[a, c] = loads.B[i + c] + step.s * loads.drate[i + c] - loads.danchor[2 * k + c - 1]
+        for c in range(size):
+            slopes, rate = dq[a, c], loads.drate[i + c]
+            if c == 0 or step.first:
+                assign_sum(slopes, loads.B[i + c], step.s, rate)
+                if c:
+                    slopes -= loads.danchor[2 * k + c - 1]
             else:
-                dq[a, c] = step.h * loads.drate[i + c] - dmoved[2 * a + c - 1]
+                for j in range(p):
+                    slopes[j] = step.h * rate[j] - dmoved[2 * a + c - 1, j]
                 if place[k] >= 0:
-                    dq[a, c] -= step.dshift[2 * place[k] + c - 1]
-        if len(contacts.inputs):
-            for c in range(size):
-                dq[a, c] += bends[i + c]
+                    slopes -= step.dshift[2 * place[k] + c - 1]
+            if len(contacts.inputs):
+                slopes += bends[i + c]
                 if c and not step.first:
-                    dq[a, c] -= step.bent[i + c]
+                    slopes -= step.bent[i + c]
     return dq
 
 
@@ -259,10 +263,13 @@ def _solve(contacts, loads, step, slopes, alone, x, f, F, state):
             return False
         # Where two states both hold, on the cone without slip, either has these forces and slopes.
         if slopes and (alone or change <= SETTLED * scale):
-            f[:], F[:], state[:] = x, 0.0, now
+            assign(f, x)
+            F[:] = 0.0
+            for k in range(len(now)):
+                state[k] = now[k]
             for a in range(count):
                 for c in range(size):
-                    F[size * own[a] + c] = found[size * a + c, 1:]
+                    assign(F[size * own[a] + c], found[size * a + c, 1:])
             return True
         slopes = slopes or change <= NEAR * scale
     return False
@@ -297,7 +304,7 @@ def differentiate(contacts, records, loads, first, forced, f, F, state, q):
             begin, second = ends[number - 1] if number else 0.0, records.followed[i] and number > 0
             x, alone = guess[number].copy(), forced and number == start
             step = _begin(contacts, own, number == 0, begin, ends[number], second, x, f[i], F[i])
-            q[i] = step.q
+            assign(q[i], step.q)
             if not _solve(contacts, own, step, alone or not second, alone, x, f[i], F[i], state[i]):
                 first[i] = number
                 break

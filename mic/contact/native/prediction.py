@@ -8,6 +8,7 @@ from numba import int64, types, void
 from mic.contact.native.kept_inverse import LARGE, change, inverse_of, let_go
 from mic.contact.native.kernel import COUNTS, MATRIX, NUMBER, VECTOR, kernel
 from mic.contact.native.law_equation import EQUATION_POINTER, derivative
+from mic.contact.native.matrices import assign, assign_sum
 from mic.contact.native.path_constants import FACTORISATIONS, LONGEST, NEAR, ROUNDING
 from mic.contact.native.slip_origins import lag
 from mic.contact.native.step_error import motion_size, rates
@@ -168,7 +169,7 @@ def predict(
             if slip > NEAR * t:
                 w[i + 1], w[i + 2] = w0[i + 1] - slip * e0[k, 0], w0[i + 2] - slip * e0[k, 1]
     derivative(equation, parameters, y, w, phi, A, B, found)
-    w[:] = w0
+    assign(w, w0)
     x[:] = 0.0
     motion[:] = 0.0
     for k in range(m):
@@ -216,10 +217,11 @@ def predict(
                 state[k], held[k] = STICK, True
                 change(W, A, B, closed, inverse, worst, np.zeros((3, 3)), np.eye(3))
         if event == 0:
-            state0[:] = state
+            for k in range(m):
+                state0[k] = state[k]
         advance, first = step - reached, -1
         closes = False
-        trial[:] = motion + (step - reached) * dw
+        assign_sum(trial, motion, step - reached, dw)
         if step > LONGEST and reached < LONGEST and motion_size(trial, unit) > allowed:
             step = LONGEST
             advance = step - reached
@@ -234,17 +236,17 @@ def predict(
             elif state[k] != OPEN and dy[i] < 0.0 and max(y[i], 0.0) < -dy[i] * advance:
                 advance, first, closes = max(y[i], 0.0) / -dy[i], k, False
         breaks = -1
-        trial[:] = y + advance * dy
+        assign_sum(trial, y, advance, dy)
         if first_breaking(equation, parameters, trial, still, state, held, phi, found) >= 0:
             low, high = 0.0, advance
             for _ in range(BISECTIONS):
                 middle = 0.5 * (low + high)
-                trial[:] = y + middle * dy
+                assign_sum(trial, y, middle, dy)
                 if first_breaking(equation, parameters, trial, still, state, held, phi, found) >= 0:
                     high = middle
                 else:
                     low = middle
-            trial[:] = y + high * dy
+            assign_sum(trial, y, high, dy)
             breaks = first_breaking(equation, parameters, trial, still, state, held, phi, found)
             advance, first, closes = high, breaks, False
             i = 3 * breaks
@@ -253,12 +255,12 @@ def predict(
         if closes:
             harmless = HARMLESS * allowed / max(motion_size(dw, unit), 1e-300)
             advance = min(advance + max(behind, harmless), step - reached)
-        y += advance * dy
-        w += advance * dw
-        x += advance * dy
-        motion += advance * dw
+        assign_sum(y, y, advance, dy)
+        assign_sum(w, w, advance, dw)
+        assign_sum(x, x, advance, dy)
+        assign_sum(motion, motion, advance, dw)
         reached += advance
-        trial[:] = y
+        assign(trial, y)
         for k in range(m):
             trial[3 * k + 1] *= 1.0 + NEAR
             trial[3 * k + 2] *= 1.0 + NEAR
@@ -276,7 +278,9 @@ def predict(
             state[first], loose[first] = SLIP, reached
             grip[first] = np.sqrt(y[i + 1] ** 2 + y[i + 2] ** 2)
             e0[first, 0], e0[first, 1] = y[i + 1] / grip[first], y[i + 2] / grip[first]
-            A0[first], B0[first] = new_A[first], new_B[first]
+            for row in range(3):
+                assign(A0[first, row], new_A[first, row])
+                assign(B0[first, row], new_B[first, row])
             for a in range(len(closed)):
                 if closed[a] == first:
                     change(W, A, B, closed, inverse, a, A0[first], B0[first])

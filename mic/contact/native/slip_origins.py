@@ -7,6 +7,7 @@ from numba import boolean, void
 
 from mic.contact.native.kept_inverse import inverted
 from mic.contact.native.kernel import COUNTS, MATRIX, NUMBER, VECTOR, kernel
+from mic.contact.native.matrices import assign
 from mic.contact.states import OPEN, SLIP
 
 __all__ = ["closings", "crossing", "lag", "origins"]
@@ -123,12 +124,12 @@ def closings(W, own, inverse, w0, state0, y, w, state, shift, touched):
         if first < 0:  # at the very end
             for a in left:
                 touched[new[a]] = 1.0
-                shift[new[a]] = free[a, 1:]
+                assign(shift[new[a]], free[a, 1:])
             return
         for a in left:
             for c in range(3):
                 at[a, c] += soonest * (free[a, c] - at[a, c])
         passed += soonest * (1.0 - passed)
         touched[new[first]] = passed
-        shift[new[first]] = at[first, 1:]
+        assign(shift[new[first]], at[first, 1:])
         late[first] = False

@@ -12,7 +12,7 @@ from mic.contact.native.batch import BATCH, Batch
 from mic.contact.native.kernel import MATRIX, NUMBER, VECTOR, kernel
 from mic.contact.native.law_equation import EQUATION_POINTER, starting_scale
 from mic.contact.native.linear_step import LARGE
-from mic.contact.native.matrices import TOGETHER, times, times_together
+from mic.contact.native.matrices import TOGETHER, assign, times, times_together
 from mic.contact.native.newton import COUPLING, Coupling, NewtonSettings, newton
 from mic.contact.native.problem import ScaledProblem
 
@@ -86,12 +86,12 @@ def solve_by_splitting(equation, coupling, resolvent, rho, shift, batch, tol, st
                 factorisations[first + s] += more
                 if error < best[s]:
                     best[s] = error
-                    Y[first + s] = y
+                    assign(Y[first + s], y)
                 left -= error <= tol
             if left == 0:
                 break
             run *= 2
-        errors[first : first + count] = best
+        assign(errors[first : first + count], best)
 
 
 def splitting(problem: ScaledProblem, rung: Rung, tol: float) -> Callable[[Batch], None]:

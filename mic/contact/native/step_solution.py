@@ -8,8 +8,8 @@ from numba import boolean, int64, types, void
 from mic.contact.native.gauss_seidel import gauss_seidel
 from mic.contact.native.kept_inverse import border, change, inverse_of
 from mic.contact.native.kernel import BLOCKS, COUNTS, MATRIX, NUMBER, VECTOR, kernel
-from mic.contact.native.law_equation import EQUATION_POINTER, derivative, force_scale, starting_scale
-from mic.contact.native.matrices import times
+from mic.contact.native.law_equation import EQUATION_POINTER, derivative, force_scale, linear_equation, starting_scale
+from mic.contact.native.matrices import assign, times
 from mic.contact.native.newton import Coupling, NewtonSettings, newton
 from mic.contact.native.path_constants import FACTORISATIONS, NEAR, RESCUES
 from mic.contact.states import OPEN, SLIP, STICK
@@ -51,8 +51,9 @@ def facet(equation, parameters, y, w, y_new, k, A, B, right, e):
         e[c - 1] = at[c] / t
         back[c] = -NEAR * at[c]
     equation(own, at, back, phi, blocks_A, blocks_B, found, True)
-    A[:], B[:] = blocks_A[0], blocks_B[0]
     for row in range(3):
+        assign(A[row], blocks_A[0, row])
+        assign(B[row], blocks_B[0, row])
         right[row] = -phi[row]
         for c in range(3):
             right[row] -= A[row, c] * (y[i + c] - at[c]) + B[row, c] * (w[i + c] - back[c])
@@ -66,7 +67,7 @@ def linear(W, own, inverse, right, y, q, y_new, w_new):
         for c in range(3):
             r[3 * a + c] = right[3 * own[a] + c]
     x = np.dot(inverse, r)
-    y_new[:] = y
+    assign(y_new, y)
     for a in range(len(own)):
         for c in range(3):
             y_new[3 * own[a] + c] += x[3 * a + c]
@@ -119,7 +120,7 @@ def newton_by_pivots(equation, W, parameters, y, w, q, tol, scale, current, kept
     turned = np.zeros(m, np.int64)
     e, right, scaling = np.zeros((m, 2)), np.zeros(3 * m), np.ones(m)
     y_new, w_new, trial, still = np.empty(3 * m), np.empty(3 * m), np.empty(3 * m), np.zeros(3 * m)
-    one, none, nothing = np.eye(3), np.zeros((3, 3)), np.empty((0, 3, 3))
+    nothing = np.empty((0, 3, 3))
     y_old, before, renewed, tried = y.copy(), np.inf, 0, False
     for _ in range(STEPS_OF_NEWTON):
         derivative(equation, parameters, y, w, phi, new_A, new_B, state)
@@ -133,7 +134,7 @@ def newton_by_pivots(equation, W, parameters, y, w, q, tol, scale, current, kept
             return 1, own, inverse
         serves = len(own) > 0 and (solved or error <= CHORD * before)
         if tried and before < error and not solved:
-            y[:] = y_old
+            assign(y, y_old)
             times(W, y, w)
             w += q
             error = before
@@ -153,7 +154,9 @@ def newton_by_pivots(equation, W, parameters, y, w, q, tol, scale, current, kept
             i = 3 * k
             place[k] = 0 if state[k] != OPEN or y[i] != 0.0 or y[i + 1] != 0.0 or y[i + 2] != 0.0 else -1
             if state[k] == SLIP:
-                new_B[k, :, 1:] *= scaling[k]
+                for row in range(3):
+                    for c in range(1, 3):
+                        new_B[k, row, c] *= scaling[k]
                 v1, v2 = y[i + 1] - trial[i + 1], y[i + 2] - trial[i + 2]
                 t = np.sqrt(v1 * v1 + v2 * v2)
                 e[k, 0], e[k, 1] = v1 / t, v2 / t
@@ -171,14 +174,19 @@ def newton_by_pivots(equation, W, parameters, y, w, q, tol, scale, current, kept
                 if asked[k] == 0 and place[k] < 0:
                     place[k] = len(own)
                     own, inverse = border(W, B, own, inverse, k)
-                    A[k], B[k] = one, none
+                    linear_equation(A[k], B[k], 1.0)
         else:
             if renewed == NEWTON and not solved:
                 break
             own = np.flatnonzero(place >= 0)
             for a in range(len(own)):
                 place[own[a]] = a
-            A[:], B[:], kept[:], stretch[:] = new_A, new_B, state, scaling
+            assign(stretch, scaling)
+            for k in range(m):
+                kept[k] = state[k]
+                for row in range(3):
+                    assign(A[k, row], new_A[k, row])
+                    assign(B[k, row], new_B[k, row])
             inverse = inverse_of(W, A, B, own)
             counts[FACTORISATIONS] += 1
             renewed += 1
@@ -189,12 +197,13 @@ def newton_by_pivots(equation, W, parameters, y, w, q, tol, scale, current, kept
             kept[k], stretch[k] = state[k], scaling[k]
         if solved:
             return 1, own, inverse
-        y_old[:], before = y, error
+        assign(y_old, y)
+        before = error
         settled = False
         turned[:] = 0
         for pivot in range(PIVOTS):
             linear(W, own, inverse, right, y, q, y_new, w_new)
-            trial[:] = y_new
+            assign(trial, y_new)
             sticks = False
             for k in range(m):
                 if kept[k] == STICK:
@@ -229,11 +238,12 @@ def newton_by_pivots(equation, W, parameters, y, w, q, tol, scale, current, kept
             if place[worst] < 0:
                 place[worst] = len(own)
                 own, inverse = border(W, B, own, inverse, worst)
-                A[worst], B[worst] = one, none
+                linear_equation(A[worst], B[worst], 1.0)
             if kept[worst] != OPEN and y_new[i] < 0.0:
                 kept[worst] = OPEN
-                right[i : i + 3] = -y[i : i + 3]
-                new_A[worst], new_B[worst] = one, none
+                for c in range(i, i + 3):
+                    right[c] = -y[c]
+                linear_equation(new_A[worst], new_B[worst], 1.0)
             elif kept[worst] == STICK:
                 kept[worst] = SLIP
                 stretch[worst] = 1.0
@@ -251,12 +261,14 @@ def newton_by_pivots(equation, W, parameters, y, w, q, tol, scale, current, kept
                 )
             else:
                 kept[worst] = STICK
-                right[i : i + 3] = -w[i : i + 3]
-                new_A[worst], new_B[worst] = none, one
+                for c in range(i, i + 3):
+                    right[c] = -w[c]
+                linear_equation(new_A[worst], new_B[worst], 0.0)
             change(W, A, B, own, inverse, place[worst], new_A[worst], new_B[worst])
         if not settled:
             return 0, np.empty(0, np.int64), inverse
-        y[:], w[:] = y_new, w_new
+        assign(y, y_new)
+        assign(w, w_new)
     return 0, own, inverse
 
 
@@ -317,7 +329,7 @@ def solve(
     if sweeps > 0:
         sweep(W, P, parameters, y, w, q, slip, sweeps)
         if again:
-            best[:] = y
+            assign(best, y)
     if near:
         solved, own, inverse = newton_by_pivots(
             equation, W, parameters, y, w, q, tol, scale, current, kept, stretch, A, B, own, inverse, counts
@@ -340,12 +352,12 @@ def solve(
         if call == calls:
             break
         counts[RESCUES] += 1
-        y[:] = best
+        assign(y, best)
         times(W, y, w)
         w += q
         if sweeps > 0 and not (again and call == 0):
             sweep(W, P, parameters, y, w, q, slip, run)
-            best[:] = y
+            assign(best, y)
         run *= 2
         if not near and call == 0:
             solved, own, inverse = newton_by_pivots(
@@ -374,5 +386,6 @@ def lands(equation, W, parameters, guess, y, w, q, tol, counts):
     counts[FACTORISATIONS] += steps
     if error > tol:
         return False
-    y[:], w[:] = found, moved
+    assign(y, found)
+    assign(w, moved)
     return True

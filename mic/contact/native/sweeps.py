@@ -12,7 +12,7 @@ from mic.contact.native.batch import BATCH, Batch
 from mic.contact.native.gauss_seidel import gauss_seidel
 from mic.contact.native.kernel import MATRIX, NUMBER, kernel
 from mic.contact.native.law_equation import EQUATION_POINTER, starting_scale
-from mic.contact.native.matrices import times
+from mic.contact.native.matrices import assign, times
 from mic.contact.native.newton import COUPLING, NO_INVERSE, Coupling, NewtonSettings, newton
 from mic.contact.native.problem import ScaledProblem
 
@@ -51,10 +51,10 @@ def solve_by_sweeps(equation, coupling, P, batch, tol, rounds, sweeps, crowd):
             factorisations[s] += more
             if error < best:
                 best = error
-                Y[s] = y
+                assign(Y[s], y)
             if error <= tol:
                 break
-            y[:] = guess
+            assign(y, guess)
             times(W, y, w)
             w += q
             run *= 2

@@ -10,6 +10,7 @@ from numba import types, void
 from mic.contact.native.kernel import BLOCKS, COUNTS, MATRIX, NUMBER, VECTOR, kernel
 from mic.contact.native.linear_problem import bent, moved, solved, system
 from mic.contact.native.linearised_law import CONTACTS, MASK, bound
+from mic.contact.native.matrices import assign
 
 __all__ = ["touching"]
 
@@ -120,7 +121,8 @@ def _force_rate_slopes(contacts, rates, drate, f0, F0):
         for row in range(3):
             for c in range(3):
                 if Q[a, row, c] != 0.0:
-                    right[3 * a + row] -= Q[a, row, c] * drate[i + c]
+                    side = right[3 * a + row]
+                    side -= Q[a, row, c] * drate[i + c]
         if rates.slides[a]:
             t0 = np.sqrt(f0[i + 1] ** 2 + f0[i + 2] ** 2)
             # The direction turns with its force: de = n (n·df⁰)/t⁰, n across e.
@@ -139,7 +141,7 @@ def _force_rate_slopes(contacts, rates, drate, f0, F0):
         found = solved(J, right)
         for a in range(count):
             for c in range(3):
-                slopes[3 * own[a] + c] = found[3 * a + c]
+                assign(slopes[3 * own[a] + c], found[3 * a + c])
     return slopes
 
 
