@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 from dataclasses import replace
 from functools import cache as memoised
 from types import SimpleNamespace
@@ -18,6 +19,7 @@ from mic.model.assembly import assemble
 from mic.model.reduction import Reduction
 from mic.options import app
 from mic.process.model import ReducedModel
+from mic.process.process import Process
 from mic.process.stiffness import coefficients, derivative_sets, select_shapes
 from mic.process.stiffness_choice import choose_stiffness, stiffness_sentences
 from verification.comparison import difference, reduced_and_assembly, reduced_model
@@ -45,6 +47,18 @@ def on_own_mesh(built):
     """The full solution on the mesh of a sample whose force is so many steps from its mean."""
     full, mean = FullModel(built[1], deviated=True, route="condensed"), built[0]["mean"].deviations({})[0]
     return memoised(lambda steps: full.evaluate(mean + [steps * STEP, 0.0]))
+
+
+def test_samples_with_a_stiffness_of_their_own_keep_one_process_alive(built):
+    """Each holds compliances, so that the processes of a batch would fill the memory."""
+    model = built[0]["first-order"]
+    samples = model.deviations({})[0] + STEP * np.array([[1.0, 0.0], [2.0, 0.0], [3.0, 0.0]])
+    found = model.process().evaluate(samples)
+    gc.collect()
+    alive = [one for one in gc.get_objects() if isinstance(one, Process) and one._sample_compliance]
+    assert len(alive) == 1
+    alone = model.process().evaluate(samples[:1])
+    assert (found.functional_force[0] == alone.functional_force[0]).all() and (found.motion[0] == alone.motion[0]).all()
 
 
 def planted(model, gap=1.0, H=1.0, G=1.0):

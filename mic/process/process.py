@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from functools import cached_property, partial
 from typing import Any
 
@@ -258,8 +259,13 @@ class Process:
         if not len(deviations):
             return self.evaluate(self.model.deviations({}), at).without_samples()
         if (deviations[:, self._changing] != self._changed_by).any():
-            groups = self.by_model(deviations)
-            return Evaluation.join([process.evaluate(deviations[part], at) for part, process in groups])
+            pieces = []
+            for part, process in self.by_model(deviations):
+                found = process.evaluate(deviations[part], at)
+                if process._sample_compliance:  # a large process, which would be kept for its equilibrium
+                    found = replace(found, equilibrium=partial(tuple, found._equilibrium))
+                pieces.append(found)
+            return Evaluation.join(pieces)
         number = [stage.plan.name for stage in self.stages].index(at) if at else len(self.stages) - 1
         amplitudes, solutions = deviations.copy(), None
         if self._linear is not None:
