@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from mic.compliance.part import Part
 from mic.geometry.surface import Surface
@@ -17,6 +18,7 @@ __all__ = ["deviated_parts", "gap_change"]
 def deviated_parts(assembly, fields: Mapping[str, np.ndarray]) -> list[Part]:
     """Parts on meshes that carry the shape deviation; normals and frames of contacts and welds rotate with it.
 
+    A frame turns by the mean of the rotations of the sheets that it joins.
     Patches keep their material points. Directions prescribed by the fixture (locators, clamps, measurements) stay
     fixed in space.
 
@@ -34,13 +36,16 @@ def deviated_parts(assembly, fields: Mapping[str, np.ndarray]) -> list[Part]:
         for start, stop in zip(rows.indptr[edges], rows.indptr[edges[1:]]):
             columns = rows.indices[start:stop]
             numbers = np.searchsorted(assembly.offsets, columns, side="right") - 1  # of the parts
-            p, part = numbers[0], assembly.parts[numbers[0]]
-            patch = part.functionals.patches[part.functionals.patch[columns[0] - assembly.offsets[p]]]
-            turn = _rotation(
-                *(patch.weight @ surface.normals[patch.triangle] for surface in (part.surface, surfaces[p]))
-            )
-            for q, i in set(zip(numbers, columns - assembly.offsets[numbers])):
-                direction[q][i] = turn @ assembly.parts[q].functionals.direction[i]
+            local, turns = columns - assembly.offsets[numbers], []
+            for p in np.unique(numbers):
+                part = assembly.parts[p]
+                patch = part.functionals.patches[part.functionals.patch[local[numbers == p][0]]]
+                turns.append(
+                    _turn(*(patch.weight @ one.normals[patch.triangle] for one in (part.surface, surfaces[p])))
+                )
+            turn = Rotation.from_rotvec(np.mean(turns, axis=0)).as_matrix()
+            for p, i in set(zip(numbers, local)):
+                direction[p][i] = turn @ assembly.parts[p].functionals.direction[i]
     return [
         replace(part, surface=surface, functionals=replace(part.functionals, direction=d))
         for part, surface, d in zip(assembly.parts, surfaces, direction)
@@ -98,9 +103,8 @@ def _direction(part):
     return np.where(part.functionals.rotation[:, None], 0.0, part.functionals.direction)
 
 
-def _rotation(a, b):
-    """The smallest rotation that turns the direction of a into that of b."""
-    a, b = a / np.linalg.norm(a), b / np.linalg.norm(b)
+def _turn(a, b):
+    """The smallest rotation vector, rad, that turns the direction of a into that of b."""
     axis = np.cross(a, b)
-    skew = np.array([[0, -axis[2], axis[1]], [axis[2], 0, -axis[0]], [-axis[1], axis[0], 0]])
-    return np.eye(3) + skew + skew @ skew / (1 + a @ b)
+    angle = np.arctan2(np.linalg.norm(axis), a @ b)
+    return axis / (np.linalg.norm(a) * np.linalg.norm(b) * np.sinc(angle / np.pi))
