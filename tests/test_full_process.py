@@ -47,6 +47,14 @@ def test_both_models_agree_on_limited_clamps_and_guns(lap_scene, cache):
     assert reduced.resolutions["weld"].reached[0].tolist() == [True, False, False, True]
 
 
+def test_both_models_agree_where_parts_touch_nowhere(lap_scene, cache):
+    """Welds alone join them: no stage solves contact."""
+    dumped = lap_scene.model_dump()
+    dumped["zones"], dumped["parts"] = [], [part | {"size": "coarse"} for part in dumped["parts"]]
+    full, reduced, _ = both(mic.Scene(**dumped, folder=lap_scene.folder), cache)
+    assert difference(full, reduced) < 1e-7
+
+
 GEOMETRY = """
 from mic.geometry.structured import extrude
 

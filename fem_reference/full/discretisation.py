@@ -159,7 +159,9 @@ class Discretisation:
                 statically_determinate(self.rigid.rigid(functional_rows), motion_size(self.rigid.G))
                 place = np.zeros(0, dtype=int)
             B = vstack([*(self.rows[kind][i] for kind, i in held), self.rows["rest"][place]], format="csr")
-            springs = np.where(np.isin(self.rest.part[place], step.parked), 0.0, SOFT / self.contact_stiffness.max())
+            springs = np.zeros(len(place))
+            if len(place):  # parts rest on contacts
+                springs[~np.isin(self.rest.part[place], step.parked)] = SOFT / self.contact_stiffness.max()
             soft = row_compliance(self.assembly.scene, held)
             soft = np.concatenate([np.zeros(len(held)) if soft is None else soft, springs])
             independent, combination = _independent(B, soft)

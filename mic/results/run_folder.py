@@ -90,7 +90,7 @@ EXCEL = "tables.xlsx"  # the tables in one workbook
 FOREIGN = ".other-run"  # suffix of a block of another run that was set aside
 
 _AGAIN = "run the scene again into this folder"
-_REPLACE = "name another folder with --out, or remove the old results with --replace"
+_REPLACE = "name another folder with --out, or remove the old results (mic run does so with --replace)"
 _OTHER_BLOCK = f"this block belongs to another run, or holds other samples; {_AGAIN}"
 _RUN = Format("record of a run", 5, _AGAIN)
 _PARTS = Format("set of parts", 5, _AGAIN)
