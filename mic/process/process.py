@@ -263,7 +263,7 @@ class Process:
             for part, process in self.by_model(deviations):
                 found = process.evaluate(deviations[part], at)
                 if process._sample_compliance:  # a large process, which would be kept for its equilibrium
-                    found = replace(found, equilibrium=partial(tuple, found._equilibrium))
+                    found = replace(found, equilibrium=partial(tuple[Any, Any], found._equilibrium))
                 pieces.append(found)
             return Evaluation.join(pieces)
         number = [stage.plan.name for stage in self.stages].index(at) if at else len(self.stages) - 1

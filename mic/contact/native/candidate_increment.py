@@ -2,72 +2,63 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from numba import boolean, int64, types, void
 
 from mic.contact.native.follower import follow
-from mic.contact.native.kernel import BLOCKS, COUNTS, MATRIX, NUMBER, VECTOR, kernel
-from mic.contact.native.law_equation import EQUATION_POINTER
+from mic.contact.native.kernel import BLOCKS, COUNTS, MATRIX, VECTOR, kernel
 from mic.contact.native.matrices import assign, block
+from mic.contact.native.step_data import CONTROL, PATH_PROBLEM, Control, Outcome, PathProblem, Record
 
-__all__ = ["follow_among"]
+__all__ = ["Found", "Samples", "follow_among"]
 
 #: Sweeps where a forecast of the forces is what they begin with: they do what thirty do from the forces before.
 FORECAST = 10
 
 
-@kernel(
-    void(
-        EQUATION_POINTER,
-        MATRIX,
-        MATRIX,
-        MATRIX,
-        VECTOR,
-        COUNTS,
-        COUNTS,
-        NUMBER,
-        int64,
-        BLOCKS,
-        MATRIX,
-        BLOCKS,
-        types.Array(boolean, 2, "C"),
-        MATRIX,
-        boolean,
-        MATRIX,
-        MATRIX,
-        BLOCKS,
-        BLOCKS,
-        MATRIX,
-        MATRIX,
-        BLOCKS,
-        types.Array(int64, 2, "C"),
-    )
-)
-def follow_among(
-    equation,
-    W,
-    P,
-    parameters,
-    D,
-    among,
-    some,
-    tol,
-    sweeps,
-    b,
-    force,
-    anchor,
-    working,
-    guess,
-    near,
-    found,
-    Q,
-    L,
-    slip,
-    length,
-    work,
-    share,
-    counts,
-):
+class Samples(NamedTuple):
+    """Samples before an increment, over all m contacts, in mm and N.
+
+    Attributes
+    ----------
+    b, force, anchor : (n, 2, 3m), (n, 3m), (n, m, 2) array
+        Loads, and forces and anchors at the start.
+    working : (n, m) bool array
+    guess : (n, 3m) array
+        Of the forces at the end, for samples that have any.
+    """
+
+    b: np.ndarray
+    force: np.ndarray
+    anchor: np.ndarray
+    working: np.ndarray
+    guess: np.ndarray
+
+
+class Found(NamedTuple):
+    """What an increment fills: forces, right-hand side, anchors and what :class:`mic.contact.path.Trace` holds.
+
+    (n, 3m), (n, 3m), (n, m, 2), (n, m, 2), (n, m), (n, m), (n, m, 3) arrays, of the contacts of the working sets; the
+    others are not touched.
+    """
+
+    force: np.ndarray
+    q: np.ndarray
+    anchor: np.ndarray
+    slip: np.ndarray
+    length: np.ndarray
+    work: np.ndarray
+    share: np.ndarray
+
+
+SAMPLES = types.NamedTuple([BLOCKS, MATRIX, BLOCKS, types.Array(boolean, 2, "C"), MATRIX], Samples)
+FOUND = types.NamedTuple([MATRIX, MATRIX, BLOCKS, BLOCKS, MATRIX, MATRIX, BLOCKS], Found)
+
+
+@kernel(void(PATH_PROBLEM, VECTOR, COUNTS, COUNTS, CONTROL, SAMPLES, boolean, FOUND, types.Array(int64, 2, "C")))
+def follow_among(problem, D, among, some, control, samples, near, found, counts):
     """One step of first order of samples, each with the contacts of its own working set alone.
 
     As :func:`follow` with one sample at a time and what :func:`block` takes of W; but loads, forces and all that is
@@ -79,19 +70,14 @@ def follow_among(
         Units of the scaled forces of W's contacts.
     among, some : (k,), (l,) int array
         Numbers of W's contacts among all m, and of the samples in the batch.
-    b, force, anchor : (n, 2, 3m), (n, 3m), (n, m, 2) array
-        Loads, and forces and anchors at the start.
-    working : (n, m) bool array
-    guess : (n, 3m) array
-        Of the forces at the end, for samples that have any: taken as it is where it is ``near``, else as a
-        forecast, with which few sweeps begin.
-    found, Q, L, slip, length, work, share : (n, 3m), (n, 3m), (n, m, 2), (n, m, 2), (n, m), (n, m), (n, m, 3) array
-        Receive forces, the right-hand side, anchors and what :class:`mic.contact.path.Trace` holds, of the contacts
-        of the working sets; the others are not touched.
+    near : bool
+        Whether the guess is taken as it is; else it is a forecast, with which few sweeps begin.
     counts : (n, 5) int array
     """
-    at_end, none, nothing = np.ones(1), np.empty((1, 0)), np.empty((1, 0, 0))
-    sums = np.zeros((1, 2))
+    W, P, parameters = problem.W, problem.P, problem.parameters
+    b, force, anchor, working, guess = samples
+    forces, Q, L, slip, length, work, share = found
+    none, nothing, sums = np.empty((1, 0)), np.empty((1, 0, 0)), np.zeros((1, 2))
     for s in some:
         own = np.flatnonzero(working[s][among])
         m, done = len(own), counts[s : s + 1]
@@ -114,42 +100,18 @@ def follow_among(
             for c in range(2):
                 anchors[0, 2 * a + c] = anchor[s, among[k], c] * D[3 * k + 1]
         slips, lengths, works, shares = np.zeros((1, m, 2)), np.zeros((1, m)), np.zeros((1, m)), np.zeros((1, m, 3))
-        follow(
-            equation,
-            block(W, own, 3),
-            some_P,
-            some_parameters,
-            unit,
-            q0,
-            q1,
-            anchors,
-            y,
-            1,
-            at_end,
-            0.0,
-            0.0,
-            0.0,
-            tol,
-            min(sweeps, FORECAST) if guessed and not near else sweeps,
-            q,
-            slips,
-            lengths,
-            works,
-            shares,
-            sums,
-            done,
-            none,
-            nothing,
-            start if guessed else start[:0],
-            near,
-        )
+        own_problem = PathProblem(problem.equation, block(W, own, 3), some_P, some_parameters, unit)
+        sweeps = min(control.sweeps, FORECAST) if guessed and not near else control.sweeps
+        step = Control(control.order, control.ends, 0.0, 0.0, 0.0, control.tol, sweeps)
+        outcome = Outcome(q, Record(slips, lengths, works, shares), sums, done, none, nothing)
+        follow(own_problem, (q0, q1), step, anchors, y, outcome, start if guessed else start[:0], near)
         for a in range(m):
             k = among[own[a]]
             i, j = 3 * a, 3 * k
             length[s, k], work[s, k] = lengths[0, a] * unit[3 * a + 1], works[0, a]
             for c in range(3):
                 d = D[3 * own[a] + c]
-                found[s, j + c], Q[s, j + c], share[s, k, c] = y[0, i + c] * d, q[0, i + c] / d, shares[0, a, c]
+                forces[s, j + c], Q[s, j + c], share[s, k, c] = y[0, i + c] * d, q[0, i + c] / d, shares[0, a, c]
             for c in range(2):
                 L[s, k, c], slip[s, k, c] = (
                     anchors[0, 2 * a + c] * unit[3 * a + 1],

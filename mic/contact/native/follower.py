@@ -37,51 +37,49 @@ from __future__ import annotations
 import numpy as np
 from numba import boolean, int64, types, void
 
-from mic.contact.native.kernel import BLOCKS, MATRIX, NUMBER, VECTOR, kernel
-from mic.contact.native.law_equation import EQUATION_POINTER, starting_scale
+from mic.contact.native.kernel import COUNTS, MATRIX, NUMBER, VECTOR, kernel
+from mic.contact.native.law_equation import starting_scale
 from mic.contact.native.matrices import assign, assign_sum, times
-from mic.contact.native.path_constants import CUT, FAILED, LONGEST, ROUNDING, STEPS
-from mic.contact.native.prediction import forward, predict
-from mic.contact.native.slip_origins import closings, origins
-from mic.contact.native.step_error import (
-    force_error,
-    mean_force,
-    motion_size,
-    opening_doubt,
-    over_allowed,
-    position_error,
+from mic.contact.native.path_constants import FAILED, LONGEST, STEPS
+from mic.contact.native.path_step import (
+    HELP,
+    INNER,
+    SAMPLE_LEG,
+    SHORTEST,
+    WORKSPACE,
+    Place,
+    SampleLeg,
+    Workspace,
+    controlled_step,
+    euler_step,
+    next_length,
+    step_end,
 )
-from mic.contact.native.step_solution import lands, solve
+from mic.contact.native.step_data import (
+    CONTROL,
+    LAST_PROBLEM,
+    OUTCOME,
+    PATH_PROBLEM,
+    PREDICTION,
+    Aim,
+    LastProblem,
+    Prediction,
+    Record,
+)
+from mic.contact.native.step_error import mean_force, motion_size
+from mic.contact.native.step_solution import solve
 from mic.contact.native.step_trace import record_step
-from mic.contact.states import OPEN, SLIP
 
 __all__ = ["MOST", "SWEEPS", "follow"]
 
-#: The shortest step of the whole path: contacts may make most of their motion within a hundredth of the path and less.
-SHORTEST = 1e-6
 #: Steps before a path is given up: one that is refined to rounding takes half as many.
 MOST = 10000
-#: Behind a closing a step goes on for this share of its length and of the path: what closes meanwhile does so together.
-BEHIND, TOGETHER = 0.25, 1e-2
-#: Newton's tolerance within a path; at its end it is the solver's.  It is relative to what overlap alone would be
-#: answered with, which is a thousand times the motion where parts hang together loosely: looser, paths part.
-INNER = 1e-12
 #: A force that is off its cone by so many of Newton's tolerances may be on it.
 LEFT = 10.0
-#: Shrinking the step aims below the tolerance by this factor, the usual one of step control; and how much it may grow.
-SAFETY, GROWTH = 0.8, 4.0
 #: A step in which contacts begin to press of which nothing is known is so long at most: the prediction leaves them out.
 FIRST = 1e-2
 #: Sweeps before Newton's method.
 SWEEPS = 10
-#: Calls for help before a problem is given up, where no shorter step is to be had.
-HELP = 6
-
-
-@kernel(NUMBER(NUMBER))
-def rounded_factor(factor):
-    """The next smaller power of √2: rounding of an estimate does not change the length of the next step."""
-    return 2.0 ** (0.5 * np.floor(2.0 * np.log2(factor)))
 
 
 @kernel(boolean(VECTOR, VECTOR, VECTOR, NUMBER, boolean))
@@ -98,373 +96,140 @@ def unforeseen(y, w, rate, slack, starts):
     return (soon and not presses) or (at_once and starts)
 
 
+@kernel(types.Tuple((WORKSPACE, PREDICTION, LAST_PROBLEM))(int64))
+def arrays(m):
+    """What the steps of a path of m contacts work with; of first order nothing is predicted."""
+    y0, w0, y, w, q = np.empty(3 * m), np.empty(3 * m), np.empty(3 * m), np.empty(3 * m), np.empty(3 * m)
+    yp, wp, doubt, phi = np.empty(3 * m), np.empty(3 * m), np.zeros(3 * m), np.empty(3 * m)
+    state, shift, other = np.zeros(m, np.int64), np.zeros((m, 2)), np.zeros((m, 2))
+    late, pace = np.zeros(m), np.zeros(m)
+    work = Workspace(y0, w0, y, w, q, state, yp, wp, shift, other, late, pace, doubt, phi)
+    state0, e0, grip, loose = np.zeros(m, np.int64), np.zeros((m, 2)), np.zeros(m), np.ones(m)
+    x, motion, opened, gone = np.zeros(3 * m), np.zeros(3 * m), np.ones(m), np.zeros((m, 2))
+    predicted = Prediction(state0, e0, grip, loose, x, motion, opened, gone)
+    kept, stretch, A, B = np.zeros(m, np.int64), np.ones(m), np.zeros((m, 3, 3)), np.zeros((m, 3, 3))
+    return work, predicted, LastProblem(kept, stretch, A, B, np.empty(0, np.int64), np.empty((0, 0)))
+
+
+@kernel(types.Tuple((int64, NUMBER, LAST_PROBLEM))(PATH_PROBLEM, CONTROL, SAMPLE_LEG, WORKSPACE, LAST_PROBLEM, COUNTS))
+def begin(problem, control, leg, work, last, counts):
+    """Displacements at the start of a leg: whether they are found, the force that tolerances are relative to, and the
+    linear problem that was solved last."""
+    y, w, q = work.y, work.w, work.q
+    assign(q, leg.q0)
+    for k in range(len(work.state)):
+        q[3 * k + 1] -= leg.anchor[2 * k]
+        q[3 * k + 2] -= leg.anchor[2 * k + 1]
+    times(problem.W, y, w)
+    w += q
+    scale = max(starting_scale(q), starting_scale(q + leg.rate))
+    work.pace[:] = 0.0
+    assign(work.y0, y)
+    if control.order == 1:  # what does not balance is part of the first step
+        for i in range(0, len(w), 3):
+            w[i + 1] = w[i + 2] = 0.0
+        return 1, scale, last
+    aim = Aim(INNER, scale, control.sweeps, HELP, True, False)
+    solved, last = solve(problem, y, w, q, work.y0, aim, last, counts)
+    return solved, scale, last
+
+
 @kernel(
     void(
-        EQUATION_POINTER,
-        MATRIX,
-        MATRIX,
-        MATRIX,
-        VECTOR,
-        MATRIX,
-        MATRIX,
-        MATRIX,
-        MATRIX,
+        PATH_PROBLEM,
+        CONTROL,
+        SAMPLE_LEG,
+        NUMBER,
+        types.Tuple((VECTOR, boolean)),
+        OUTCOME,
         int64,
-        VECTOR,
-        NUMBER,
-        NUMBER,
-        NUMBER,
-        NUMBER,
-        int64,
-        MATRIX,
-        BLOCKS,
-        MATRIX,
-        MATRIX,
-        BLOCKS,
-        MATRIX,
-        types.Array(int64, 2, "C"),
-        MATRIX,
-        BLOCKS,
-        MATRIX,
-        boolean,
+        WORKSPACE,
+        PREDICTION,
+        LAST_PROBLEM,
     )
 )
-def follow(
-    equation,
-    W,
-    P,
-    parameters,
-    unit,
-    Q0,
-    Q1,
-    L,
-    Y,
-    order,
-    ends,
-    tolerance,
-    least,
-    bearable,
-    tol,
-    sweeps,
-    Q,
-    slip,
-    length,
-    work,
-    share,
-    sums,
-    counts,
-    passed,
-    passed_force,
-    guess,
-    near,
-):
+def follow_leg(problem, control, leg, scale, guess, outcome, i, work, predicted, last):
+    """Sample i from one load to the next, step by step."""
+    record = Record(outcome.record.slip[i], outcome.record.length[i], outcome.record.work[i], outcome.record.share[i])
+    y, w, counts, ends = work.y, work.w, outcome.counts[i], control.ends
+    given = len(ends) > 0
+    s, h, made, most = 0.0, ends[0] if given else 1.0, 0.0, 0.0
+    while True:
+        taken = counts[STEPS] - 1 + (control.order == 2)
+        if 0 <= taken < outcome.passed.shape[1]:
+            outcome.passed[i, taken] = s
+            assign(outcome.passed_force[i, taken], y)
+        for k in range(len(work.state)):
+            for c in range(2):
+                leg.anchor[2 * k + c] += w[3 * k + 1 + c]
+                w[3 * k + 1 + c] = 0.0
+        if s == 1.0:
+            break
+        assign(work.y0, y)
+        assign(work.w0, w)
+        slack = LEFT * INNER * max(scale, np.sqrt(np.dot(y, y)))
+        most = max(most, mean_force(y, problem.unit))
+        step = 1.0 - s if s + 1.0001 * h >= 1.0 else h
+        short = control.order == 2 and not given and unforeseen(y, w, leg.rate, slack, s == 0.0)
+        if short:
+            step = min(step, FIRST)
+        place = Place(s, step, scale, slack, made, most)
+        if control.order == 1:
+            solved, last = euler_step(problem, control, leg, place, guess, predicted, work, last, counts)
+            target, error, force, excess = step_end(s, step), 0.0, 0.0, 0.0
+        else:
+            solved, last, taken_step = controlled_step(problem, control, leg, place, predicted, work, last, counts)
+            target, step, error, force, excess = taken_step
+        if solved == 0:
+            counts[FAILED] += 1
+            break
+        record_step(work.y0, predicted, y, w, work.state, work.late, work.other, target - s, record)
+        outcome.sums[i, 0] += error
+        outcome.sums[i, 1] += force
+        counts[STEPS] += 1
+        s = target
+        made += motion_size(w, problem.unit)
+        if given:
+            h = ends[min(counts[STEPS], len(ends) - 1)] - s
+            continue
+        h = min(1.0, max(SHORTEST, next_length(step, excess)))
+        if short:  # now it is known
+            h = max(h, LONGEST)
+        if counts[STEPS] > MOST:
+            counts[FAILED] += 1
+            break
+
+
+@kernel(void(PATH_PROBLEM, types.UniTuple(MATRIX, 2), CONTROL, MATRIX, MATRIX, OUTCOME, MATRIX, boolean))
+def follow(problem, loads, control, L, Y, outcome, guess, near):
     """Every sample of a batch from one load to the next.
 
     Parameters
     ----------
-    unit : (3m,) array
-        Length of a unit of ``w``; a unit of ``y`` is its reciprocal.
-    Q0, Q1 : (n, 3m) array
-        ``q`` at the two loads, without the anchors.
+    loads : tuple of two (n, 3m) arrays
+        ``q`` at the start and at the end, without the anchors.
     L, Y : (n, 2m), (n, 3m) array
         Anchors and forces, at the start and, in place, at the end.
-    order : {1, 2}
-        1 for backward Euler's method as it is: neither prediction nor shifts, and no estimate.
-    ends : (k,) array
-        Where steps end, in shares of the path, the last at 1; none for steps of controlled error.
-    tolerance, least, bearable : float
-        A step's error in positions may be the first share of the tangential motion so far, or of the length
-        ``least`` if that is larger; in forces ``bearable`` times the largest so far or at the end of the path if
-        those that press go on: all root mean square over the contacts.
-    tol : float
-        Newton's tolerance at the end.
-    sweeps : int
-        Of Gauss-Seidel, where Newton needs help; 0 if they are not the law's.
-    Q : (n, 3m) array
-        Receives the right-hand side of the last step: what the certificate is measured against.
-    slip, length, work, share : (n, m, 2), (n, m), (n, m), (n, m, 3) array
-        Receive what :class:`mic.contact.path.Trace` holds, the first two in scaled lengths.
-    sums : (n, 2) array
-        Receives the sums of the steps' errors, in positions and in forces, N.
-    counts : (n, 5) int array
-    passed, passed_force : (n, k), (n, k, 3m) array
-        Receive where the first k steps end, and the forces there; of second order from the start on, at 0.
+    outcome : Outcome
+        Is filled.
     guess : (n, 3m) array
         Of the forces at the end, for one step of first order; (0, 3m) for none.
     near : bool
         Whether Newton's method tries the guess as it is; if not, sweeps begin with it.
     """
-    size = Q0.shape[1]
-    m = len(parameters)
-    y, w, q = np.empty(size), np.empty(size), np.empty(size)
-    y0, w0, yp, wp = np.empty(size), np.empty(size), np.empty(size), np.empty(size)
-    x, motion, rate = np.zeros(size), np.zeros(size), np.empty(size)  # of first order nothing is predicted
-    state0, state, e0 = np.zeros(m, np.int64), np.zeros(m, np.int64), np.zeros((m, 2))
-    shift, other = np.zeros((m, 2)), np.zeros((m, 2))
-    grip, loose = np.zeros(m), np.ones(m)
-    touched, late, opened, gone = np.zeros(m), np.zeros(m), np.ones(m), np.zeros((m, 2))
-    phi, nothing, kept = np.empty(size), np.empty((0, 3, 3)), np.zeros(m, np.int64)
-    stretch, A, B = np.ones(m), np.zeros((m, 3, 3)), np.zeros((m, 3, 3))
-    pace, doubt = np.zeros(m), np.zeros(size)
-    given = len(ends) > 0
-    smallest = 1.0 if given else SHORTEST
-    for sample in range(len(Q0)):
-        done = counts[sample]
-        assign(y, Y[sample])
-        assign(q, Q0[sample])
-        for k in range(m):
-            q[3 * k + 1] -= L[sample, 2 * k]
-            q[3 * k + 2] -= L[sample, 2 * k + 1]
-        times(W, y, w)
-        w += q
-        assign_sum(rate, Q1[sample], -1.0, Q0[sample])
-        scale = max(starting_scale(q), starting_scale(q + rate))
-        pace[:] = 0.0
-        assign(y0, y)
-        solved, own, inverse = 1, np.empty(0, np.int64), np.empty((0, 0))
-        if order == 1:  # what does not balance is part of the first step
-            for k in range(m):
-                w[3 * k + 1] = w[3 * k + 2] = 0.0
-        else:
-            solved, own, inverse = solve(
-                equation,
-                W,
-                P,
-                parameters,
-                y,
-                w,
-                q,
-                y0,
-                INNER,
-                scale,
-                sweeps,
-                HELP,
-                True,
-                False,
-                kept,
-                stretch,
-                A,
-                B,
-                own,
-                inverse,
-                done,
-            )
+    Q, counts = outcome.q, outcome.counts
+    work, predicted, last = arrays(len(problem.parameters))
+    rate, none = np.empty(Q.shape[1]), np.empty(0)
+    for i in range(len(Q)):
+        assign(work.y, Y[i])
+        assign_sum(rate, loads[1][i], -1.0, loads[0][i])
+        leg = SampleLeg(loads[0][i], rate, L[i])
+        last = LastProblem(last.state, last.stretch, last.A, last.B, np.empty(0, np.int64), np.empty((0, 0)))
+        solved, scale, last = begin(problem, control, leg, work, last, counts[i])
         if solved == 0:
-            done[FAILED] += 1
+            counts[i, FAILED] += 1
             continue
-        s, h, made, bearing, most = 0.0, ends[0] if given else 1.0, 0.0, 0.0, 0.0
-        while True:
-            taken = done[STEPS] - 1 + (order == 2)
-            if 0 <= taken < passed.shape[1]:
-                passed[sample, taken] = s
-                assign(passed_force[sample, taken], y)
-            for k in range(m):
-                for c in range(2):
-                    L[sample, 2 * k + c] += w[3 * k + 1 + c]
-                    w[3 * k + 1 + c] = 0.0
-            if s == 1.0:
-                break
-            assign(y0, y)
-            assign(w0, w)
-            slack = LEFT * INNER * max(scale, np.sqrt(np.dot(y0, y0)))
-            most = max(most, mean_force(y, unit))
-            step = 1.0 - s if s + 1.0001 * h >= 1.0 else h
-            short = order == 2 and not given and unforeseen(y0, w0, rate, slack, s == 0.0)
-            if short:
-                step = min(step, FIRST)
-            solved, error, force, excess = 1, 0.0, 0.0, 0.0
-            while True:
-                if order == 1:
-                    assign(wp, w0)
-                    forward(y0, wp, slack)
-                    equation(parameters, y0, wp, phi, nothing, nothing, state0, False)
-                    least = 0.0
-                    for k in range(m):
-                        least = max(least, ROUNDING * y0[3 * k])
-                    for k in range(m):
-                        if y0[3 * k] <= least:  # it touches: its force grows from none, as where it closes
-                            state0[k] = OPEN
-                        grip[k] = np.sqrt(y0[3 * k + 1] ** 2 + y0[3 * k + 2] ** 2)
-                        if grip[k] > 0.0:
-                            e0[k, 0], e0[k, 1] = y0[3 * k + 1] / grip[k], y0[3 * k + 2] / grip[k]
-                        loose[k] = 0.0 if state0[k] == SLIP else 1.0
-                else:
-                    behind = 1.0 if given else min(TOGETHER, max(smallest, BEHIND * step))
-                    allowed = np.inf if given else tolerance * max(least, made)
-                    step = predict(
-                        equation,
-                        W,
-                        parameters,
-                        unit,
-                        y0,
-                        w0,
-                        rate,
-                        step,
-                        behind,
-                        allowed,
-                        slack,
-                        pace,
-                        state0,
-                        e0,
-                        grip,
-                        loose,
-                        x,
-                        motion,
-                        opened,
-                        gone,
-                        done,
-                    )
-                assign_sum(yp, y0, (1.0 - s) / step, x)  # if all goes on
-                for k in range(m):
-                    if yp[3 * k] <= 0.0:
-                        yp[3 * k : 3 * k + 3] = 0.0
-                bearing = bearable * max(most, mean_force(yp, unit))
-                assign_sum(yp, y0, 1.0, x)
-                assign_sum(wp, w0, 1.0, motion)
-                allowed = tolerance * max(least, made + motion_size(motion, unit))
-                target = 1.0 if s + step > 1.0 - 1e-9 else s + step
-                if order == 2:
-                    origins(w0, state0, e0, grip, loose, yp, wp, state0, False, shift, touched)
-                # With the prediction's shifts, then with the solution's; where no shorter step is to be had, with
-                # none: backward Euler's method as it is, which always leads on.
-                turn, last = 0, step <= 1.0001 * smallest
-                while True:
-                    assign_sum(q, Q0[sample], target, rate)
-                    for k in range(m):
-                        for c in range(2):
-                            q[3 * k + 1 + c] -= L[sample, 2 * k + c] + shift[k, c]
-                    if turn == 2:
-                        assign(y, y0)
-                    elif turn == 0:
-                        assign(y, yp)
-                        for k in range(m):
-                            if order == 2 and opened[k] < 1.0:
-                                y[3 * k : 3 * k + 3] = 0.0
-                        # Linear rates overrun a slider that turns fast: it starts from its old direction.
-                        for k in range(m):
-                            i = 3 * k
-                            if order == 2 and state0[k] == SLIP and y0[i] > 0.0:
-                                grown = max(y[i], 0.0) / y0[i]
-                                y[i + 1], y[i + 2] = grown * y0[i + 1], grown * y0[i + 2]
-                    if len(guess) > 0 and not near:
-                        assign(y, guess[sample])
-                    times(W, y, w)
-                    w += q
-                    end, landed = target == 1.0, False
-                    if len(guess) > 0 and near:
-                        landed = lands(equation, W, parameters, guess[sample], y, w, q, tol, done)
-                    if landed:
-                        solved = 1
-                    else:
-                        solved, own, inverse = solve(
-                            equation,
-                            W,
-                            P,
-                            parameters,
-                            y,
-                            w,
-                            q,
-                            y0,
-                            tol if end or given else INNER,
-                            starting_scale(q) if end else scale,
-                            sweeps,
-                            HELP if last or order == 1 or motion_size(motion, unit) <= allowed else 0,
-                            order == 2,
-                            order == 2,
-                            kept,
-                            stretch,
-                            A,
-                            B,
-                            own,
-                            inverse,
-                            done,
-                        )
-                    equation(parameters, y, w, phi, nothing, nothing, state, False)
-                    for k in range(m):
-                        w[3 * k + 1] += shift[k, 0]
-                        w[3 * k + 2] += shift[k, 1]
-                    if order == 1:
-                        break
-                    origins(w0, state0, e0, grip, loose, y, w, state, True, other, late)
-                    closings(W, own, inverse, w0, state0, y, w, state, other, late)
-                    if turn == 2:  # as far from backward Euler's method as its shifts are
-                        for k in range(m):
-                            doubt[3 * k], doubt[3 * k + 1], doubt[3 * k + 2] = 0.0, other[k, 0], other[k, 1]
-                        error = motion_size(doubt, unit)
-                        force = force_error(W, B, own, inverse, doubt, unit)
-                        break
-                    placed = position_error(y0, state0, e0, grip, loose, motion, y, w, state, shift, other, unit, doubt)
-                    force = force_error(W, B, own, inverse, doubt, unit)
-                    unsure = opening_doubt(y0, state0, motion, w, state, opened, gone, unit)
-                    error = np.hypot(placed, unsure)
-                    if last:  # neither a shorter step nor one without shifts would tell when a contact opens
-                        unsure, error = 0.0, placed
-                    bearing = max(bearing, bearable * mean_force(y, unit))  # nothing pressed before
-                    excess = over_allowed(error, allowed, force, bearing)
-                    if solved == 1 and (turn == 1 if given else excess <= 1.0):
-                        break
-                    left = np.hypot(
-                        position_error(y0, state0, e0, grip, loose, motion, y, w, state, other, other, unit, doubt),
-                        unsure,
-                    )
-                    left = over_allowed(left, allowed, force_error(W, B, own, inverse, doubt, unit), bearing)
-                    if turn == 0 and solved == 1 and (given or last or left <= 1.0):
-                        turn = 1
-                        assign(touched, late)
-                        for k in range(m):
-                            assign(shift[k], other[k])
-                    elif last:
-                        turn = 2
-                        shift[:], touched[:] = 0.0, 0.0
-                    else:
-                        break
-                if solved == 1:
-                    for k in range(m):
-                        pace[k] = 0.0
-                        if state[k] == SLIP:
-                            pace[k] = np.sqrt(w[3 * k + 1] ** 2 + w[3 * k + 2] ** 2) / (target - s)
-                excess = over_allowed(error, allowed, force, bearing)
-                if solved == 1 and excess <= 1.0 or last:
-                    break
-                done[CUT] += 1
-                shrink = rounded_factor(SAFETY / np.sqrt(excess)) if solved == 1 else 0.25
-                step *= max(min(0.5, max(0.25, shrink)), smallest / step)
-            if solved == 0:
-                done[FAILED] += 1
-                break
-            record_step(
-                y0,
-                w0,
-                motion,
-                state0,
-                e0,
-                grip,
-                loose,
-                y,
-                w,
-                state,
-                late,
-                other,
-                opened,
-                gone,
-                target - s,
-                slip[sample],
-                length[sample],
-                work[sample],
-                share[sample],
-            )
-            sums[sample, 0] += error
-            sums[sample, 1] += force
-            done[STEPS] += 1
-            s = target
-            made += motion_size(w, unit)
-            h = min(1.0, max(smallest, step * min(GROWTH, rounded_factor(SAFETY / np.sqrt(max(excess, 1e-300))))))
-            if short:  # now it is known
-                h = max(h, LONGEST)
-            if given:
-                h = ends[min(done[STEPS], len(ends) - 1)] - s
-            elif done[STEPS] > MOST:
-                done[FAILED] += 1
-                break
-        assign(Q[sample], q)
-        assign(Y[sample], y)
+        forces = guess[i] if len(guess) > 0 else none
+        follow_leg(problem, control, leg, scale, (forces, near), outcome, i, work, predicted, last)
+        assign(Q[i], work.q)
+        assign(Y[i], work.y)

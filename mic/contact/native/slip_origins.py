@@ -8,6 +8,7 @@ from numba import boolean, void
 from mic.contact.native.kept_inverse import inverted
 from mic.contact.native.kernel import COUNTS, MATRIX, NUMBER, VECTOR, kernel
 from mic.contact.native.matrices import assign
+from mic.contact.native.step_data import LAST_PROBLEM, PREDICTION
 from mic.contact.states import OPEN, SLIP
 
 __all__ = ["closings", "crossing", "lag", "origins"]
@@ -33,16 +34,14 @@ def crossing(start, end):
     return start / (start - end)
 
 
-@kernel(void(VECTOR, COUNTS, MATRIX, VECTOR, VECTOR, VECTOR, VECTOR, COUNTS, boolean, MATRIX, VECTOR))
-def origins(w0, state0, e0, grip, loose, y, w, state, solved, shift, touched):
+@kernel(void(VECTOR, PREDICTION, VECTOR, VECTOR, COUNTS, boolean, MATRIX, VECTOR))
+def origins(w0, predicted, y, w, state, solved, shift, touched):
     """Where each contact's slip is measured from in a step, and the share of it after which an open contact touches.
 
     Parameters
     ----------
-    w0, state0
-        The step's start: displacements, states.
-    e0, grip, loose
-        Of sliders, as predicted: directions and ‖y_t‖ when they began to slide, and after which share of the step.
+    w0
+        Displacements where the step starts.
     y, w, state
         The step's end, as predicted or, where it is ``solved``, as the law has it; ``w_t`` from the anchors.
     shift : (m, 2) array
@@ -50,34 +49,35 @@ def origins(w0, state0, e0, grip, loose, y, w, state, solved, shift, touched):
         Both are filled; ``touched`` is 0 for contacts that were closed and 1 for those that stay open.  Of those that
         close in a solution ``closings`` tells them.
     """
-    for k in range(len(state0)):
+    for k in range(len(state)):
         i = 3 * k
         shift[k, 0] = shift[k, 1] = touched[k] = 0.0
-        if state0[k] == OPEN:
+        if predicted.state[k] == OPEN:
             touched[k] = 1.0
             if w[i] < 0.0 and not solved:
                 c = crossing(w0[i], w[i])
                 touched[k] = c
                 shift[k, 0], shift[k, 1] = c * w[i + 1], c * w[i + 2]
-        elif loose[k] < 1.0 and (not solved or state[k] == SLIP):
-            d1, d2 = e0[k, 0], e0[k, 1]
+        elif predicted.loose[k] < 1.0 and (not solved or state[k] == SLIP):
+            d1, d2 = predicted.e[k, 0], predicted.e[k, 1]
             if solved:
                 length = np.sqrt(w[i + 1] ** 2 + w[i + 2] ** 2)
             else:
                 length = max(-(d1 * w[i + 1] + d2 * w[i + 2]), 0.0)
-            bound = min(grip[k], np.sqrt(y[i + 1] ** 2 + y[i + 2] ** 2))
+            bound = min(predicted.grip[k], np.sqrt(y[i + 1] ** 2 + y[i + 2] ** 2))
             back = lag(length / max(bound, 1e-300)) * length
             shift[k, 0], shift[k, 1] = -back * d1, -back * d2
 
 
-@kernel(void(MATRIX, COUNTS, MATRIX, VECTOR, COUNTS, VECTOR, VECTOR, COUNTS, MATRIX, VECTOR))
-def closings(W, own, inverse, w0, state0, y, w, state, shift, touched):
+@kernel(void(MATRIX, LAST_PROBLEM, VECTOR, COUNTS, VECTOR, VECTOR, COUNTS, MATRIX, VECTOR))
+def closings(W, last, w0, state0, y, w, state, shift, touched):
     """Where contacts that close in a step were when they did, and after which share of it: ``shift``, ``touched``.
 
     One after the other: until the first closes all go where the end would be without the forces of any of them, to
-    which the others' answer, then where it would be with the first one's, and so on.  The inverse over the contacts
-    `own` tells the answers, statuses held; where it is not to be had, they give none.
+    which the others' answer, then where it would be with the first one's, and so on.  The last
+    problem tells the answers, statuses held; where it is not to be had, they give none.
     """
+    own, inverse = last.own, last.inverse
     new = np.flatnonzero((state0 == OPEN) & (state != OPEN))
     count, passed = len(new), 0.0
     place, at, free = np.full(len(state), -1), np.empty((count, 3)), np.empty((count, 3))

@@ -16,7 +16,7 @@ from mic.contact.laws import Law
 from mic.contact.lazy_memory import lazy_zeros
 from mic.contact.native import follower, path_constants
 from mic.contact.native.batch import Batch
-from mic.contact.native.candidate_increment import follow_among
+from mic.contact.native.candidate_increment import Found, Samples, follow_among
 from mic.contact.native.frictionless import active_set
 from mic.contact.native.infeasibility import infeasible
 from mic.contact.native.landing import Landing
@@ -24,6 +24,7 @@ from mic.contact.native.matrices import block
 from mic.contact.native.problem import ScaledProblem, inverse_root
 from mic.contact.native.proximal_points import proximal_points
 from mic.contact.native.splitting import splitting
+from mic.contact.native.step_data import Control, Outcome, PathProblem, Record
 from mic.contact.native.sweeps import sweeps
 from mic.contact.path import FORCES, Increments, Leg, Path
 from mic.contact.path_record import PathRecord, record_array
@@ -216,12 +217,12 @@ class NativeSolver:
 
     def follow(self, b0: np.ndarray, b1: np.ndarray, force: np.ndarray, anchor: np.ndarray, path: Path) -> Leg:
         """All samples from one load to the next; see :meth:`mic.contact.backends.Backend.follow`."""
-        problem, D, n, m = self.problem, self.scaling, len(b0), len(self.problem.parameters)
+        problem, D, n, m = self._path_problem(), self.scaling, len(b0), len(self.problem.parameters)
         unit = 1.0 / D.reshape(m, 3)[:, 1]
         Q0, Q1 = np.ascontiguousarray(b0 * D), np.ascontiguousarray(b1 * D)
         Y, Q = np.ascontiguousarray(force / D), np.zeros_like(Q0)
         L = np.ascontiguousarray((anchor / unit[:, None]).reshape(n, 2 * m))
-        slip, length, work, share = np.zeros((n, m, 2)), np.zeros((n, m)), np.zeros((n, m)), np.zeros((n, m, 3))
+        record = Record(np.zeros((n, m, 2)), np.zeros((n, m)), np.zeros((n, m)), np.zeros((n, m, 3)))
         sums, counts = np.zeros((n, 2)), np.zeros((n, 5), dtype=np.int64)
         if isinstance(path, Increments):
             order, tolerances = 1, (0.0, 0.0, 0.0)
@@ -229,75 +230,60 @@ class NativeSolver:
             order, tolerances = 2, (path.tolerance, path.least, FORCES * path.tolerance)
         room, unguessed = follower.MOST + 1 if path.recorded else 0, np.empty((0, 3 * m))
         passed, passed_force = lazy_zeros(n, room), lazy_zeros(n, room, 3 * m)
+        control = self._control(order, path.ends, tolerances, follower.SWEEPS)
 
         def chunk(own):
-            follower.follow(
-                problem.equation,
-                problem.W,
-                problem.factors,
-                problem.parameters,
-                1.0 / D,
-                *(a[own] for a in (Q0, Q1, L, Y)),
-                order,
-                path.ends,
-                *tolerances,
-                ladder.MARGIN * self.tol,
-                follower.SWEEPS * problem.law.gauss_seidel,
-                *(a[own] for a in (Q, slip, length, work, share, sums, counts, passed, passed_force)),
-                unguessed,
-                False,
+            outcome = Outcome(
+                Q[own], Record(*(a[own] for a in record)), *(a[own] for a in (sums, counts, passed, passed_force))
             )
+            follower.follow(problem, (Q0[own], Q1[own]), control, L[own], Y[own], outcome, unguessed, False)
 
         self._each(chunk, n)
-        record = self._records(order, counts[:, path_constants.STEPS], passed, passed_force) if room else None
-        return self._leg(Y, Q, L, slip, length, work, share, counts, sums, record)
+        steps = self._records(order, counts[:, path_constants.STEPS], passed, passed_force) if room else None
+        return self._leg(Y, Q, L, record, counts, sums, steps)
 
     def step(self, among, some, b, force, anchor, working, guess, near, leg: Leg) -> None:
         """See :meth:`mic.contact.backends.Backend.step`; what :meth:`take` has of the contacts is had in one call."""
-        problem, D = self.problem, self.scaling
-        given = tuple(map(np.ascontiguousarray, (b, force, anchor, working, guess)))
-        told = leg.force, leg.b, leg.anchor, leg.slip, leg.length, leg.work, leg.share
+        samples = Samples(*map(np.ascontiguousarray, (b, force, anchor, working, guess)))
+        found = Found(leg.force, leg.b, leg.anchor, leg.slip, leg.length, leg.work, leg.share)
         counts = np.zeros((len(b), 5), dtype=np.int64)
+        problem, control = self._path_problem(), self._control(1, np.ones(1), (0.0, 0.0, 0.0), SWEEPS)
 
         def chunk(own):
-            follow_among(
-                problem.equation,
-                problem.W,
-                problem.factors,
-                problem.parameters,
-                D,
-                among,
-                some[own],
-                ladder.MARGIN * self.tol,
-                SWEEPS * problem.law.gauss_seidel,
-                *given,
-                near,
-                *told,
-                counts,
-            )
+            follow_among(problem, self.scaling, among, some[own], control, samples, near, found, counts)
 
         self._each(chunk, len(some))
         leg.factorisations[some] += counts[some, path_constants.FACTORISATIONS]
         leg.given_up[some] = counts[some, path_constants.FAILED] > 0
 
-    def _leg(self, Y, Q, L, slip, length, work, share, counts, sums, record) -> Leg:
+    def _path_problem(self) -> PathProblem:
+        """The problem as kernels of paths take it."""
+        own = self.problem
+        assert own.factors is not None  # of a law with friction, as all are that have a path
+        return PathProblem(own.equation, own.W, own.factors, own.parameters, 1.0 / self.scaling)
+
+    def _control(self, order, ends, tolerances: tuple[float, float, float], sweeps) -> Control:
+        """How a path is followed, with the tolerance of this solver."""
+        return Control(order, ends, *tolerances, ladder.MARGIN * self.tol, sweeps * self.problem.law.gauss_seidel)
+
+    def _leg(self, Y, Q, L, record: Record, counts, sums, steps) -> Leg:
         """What the follower tells in scaled quantities, in mm and N."""
-        D, (n, m) = self.scaling, length.shape
+        D, (n, m) = self.scaling, record.length.shape
         unit = 1.0 / D.reshape(m, 3)[:, 1]
         return Leg(
             force=Y * D,
             b=Q / D,
             anchor=L.reshape(n, m, 2) * unit[:, None],
-            slip=slip * unit[:, None],
-            length=length * unit,
-            work=work,
-            share=share,
+            slip=record.slip * unit[:, None],
+            length=record.length * unit,
+            work=record.work,
+            share=record.share,
             error=sums[:, 0].copy(),
             force_error=sums[:, 1].copy(),
             steps=counts[:, path_constants.STEPS].copy(),
             factorisations=counts[:, path_constants.FACTORISATIONS].copy(),
             given_up=counts[:, path_constants.FAILED] > 0,
-            record=record,
+            record=steps,
         )
 
     def _records(self, order, steps, passed, force) -> np.ndarray:

@@ -9,6 +9,7 @@ from mic.contact.native.kernel import BLOCKS, COUNTS, MATRIX, NUMBER, VECTOR, ke
 from mic.contact.native.matrices import times
 from mic.contact.native.path_constants import ROUNDING
 from mic.contact.native.slip_origins import lag
+from mic.contact.native.step_data import LAST_PROBLEM, PREDICTION
 from mic.contact.native.step_trace import opening_motion
 from mic.contact.states import OPEN, SLIP, STICK
 
@@ -39,16 +40,16 @@ def over_allowed(error, allowed, force, bearing):
     return max(error / max(allowed, 1e-300), force / max(bearing, 1e-300))
 
 
-@kernel(NUMBER(VECTOR, COUNTS, VECTOR, VECTOR, COUNTS, VECTOR, MATRIX, VECTOR))
-def opening_doubt(y0, state0, motion, w, state, opened, gone, unit):
+@kernel(NUMBER(VECTOR, PREDICTION, VECTOR, COUNTS, VECTOR))
+def opening_doubt(y0, predicted, w, state, unit):
     """Root mean square over the contacts of the way on which it is in doubt whether one that opens was still loaded, a
     length: its position is right, its slip under load may not be."""
-    total = 0.0
+    opened, gone, total = predicted.opened, predicted.gone, 0.0
     for k in range(len(state)):
-        if state0[k] == OPEN or state[k] != OPEN:
+        if predicted.state[k] == OPEN or state[k] != OPEN:
             continue
         i = 3 * k
-        end, doubt = opening_motion(y0, w, motion, k, opened)
+        end, doubt = opening_motion(y0, w, k, predicted)
         way = (1.0 - end) * np.sqrt(w[i + 1] ** 2 + w[i + 2] ** 2)
         if opened[k] < 1.0:
             way += np.sqrt((gone[k, 0] - end * w[i + 1]) ** 2 + (gone[k, 1] - end * w[i + 2]) ** 2)
@@ -56,8 +57,8 @@ def opening_doubt(y0, state0, motion, w, state, opened, gone, unit):
     return np.sqrt(total / max(len(state), 1))
 
 
-@kernel(NUMBER(VECTOR, COUNTS, MATRIX, VECTOR, VECTOR, VECTOR, VECTOR, VECTOR, COUNTS, MATRIX, MATRIX, VECTOR, VECTOR))
-def position_error(y0, state0, e0, grip, loose, motion, y, w, state, shift, other, unit, doubt):
+@kernel(NUMBER(VECTOR, PREDICTION, VECTOR, VECTOR, COUNTS, MATRIX, MATRIX, VECTOR, VECTOR))
+def position_error(y0, predicted, y, w, state, shift, other, unit, doubt):
     """Root mean square over the contacts of what a step may be wrong by in their tangential positions, a length.
 
     Per contact, how far the shifts of the solution are from those that were taken; for a slider that turns by Δφ along
@@ -66,6 +67,7 @@ def position_error(y0, state0, e0, grip, loose, motion, y, w, state, shift, othe
     and half the way of a slider that was foreseen to go on and stops.  ``doubt`` (3m,) receives it as a displacement:
     a slider's across its way, because along it the slider bears what it bears wherever it is, to where it slid before.
     """
+    state0, e0, grip, loose, _, motion, _, _ = predicted
     total = 0.0
     for k in range(len(state)):
         i = 3 * k
@@ -119,13 +121,13 @@ def rates(W, B, closed, inverse, rate, dy, dw):
     dw += rate
 
 
-@kernel(NUMBER(MATRIX, BLOCKS, COUNTS, MATRIX, VECTOR, VECTOR))
-def force_error(W, B, own, inverse, doubt, unit):
+@kernel(NUMBER(MATRIX, LAST_PROBLEM, VECTOR, VECTOR))
+def force_error(W, last, doubt, unit):
     """Root mean square over the contacts of the forces that answer a displacement ``doubt``, statuses held, N.
 
     Where the linear problem that was solved last is not to be had, each contact answers by its own compliance.
     """
     dy, dw = doubt.copy(), np.empty_like(doubt)
-    if len(own) > 0:
-        rates(W, B, own, inverse, doubt, dy, dw)
+    if len(last.own) > 0:
+        rates(W, last.B, last.own, last.inverse, doubt, dy, dw)
     return mean_force(dy, unit)

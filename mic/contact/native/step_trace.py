@@ -8,56 +8,35 @@ from numba import int64, types, void
 from mic.contact.native.kernel import COUNTS, MATRIX, NUMBER, VECTOR, kernel
 from mic.contact.native.path_constants import ROUNDING
 from mic.contact.native.slip_origins import crossing
+from mic.contact.native.step_data import PREDICTION, RECORD
 from mic.contact.states import OPEN, SLIP, STICK
 
 __all__ = ["opening_motion", "record_step"]
 
 
-@kernel(types.UniTuple(NUMBER, 2)(VECTOR, VECTOR, VECTOR, int64, VECTOR))
-def opening_motion(y0, w, motion, k, opened):
+@kernel(types.UniTuple(NUMBER, 2)(VECTOR, VECTOR, int64, PREDICTION))
+def opening_motion(y0, w, k, predicted):
     """After which share of a step contact k opens, and how much that is to be doubted, 0 to 1.
 
     The prediction's share, doubted by as much as the gap at the end is not the prediction's.
     """
     i = 3 * k
-    if opened[k] == 1.0:  # the prediction did not see it
+    if predicted.opened[k] == 1.0:  # the prediction did not see it
         return crossing(y0[i], -max(w[i], 1e-300)), 1.0
-    return opened[k], min(abs(w[i] - motion[i]) / max(w[i], motion[i], 1e-300), 1.0)
+    return predicted.opened[k], min(abs(w[i] - predicted.motion[i]) / max(w[i], predicted.motion[i], 1e-300), 1.0)
 
 
-@kernel(
-    void(
-        VECTOR,
-        VECTOR,
-        VECTOR,
-        COUNTS,
-        MATRIX,
-        VECTOR,
-        VECTOR,
-        VECTOR,
-        VECTOR,
-        COUNTS,
-        VECTOR,
-        MATRIX,
-        VECTOR,
-        MATRIX,
-        NUMBER,
-        MATRIX,
-        VECTOR,
-        VECTOR,
-        MATRIX,
-    )
-)
-def record_step(
-    y0, w0, motion, state0, e0, grip, loose, y, w, state, touched, shift, opened, gone, part, slip, length, work, share
-):
+@kernel(void(VECTOR, PREDICTION, VECTOR, VECTOR, COUNTS, VECTOR, MATRIX, NUMBER, RECORD))
+def record_step(y0, predicted, y, w, state, touched, shift, part, record):
     """Add a step to what the contacts went through: slip under load, its length, friction's work, shares of the path.
 
     Forces of a contact that slides grow linearly over the step, so that the work is the trapezoid ``-½ (y⁰ + y)·slip``;
     one that breaks loose unforeseen slides under the force of the end.  A contact closes or opens where the prediction
-    has it: it opens after the share ``opened``, having ``gone`` so far.  By as much as the end is not the prediction's
+    has it: it opens after a share of the step, having gone so far.  By as much as the end is not the prediction's
     the way without load is not, but a like share of the whole.
     """
+    state0, e0, grip, loose, _, _, _, gone = predicted
+    slip, length, work, share = record
     for k in range(len(state)):
         i = 3 * k
         m1, m2 = w[i + 1], w[i + 2]
@@ -68,7 +47,7 @@ def record_step(
                 continue
             m1, m2 = m1 - shift[k, 0], m2 - shift[k, 1]
         elif state[k] == OPEN:
-            end, doubt = opening_motion(y0, w, motion, k, opened)
+            end, doubt = opening_motion(y0, w, k, predicted)
             m1 = (1.0 - doubt) * gone[k, 0] + doubt * end * m1
             m2 = (1.0 - doubt) * gone[k, 1] + doubt * end * m2
         slides = 1.0  # share of the time under load in which the contact slides
