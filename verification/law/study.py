@@ -373,7 +373,7 @@ STUDY = Study(
             reason="1e4 times the limit of the agreement, so an ignored law would be found.",
         ),
     ),
-    seconds=(40, 120),
+    seconds=(60, 45),
     memory=1.6,
     run=run,
 )

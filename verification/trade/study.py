@@ -238,8 +238,8 @@ def averaged(found: dict, name: str, truth: Truth) -> pd.DataFrame:
 
     One followed version stands for the truth; what other places change is measured in one increment a step.
     """
-    own, placed = found[name, "truth", ALL_FINER]["values"], truth.own["pairs"].fine
-    return own + (mean_of(found, name, placed) - mean_of(found, name, placed[:1])).loc[own.index]
+    own, cheap = found[name, "truth", ALL_FINER]["values"], truth.own["element size"].fine
+    return own + (mean_of(found, name, truth.own["pairs"].fine) - mean_of(found, name, cheap)).loc[own.index]
 
 
 def own_error(found: dict, truths, limit: float) -> pd.DataFrame:

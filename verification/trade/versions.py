@@ -30,7 +30,7 @@ __all__ = [
 FINE = Followed.tolerance / 4
 COARSER = 16  # ratio of path tolerances for the error of the truth: a sixteenth reduces the error to about a sixth
 #: Factors on the distance between candidates whose results are averaged, since where candidates lie scatters them.
-PLACES = tuple(2 ** (i / 8) for i in range(4))
+PLACES = tuple(2 ** (i / 8) for i in (-2, -1, 0, 1))
 ALL_FINER = "all finer"
 
 
