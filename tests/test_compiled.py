@@ -13,10 +13,10 @@ from mic.contact.native import kernel as native_kernel
 from mic.system.compilation import MESSAGE
 
 EVALUATE = """
-import contextlib, runpy, sys
+import sys
 import mic
-with contextlib.suppress(SystemExit):
-    runpy.run_module("mic.commands.compile", run_name="__main__")
+from mic.commands import compile as compilation
+compilation.load_all(compilation.kernels(derivatives=True), 2)
 print("compiled", flush=True)
 model = mic.ReducedModel.load(sys.argv[1])
 for law in sys.argv[2:]:
@@ -78,6 +78,39 @@ def test_a_kernel_is_loaded_when_called_and_compiled_again_when_one_that_it_call
     found = [python("-c", CALL).splitlines()[-1] for _ in range(2)]
     (package / "adding.py").write_text(MODULES["adding"].replace("+ 1", "+ 2"))
     assert [*found, python("-c", CALL).splitlines()[-1]] == ["0 4.0 0", "0 4.0 1", "0 6.0 0"]
+
+
+PAIRING = """
+from typing import NamedTuple
+
+from numba import types
+
+from native.kernel import NUMBER, kernel
+
+
+class Pair(NamedTuple):
+    x: float
+    y: float
+
+
+@kernel(NUMBER(types.NamedUniTuple(NUMBER, 2, Pair)))
+def total(pair):
+    return pair.x + pair.y
+
+
+print(total(Pair(1.0, 2.0)))
+"""
+
+
+@pytest.mark.slow
+def test_a_cache_with_types_that_are_gone_is_written_anew(tmp_path, monkeypatch):
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path), prepend=os.pathsep)
+    package = tmp_path / "native"
+    package.mkdir()
+    shutil.copy(native_kernel.__file__, package)
+    for text in (PAIRING, PAIRING.replace("Pair", "Both")):
+        (package / "pairing.py").write_text(text)
+        assert python("-c", "import native.pairing").splitlines()[-1] == "3.0"
 
 
 def test_a_run_calls_no_kernel_of_derivatives():

@@ -60,6 +60,13 @@ class _CacheFiles(caching.CompileResultCacheImpl):
 class _PackageCache(caching.FunctionCache):
     _impl_class = _CacheFiles
 
+    def load_overload(self, sig, target_context):
+        try:
+            return super().load_overload(sig, target_context)
+        except (AttributeError, ImportError):  # left by a version whose types are gone
+            self.flush()
+            return None
+
 
 class Kernel(CPUDispatcher):
     """A compiled function of one signature."""
