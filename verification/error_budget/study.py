@@ -210,7 +210,7 @@ STUDY = Study(
             full_only=True,
         ),
     ),
-    seconds=(3000, 18),
-    memory=6.0,
+    seconds=(2425, 18),
+    memory=9.0,
     run=run,
 )
