@@ -210,7 +210,7 @@ STUDY = Study(
             full_only=True,
         ),
     ),
-    seconds=(2425, 18),
+    seconds=(1250, 18),
     memory=9.0,
     run=run,
 )
