@@ -141,6 +141,8 @@ def test_along_the_hats_followed_path_too(hat_model):
     samples = np.concatenate(
         [draw(hat_model.scene, seed, first, 1) for seed, first in ((1, 0), (hat_model.scene.monte_carlo.seed, 2))]
     )
+    # Where rounding puts it, the second lies 1e-5 σ from a jump by 3e-8 mm, which is no part of a derivative.
+    samples += 2e-4 * sigmas(hat_model)
     found = sensitivities(process, samples)
     assert found.exact.all() and min(len(record.ends) for records in found.steps.values() for record in records) > 1
     assert sum(len(records[0].ends) for records in found.steps.values()) > 50
