@@ -59,6 +59,16 @@ def test_compilation_is_reported_once_and_cached_code_silently_reused(tmp_path):
     assert [python(*command).count(MESSAGE) for _ in range(2)] == [1, 0]
 
 
+@pytest.fixture
+def package(tmp_path, monkeypatch):
+    """The folder of a package ``native`` that holds the module of kernels alone."""
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path), prepend=os.pathsep)
+    folder = tmp_path / "native"
+    folder.mkdir()
+    shutil.copy(native_kernel.__file__, folder)
+    return folder
+
+
 MODULES = {
     "adding": "from native.kernel import NUMBER, kernel\n\n@kernel(NUMBER(NUMBER))\ndef add(x):\n    return x + 1\n",
     "doubling": "from native.adding import add\nfrom native.kernel import NUMBER, kernel\n\n"
@@ -68,11 +78,7 @@ CALL = "from native.doubling import double as f; print(len(f.overloads), f(1), f
 
 
 @pytest.mark.slow
-def test_a_kernel_is_loaded_when_called_and_compiled_again_when_one_that_it_calls_changes(tmp_path, monkeypatch):
-    monkeypatch.setenv("PYTHONPATH", str(tmp_path), prepend=os.pathsep)
-    package = tmp_path / "native"
-    package.mkdir()
-    shutil.copy(native_kernel.__file__, package)
+def test_a_kernel_is_loaded_when_called_and_compiled_again_when_one_that_it_calls_changes(package):
     for name, text in MODULES.items():
         (package / f"{name}.py").write_text(text)
     found = [python("-c", CALL).splitlines()[-1] for _ in range(2)]
@@ -103,11 +109,7 @@ print(total(Pair(1.0, 2.0)))
 
 
 @pytest.mark.slow
-def test_a_cache_with_types_that_are_gone_is_written_anew(tmp_path, monkeypatch):
-    monkeypatch.setenv("PYTHONPATH", str(tmp_path), prepend=os.pathsep)
-    package = tmp_path / "native"
-    package.mkdir()
-    shutil.copy(native_kernel.__file__, package)
+def test_a_cache_with_types_that_are_gone_is_written_anew(package):
     for text in (PAIRING, PAIRING.replace("Pair", "Both")):
         (package / "pairing.py").write_text(text)
         assert python("-c", "import native.pairing").splitlines()[-1] == "3.0"

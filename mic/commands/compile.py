@@ -54,9 +54,9 @@ def load_others() -> None:
     Blocks((np.ones((1, 1)),), (np.zeros((1, 6)),)).gather(one, one)
 
 
-def load_all(kernels: list[Kernel], processes: int) -> None:
+def load_all(chosen: list[Kernel], processes: int) -> None:
     """Compile kernels and all other functions; first the kernel with the longest chain of callers."""
-    calls = {kernel: kernel.called for kernel in kernels}
+    calls = {kernel: kernel.called for kernel in chosen}
     order = TopologicalSorter(calls)
     order.prepare()
 

@@ -93,8 +93,7 @@ class Knobs:
         if self.tolerance is not None:
             shown["tolerance"] = f"{self.tolerance / Followed.tolerance:g}×"
         plain = ("size", "element", "law")
-        named = (str(value) if key in plain else f"{key} {value}" for key, value in shown.items())
-        return ", ".join(named)
+        return ", ".join(str(value) if key in plain else f"{key} {value}" for key, value in shown.items())
 
 
 @dataclass(frozen=True)
