@@ -61,6 +61,25 @@ def test_a_second_run_in_a_folder_is_refused_in_one_sentence(lap_model, tmp_path
     assert not (tmp_path / LOCK).exists()
 
 
+WORKER = """
+import os, sys, time; from mic.system.lock import locked
+with locked(sys.argv[1]):
+    if os.fork() == 0:
+        print("held", flush=True); time.sleep(1.0); open(sys.argv[1] + "/late", "w").close(); os._exit(0)
+    time.sleep(60)
+"""
+
+
+def test_the_workers_of_a_killed_run_are_waited_for(tmp_path):
+    """They inherit its lock, and may still write."""
+    with subprocess.Popen([sys.executable, "-c", WORKER, str(tmp_path)], stdout=subprocess.PIPE, text=True) as holder:
+        assert holder.stdout.readline() == "held\n"
+        holder.kill()
+        holder.wait()
+        with locked(tmp_path) as stale:
+            assert stale and (tmp_path / "late").exists()
+
+
 @pytest.mark.parametrize("change", [{"boot": "another"}, {"started": 1}, {"process": 2**22 + 1}, None])
 def test_a_lock_whose_owner_is_gone_is_taken_over(tmp_path, change):
     with locked(tmp_path):

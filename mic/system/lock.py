@@ -14,6 +14,7 @@ import os
 import shlex
 import socket
 import sys
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -29,6 +30,8 @@ else:
 __all__ = ["LOCK", "exclusive", "locked"]
 
 LOCK = ".lock"
+WORKERS_END = 60.0  # s within which the worker processes of a killed run end: they end at once, but for compiled code
+POLL = 0.05  # s
 BEYOND = 1 << 30  # byte that Windows locks: other processes cannot read it, but the content before it
 
 _held: dict[str, int] = {}  # number of holders in this process, by folder
@@ -81,8 +84,11 @@ def locked(folder: Path) -> Iterator[bool]:
 
 
 def _acquire(folder: Path) -> tuple[int, bool]:
-    """Descriptor of the lock file, locked and written, and whether it was left by an ended process."""
-    path = folder / LOCK
+    """Descriptor of the lock file, locked and written, and whether it was left by an ended process.
+
+    Forked workers of a killed run hold its lock until they end, which is waited for: they may still write results.
+    """
+    path, refused = folder / LOCK, time.monotonic() + WORKERS_END
     while True:
         descriptor = os.open(path, os.O_RDWR | os.O_CREAT | getattr(os, "O_NOFOLLOW", 0), 0o644)
         try:
@@ -91,6 +97,10 @@ def _acquire(folder: Path) -> tuple[int, bool]:
                 os.close(descriptor)  # its owner released and removed it meanwhile
                 continue
             owner = _recorded_owner(descriptor)
+            if busy and owner is not None and not _may_be_alive(owner) and time.monotonic() < refused:
+                os.close(descriptor)
+                time.sleep(POLL)
+                continue
             if busy or _may_be_alive(owner):
                 raise RunError(_refusal(folder, owner))
             os.ftruncate(descriptor, 0)
