@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from support import panels
 
+from mic.geometry.blocks import Blocks
 from mic.geometry.structured import extrude
 from mic.geometry.surface import Surface
 
@@ -154,3 +155,22 @@ def test_limiting_the_reach_keeps_projections_within_it():
     assert 5 < within.sum() < len(x)
     assert (near.triangle[within] == everywhere.triangle[within]).all()
     assert near.distance[within] == pytest.approx(everywhere.distance[within])
+
+
+@pytest.mark.parametrize("bend", [0.0, 0.1])
+def test_a_box_behind_a_plane_is_found_wherever_a_triangle_is(bend):
+    """Half an element above a sheet all planes have it behind them; below it, those of a flat sheet have nothing."""
+    flat = plane(24)
+    turn = np.linalg.qr(np.random.default_rng(3).normal(size=(3, 3)))[0]
+    bent = np.column_stack([flat.points[:, :2], bend * flat.points[:, 0] ** 2])
+    surface = Surface(bent @ turn.T, flat.triangles)
+    middle, normals, reach = surface.corners.mean(1), surface.normals, np.full(len(surface.triangles), 2.0)
+    blocks, lift = Blocks(surface.corners, surface.areas), 0.5 * np.sqrt(surface.areas.mean())
+    for side in (1.0, -1.0):
+        planes = middle + side * lift * normals
+        ahead = np.einsum("pkcj,pj->pkc", surface.corners - planes[:, None, None], normals)
+        near = np.linalg.norm(middle - planes[:, None], axis=2) <= reach[:, None]
+        exact = (near & (ahead.min(2) < 0)).any(1)
+        found = blocks.behind(planes, normals, reach)
+        assert not (exact & ~found).any()
+        assert exact.all() if side > 0 else bend or not found.any()

@@ -16,6 +16,7 @@ from functools import cached_property
 import numpy as np
 from scipy.spatial import cKDTree
 
+from mic.geometry.blocks import Blocks
 from mic.geometry.normals import CornerNormals, corner_normals
 from mic.geometry.triangles import (
     area_vectors,
@@ -248,6 +249,10 @@ class Surface:
         return np.linalg.norm(self.corners - self._centroids[:, None], axis=2).max(1)
 
     @cached_property
+    def _blocks(self) -> Blocks:
+        return Blocks(self.corners, self.areas)
+
+    @cached_property
     def _tree(self) -> cKDTree:
         return cKDTree(self._centroids)
 
@@ -333,13 +338,17 @@ class Surface:
         """
         front, use = np.unique(2 * np.asarray(triangle) + (np.asarray(side) > 0), return_inverse=True)
         one, sign = front // 2, np.where(front % 2, 1.0, -1.0)
+        centre, normal = other._centroids[one], other.normals[one] * sign[:, None]
         farthest = other.reach[one] + reach + self.reach.max() * (1 + 1e-9) + self.tie
         some = np.zeros(len(one), dtype=bool)
-        for owner, found in self._centred_near(other._centroids[one], farthest):
-            aligned = self._aligned(found, other.normals[one[owner]], np.cos(max_angle))
+        # most triangles have whole blocks of this surface ahead of them
+        unsure = np.flatnonzero(self._blocks.behind(centre, normal, farthest))
+        for row, found in self._centred_near(centre[unsure], farthest[unsure]):
+            owner = unsure[row]
+            aligned = self._aligned(found, normal[owner], np.cos(max_angle))
             owner, found = owner[aligned], found[aligned]
-            step = self.corners[found] - other._centroids[one[owner]][:, None]
-            ahead = np.einsum("qcj,qj->qc", step, other.normals[one[owner]] * sign[owner, None])
+            step = self.corners[found] - centre[owner][:, None]
+            ahead = np.einsum("qcj,qj->qc", step, normal[owner])
             some[owner[ahead.min(1) < -self.tie]] = True
         return some[use]
 

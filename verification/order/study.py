@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from mic.contact.path import Followed
 from mic.process.evaluation import Evaluation
+from mic.process.process import Process
 from mic.statistics.draw import draw
 from mic.studies.order import STATED, Order, variants
 from verification.comparison import zone_slip
@@ -26,13 +26,9 @@ RESAMPLED = 2000
 SHARE, ABSOLUTE, MEASURED = 0.01, 2e-3, 0.005  # of a slip's mean or 6σ; mm; of a key characteristic's 6σ
 
 
-def evaluate(model, order: Order, deviations, law="coulomb", path: Followed | None = None) -> Evaluation:
-    """Evaluation of the samples in one order; `path` replaces followed paths."""
-    process = replace(model, scene=order.scene).process(law)
-    for stage in process.stages:
-        if path is not None and isinstance(stage.path, Followed):
-            stage.path = path
-    return process.evaluate(deviations)
+def evaluate(model, order: Order, deviations, law="coulomb", tolerance: float | None = None) -> Evaluation:
+    """Evaluation of the samples in one order; `tolerance` replaces that of followed paths."""
+    return Process(replace(model, scene=order.scene), law, path_tolerance=tolerance).evaluate(deviations)
 
 
 def increments(order: Order, count: int) -> Order:
@@ -155,7 +151,9 @@ def path_findings(context, model, orders, deviations) -> list[Finding]:
 
     def path_left(order):
         """Errors of the followed path and of one 25 times tighter against the tightest."""
-        found, tight, exact = (evaluate(model, order, deviations, path=path) for path in (None, TIGHT, TIGHTER))
+        found, tight, exact = (
+            evaluate(model, order, deviations, tolerance=tolerance) for tolerance in (None, TIGHT, TIGHTER)
+        )
         return *departure(found, exact, model), max(departure(tight, exact, model))
 
     followed = [order for order in orders if order.scene.stages[1].path != "one-step"]

@@ -15,9 +15,9 @@ from verification.comparison import relative
 from verification.plots import panels
 from verification.study import FOLDER, Acceptance, Finding, Study
 
-SMALL = ("lap_joint", "coarse", (1, 2, 4))
-LARGE = ("wheelhouse", "medium", (1, 2))
-QUICK_LARGE = ("hat_on_plate", "coarse", (1, 2))
+#: Scene, mesh, and numbers of processes.
+SOLVES = (("lap_joint", "coarse", (1, 2, 4)), ("wheelhouse", "medium", (1, 2)))
+QUICK_SOLVES = (("lap_joint", "coarse", (1, 2)), ("hat_on_plate", "coarse", (1, 2)))
 LAUNCHED = ("OMPI_", "PMIX_", "PMI_", "PRTE_", "HYDRA_", "MPI_")  # variables of the mpirun that started this process
 SETTINGS = {
     "OMPI_ALLOW_RUN_AS_ROOT": "1",
@@ -125,7 +125,7 @@ def run(context):
     found = None
     if context.team.rank == 0:
         tables = []
-        for name, size, counts in (SMALL, QUICK_LARGE if context.quick else LARGE):
+        for name, size, counts in QUICK_SOLVES if context.quick else SOLVES:
             solved = {count: solve(name, size, count, context.cache) for count in counts}
             tables.append(compare(solved).assign(assembly=name))
         found = pd.concat(tables, ignore_index=True)
