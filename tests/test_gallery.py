@@ -1,5 +1,6 @@
 """The gallery's pages on the commands run, and end in what they promise; every question has one."""
 
+import re
 import runpy
 from pathlib import Path
 
@@ -8,6 +9,7 @@ import matplotlib.pyplot as plt
 import pytest
 
 import mic
+from mic.contact import native
 from mic.report.picture import Picture
 from mic.report.study_pictures import STUDIES
 from mic.scene import load_scene
@@ -58,3 +60,13 @@ def test_each_gallery_page_runs_and_shows_its_pictures(page, cache, monkeypatch,
     said = capsys.readouterr().out
     for word in words:
         assert word in said, said
+
+
+def test_the_page_on_load_paths_names_modules_of_the_core_and_shows_a_small_error(monkeypatch):
+    page = FOLDER / "followed_path.py"
+    for module in re.findall(r"`(\w+\.py)`", page.read_text(encoding="utf-8")):
+        assert (Path(native.__file__).parent / module).is_file(), module
+    with matplotlib.rc_context({"backend": "agg"}):
+        left = runpy.run_path(str(page))
+        plt.close("all")
+    assert left["error"].max() < 1e-3 * left["forces"].max() and set(left["states"].ravel()) == {0, 1, 2}

@@ -17,7 +17,7 @@ from verification.study import FOLDER, Acceptance, Finding, Study
 
 #: Scene, mesh, and numbers of processes.
 SOLVES = (("lap_joint", "coarse", (1, 2, 4)), ("wheelhouse", "medium", (1, 2)))
-QUICK_SOLVES = (("lap_joint", "coarse", (1, 2)), ("hat_on_plate", "coarse", (1, 2)))
+QUICK_SOLVES = (("hat_on_plate", "coarse", (1, 2)),)
 LAUNCHED = ("OMPI_", "PMIX_", "PMI_", "PRTE_", "HYDRA_", "MPI_")  # variables of the mpirun that started this process
 SETTINGS = {
     "OMPI_ALLOW_RUN_AS_ROOT": "1",
@@ -177,7 +177,7 @@ STUDY = Study(
     acceptance=(
         Acceptance(
             "agreement",
-            "Lap joint on 2 and 4 processes against one: largest relative difference of all results.",
+            "Lap joint on 2 and 4 processes (quick: hat on 2) against one: largest relative difference of all results.",
             AGREE,
             reason="Rounding: 1e-16 times the condition of a shell's stiffness, about 1e8.",
         ),
