@@ -302,7 +302,7 @@ STUDY = Study(
             reason="Rounding, as for the forces.",
         ),
     ),
-    seconds=(480, 35),
+    seconds=(480, 27),
     memory=2.7,
     run=run,
 )

@@ -283,6 +283,6 @@ STUDY = Study(
             reason="A third of the 1 % error of the setting reference, which leaves room for other sources.",
         ),
     ),
-    seconds=(14, 14),
+    seconds=(6, 8),
     run=run,
 )

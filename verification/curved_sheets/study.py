@@ -166,6 +166,6 @@ STUDY = Study(
         )
         for name, text, _, limit in JUDGED
     ),
-    seconds=(31, 8),
+    seconds=(12, 9),
     run=run,
 )

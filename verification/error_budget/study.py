@@ -211,7 +211,7 @@ STUDY = Study(
             full_only=True,
         ),
     ),
-    seconds=(1250, 18),
+    seconds=(1250, 40),
     memory=9.0,
     run=run,
 )

@@ -355,7 +355,7 @@ STUDY = Study(
             reason="A remedy must work.",
         ),
     ),
-    seconds=(310, 30),
+    seconds=(210, 22),
     judges_accuracy=False,
     memory=3.8,
     run=run,

@@ -209,7 +209,7 @@ def picture(tables: dict[str, pd.DataFrame]):
 
 
 def run(context):
-    repetitions, sets = (10, 3) if context.quick else (200, 60)
+    repetitions, sets = (5, 2) if context.quick else (200, 60)
     counts = {True: (50, 100) if context.quick else (50, 100, 200), False: (200,) if context.quick else (200, 400)}
     truths = [one.truth() for one in POPULATIONS]
     stream = np.random.default_rng(40)
@@ -320,6 +320,6 @@ STUDY = Study(
             reason="That claimed, 0.95, less 0.02, as for one-step.",
         ),
     ),  # fmt: skip
-    seconds=(690, 15),
+    seconds=(700, 12),
     run=run,
 )

@@ -243,7 +243,7 @@ STUDY = Study(
             ),
         ),
     ),
-    seconds=(11, 8),
+    seconds=(8, 5),
     memory=1.6,
     run=run,
 )

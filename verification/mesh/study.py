@@ -322,7 +322,7 @@ STUDY = Study(
             full_only=True,
         ),
     ),
-    seconds=(430, 15),
+    seconds=(211, 20),
     memory=3.4,
     run=run,
 )

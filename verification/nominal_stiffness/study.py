@@ -381,7 +381,7 @@ STUDY = Study(
             reason="A method that leaves more than a third of the error is not worth its cost.",
         ),
     ),
-    seconds=(920, 12),
+    seconds=(920, 15),
     memory=3.2,
     run=run,
 )

@@ -251,7 +251,7 @@ STUDY = Study(
             full_only=True,
         ),
     ),
-    seconds=(112, 12),
+    seconds=(63, 13),
     memory=1.0,
     run=run,
 )

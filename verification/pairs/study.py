@@ -188,7 +188,7 @@ STUDY = Study(
             reason="2 % of the force and 5 % of the slip, whose product it is.",
         ),
     ),
-    seconds=(280, 5),
+    seconds=(124, 3),
     memory=1.8,
     run=run,
 )

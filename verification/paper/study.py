@@ -481,7 +481,7 @@ STUDY = Study(
             full_only=True,
         ),
     ),
-    seconds=(285, 14),
+    seconds=(285, 10),
     memory=1.4,
     run=run,
 )

@@ -606,6 +606,6 @@ STUDY = Study(
             reason="Rounding of a solve, 1e-8.",
         ),
     ),
-    seconds=(690, 40),
+    seconds=(690, 45),
     run=run,
 )

@@ -267,7 +267,7 @@ STUDY = Study(
             reason="A reference errs by at most a fifth of the limit.",
         ),
     ),
-    seconds=(50, 15),
+    seconds=(33, 4),
     memory=1.1,
     run=run,
 )

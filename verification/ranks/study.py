@@ -207,7 +207,7 @@ STUDY = Study(
             reason="Two processes must save at least a quarter of the elimination's time; one half is ideal.",
         ),
     ),
-    seconds=(220, 25),
+    seconds=(135, 25),
     memory=4.0,
     missing=missing,
     run=run,

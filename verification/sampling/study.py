@@ -179,7 +179,7 @@ STUDY = Study(
             reason="Theory: 4, less the 2 % of the setting standard.",
         ),
     ),
-    seconds=(240, 15),
+    seconds=(129, 20),
     memory=1.3,
     run=run,
 )

@@ -129,7 +129,7 @@ STUDY = Study(
             full_only=True,
         ),
     ),
-    seconds=(372, 8),
+    seconds=(277, 10),
     memory=2.7,
     run=run,
 )

@@ -286,7 +286,7 @@ STUDY = Study(
             full_only=True,
         ),
     ),
-    seconds=(330, 25),
+    seconds=(191, 19),
     memory=4.0,
     run=run,
     missing=lambda: "" if available() else "ccx is not installed: apt-get install calculix-ccx",

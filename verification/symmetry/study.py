@@ -178,7 +178,7 @@ STUDY = Study(
             reason="As in the study of extremes: more than one in thirty would not be an exception.",
         ),
     ),
-    seconds=(335, 10),
+    seconds=(310, 12),
     memory=1.0,
     run=run,
 )

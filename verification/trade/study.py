@@ -608,7 +608,7 @@ STUDY = Study(
             reason="Ten times the rounding of the two routes, 1e-8.",
         ),
     ),
-    seconds=(1800, 20),
+    seconds=(1800, 45),
     memory=13.8,
     run=run,
 )
