@@ -609,6 +609,6 @@ STUDY = Study(
         ),
     ),
     seconds=(1800, 45),
-    memory=13.8,
+    memory=5.6,
     run=run,
 )
