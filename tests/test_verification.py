@@ -166,9 +166,10 @@ def test_the_longest_studies_come_first_and_are_shared():
     assert names(False, 3) == (["5", "3", "2", "1"], [])  # each is more than a third of what is left
     assert names(True, 2) == names(True, 3) == (["1"], ["5", "3", "2"])
     assert names(False, 2, of=made[:1]) == (["1"], [])
-    large = [replace(study, memory=4.5) if study.name == "1" else study for study in made]
-    assert names(True, 2, of=large) == ([], ["1", "5", "3", "2"])  # twice 4.5 GB
-    assert names(True, 2, of=large[:1]) == (["1"], [])  # or nobody would do it
+    large = [replace(study, memory=4.5) for study in made]
+    assert names(False, 3, of=large) == ([], ["5", "3", "2", "1"])  # three times 4.5 GB
+    assert names(False, 3, of=large[:1]) == (["1"], [])  # or nobody would do it
+    assert names(True, 2, of=large) == (["1"], ["5", "3", "2"])  # a quick version needs less
 
 
 def test_items_in_progress_fit_into_memory_together(launched):

@@ -109,7 +109,7 @@ def run(chosen: list[Study], folder: Path, quick: bool, team: Team, say=print) -
             for _, found in completed:
                 end(*found)
     else:
-        for i in team.taken([study.memory for study in whole], MEMORY):
+        for i in team.taken([_memory(study, quick) for study in whole], MEMORY):
             with alone():
                 begin(whole[i])
                 end(*perform(whole[i]))
@@ -174,6 +174,11 @@ def _perform(
     return _result_lines(study, checked, costs, error), costs
 
 
+def _memory(study: Study, quick: bool) -> float:
+    """Peak memory of one process, GB."""
+    return min(study.memory, QUICK_MEMORY) if quick else study.memory
+
+
 def shared_and_whole(studies: list[Study], quick: bool, size: int) -> tuple[list[Study], list[Study]]:
     """Studies that all processes share, and studies that one process runs; the longest first.
 
@@ -183,7 +188,7 @@ def shared_and_whole(studies: list[Study], quick: bool, size: int) -> tuple[list
     queue = sorted(studies, key=lambda study: -study.seconds[quick])
     shared = []
     for study in list(queue):
-        if study.memory * size > MEMORY and len(queue) > 1:
+        if _memory(study, quick) * size > MEMORY and len(queue) > 1:
             continue
         if study.seconds[quick] * size <= sum(other.seconds[quick] for other in queue) * (1 + 1e-9):
             break
