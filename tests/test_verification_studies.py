@@ -305,7 +305,7 @@ def test_settings_reach_the_trade():
     assert versions["path", "increments 1"].stages[1].increments == 1
     assert versions["pairs", "pairs 34"].zones[0].pairs == 34
     exact = versions["truth", trade_versions.ALL_FINER]
-    assert exact.parts[0].size == 0.625 and exact.path.tolerance == trade_versions.FINE
+    assert exact.parts[0].size == 0.884 and exact.path.tolerance == trade_versions.FINE
     assert exact.zones[0].spacing_factor < SETTINGS["reference"]["spacing_factor"]
     assert versions["law", "associated"].report.laws == ["associated"]
     pairs = trade_versions.QUICK["lap_joint"].own["pairs"]
