@@ -28,7 +28,7 @@ solver = ContactSolver(S, np.full(3, FRICTION), "coulomb")
 
 
 def follow(path):
-    """Ends of the steps over the whole path (k,), the forces there (k, 3, 3), and the anchors at the end (3, 2)."""
+    """Ends of the steps over the whole path (k,), and the forces there (k, 3, 3)."""
     force, anchor, ends, forces = np.zeros((1, 9)), np.zeros((1, 3, 2)), [0.0], [np.zeros((3, 3))]
     for leg in range(3):
         solution = solver.follow(loads[None, leg : leg + 2], force, anchor, path)
@@ -37,10 +37,10 @@ def follow(path):
         ends += list(leg + record.ends[after])
         forces += list(record.force[after].reshape(-1, 3, 3))
         force, anchor = solution.force, solution.anchor
-    return np.array(ends), np.array(forces), anchor[0]
+    return np.array(ends), np.array(forces)
 
 
-ends, forces, anchor = follow(Followed(recorded=True))
+ends, forces = follow(Followed(recorded=True))
 print(f"{len(ends) - 1} steps")
 
 # %%

@@ -97,11 +97,12 @@ def _acquire(folder: Path) -> tuple[int, bool]:
                 os.close(descriptor)  # its owner released and removed it meanwhile
                 continue
             owner = _recorded_owner(descriptor)
-            if busy and owner is not None and not _may_be_alive(owner) and time.monotonic() < refused:
+            alive = _may_be_alive(owner)
+            if busy and owner is not None and not alive and time.monotonic() < refused:
                 os.close(descriptor)
                 time.sleep(POLL)
                 continue
-            if busy or _may_be_alive(owner):
+            if busy or alive:
                 raise RunError(_refusal(folder, owner))
             os.ftruncate(descriptor, 0)
             os.lseek(descriptor, 0, os.SEEK_SET)
