@@ -72,7 +72,7 @@ def package(tmp_path, monkeypatch):
 MODULES = {
     "adding": "from native.kernel import NUMBER, kernel\n\n@kernel(NUMBER(NUMBER))\ndef add(x):\n    return x + 1\n",
     "doubling": "from native.adding import add\nfrom native.kernel import NUMBER, kernel\n\n"
-    "@kernel(NUMBER(NUMBER))\ndef double(x):\n    return 2 * add(x)\n",
+    "@kernel(NUMBER(NUMBER), from_python=True)\ndef double(x):\n    return 2 * add(x)\n",
 }
 CALL = "from native.doubling import double as f; print(len(f.overloads), f(1), f.stats.cache_hits.total())"
 
@@ -99,7 +99,7 @@ class Pair(NamedTuple):
     y: float
 
 
-@kernel(NUMBER(types.NamedUniTuple(NUMBER, 2, Pair)))
+@kernel(NUMBER(types.NamedUniTuple(NUMBER, 2, Pair)), from_python=True)
 def total(pair):
     return pair.x + pair.y
 
@@ -113,6 +113,24 @@ def test_a_cache_with_types_that_are_gone_is_written_anew(package):
     for text in (PAIRING, PAIRING.replace("Pair", "Both")):
         (package / "pairing.py").write_text(text)
         assert python("-c", "import native.pairing").splitlines()[-1] == "3.0"
+
+
+@pytest.mark.slow
+def test_python_cannot_call_a_kernel_without_a_wrapper(package):
+    for name, text in MODULES.items():
+        (package / f"{name}.py").write_text(text)
+    call = """
+from native.adding import add
+from native.doubling import double
+
+for _ in range(2):  # before and after it is loaded
+    try:
+        add(1.0)
+    except TypeError as error:
+        print(error)
+    double(1.0)
+"""
+    assert python("-c", call).count("only kernels call add") == 2
 
 
 def test_a_run_calls_no_kernel_of_derivatives():

@@ -39,6 +39,11 @@ def kernels(derivatives: bool) -> list[Kernel]:
     return list({value: None for module in modules for value in vars(module).values() if isinstance(value, Kernel)})
 
 
+def silence() -> None:
+    """Do not say that something is compiled: the bar does."""
+    logging.getLogger(compilation.__name__).setLevel(logging.ERROR)
+
+
 def load_kernel(module: str, name: str) -> None:
     """Compile a kernel in a process of its own, or read it from the cache."""
     getattr(import_module(module), name).load()
@@ -65,7 +70,7 @@ def load_all(chosen: list[Kernel], processes: int) -> None:
         callers = (length(caller) for caller, called in calls.items() if kernel in called)
         return len(kernel.__code__.co_code) + max(callers, default=0)
 
-    with ProcessPoolExecutor(processes) as pool, Progress(transient=True) as progress:
+    with ProcessPoolExecutor(processes, initializer=silence) as pool, Progress(transient=True) as progress:
         bar = progress.add_task("compiling the contact solver", total=len(calls))
         ready: list[Kernel] = []
         running: dict[Future, Kernel | None] = {pool.submit(load_others): None}
@@ -83,5 +88,4 @@ def load_all(chosen: list[Kernel], processes: int) -> None:
 
 
 if __name__ == "__main__":
-    logging.getLogger(compilation.__name__).setLevel(logging.ERROR)  # the bar says it
     load_all(kernels(derivatives="--run" not in sys.argv[1:]), available_cores())

@@ -57,7 +57,10 @@ SAMPLES = types.NamedTuple([BLOCKS, MATRIX, BLOCKS, types.Array(boolean, 2, "C")
 FOUND = types.NamedTuple([MATRIX, MATRIX, BLOCKS, BLOCKS, MATRIX, MATRIX, BLOCKS], Found)
 
 
-@kernel(void(PATH_PROBLEM, VECTOR, COUNTS, COUNTS, CONTROL, SAMPLES, boolean, FOUND, types.Array(int64, 2, "C")))
+@kernel(
+    void(PATH_PROBLEM, VECTOR, COUNTS, COUNTS, CONTROL, SAMPLES, boolean, FOUND, types.Array(int64, 2, "C")),
+    from_python=True,
+)
 def follow_among(problem, D, among, some, control, samples, near, found, counts):
     """One step of first order of samples, each with the contacts of its own working set alone.
 

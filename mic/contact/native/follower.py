@@ -200,7 +200,9 @@ def follow_leg(problem, control, leg, scale, guess, outcome, i, work, predicted,
             break
 
 
-@kernel(void(PATH_PROBLEM, types.UniTuple(MATRIX, 2), CONTROL, MATRIX, MATRIX, OUTCOME, MATRIX, boolean))
+@kernel(
+    void(PATH_PROBLEM, types.UniTuple(MATRIX, 2), CONTROL, MATRIX, MATRIX, OUTCOME, MATRIX, boolean), from_python=True
+)
 def follow(problem, loads, control, L, Y, outcome, guess, near):
     """Every sample of a batch from one load to the next.
 

@@ -10,15 +10,15 @@ from numba import int64, void
 from mic.contact.ladder import Rung
 from mic.contact.native.batch import BATCH, Batch
 from mic.contact.native.kernel import MATRIX, NUMBER, kernel
+from mic.contact.native.lapack import solution
 from mic.contact.native.law_equation import force_scale, relative
-from mic.contact.native.linear_step import solve_dense
 from mic.contact.native.matrices import assign
 from mic.contact.native.problem import ScaledProblem
 
 __all__ = ["active_set", "solve_frictionless"]
 
 
-@kernel(void(MATRIX, BATCH, NUMBER, int64))
+@kernel(void(MATRIX, BATCH, NUMBER, int64), from_python=True)
 def solve_frictionless(W, batch, tol, rounds):
     """Every sample of the batch, ``0 <= y ⊥ W y + q >= 0``: projected Gauss-Seidel, then Newton on the active set.
 
@@ -69,7 +69,7 @@ def solve_frictionless(W, batch, tol, rounds):
                     for b in range(count):
                         J[a, b] = W[i, active[b]]
                     J[a, a] += 1e-12
-                d = solve_dense(J, r)
+                d = solution(J, r)
                 y[:] = 0.0
                 for a in range(count):
                     y[active[a]] = d[a, 0]

@@ -13,7 +13,7 @@ __all__ = ["gauss_seidel", "local_factors"]
 NEARLY = 1e-9
 
 
-@kernel(MATRIX(MATRIX))
+@kernel(MATRIX(MATRIX), from_python=True)
 def local_factors(W):
     """What the one-contact problem needs of each diagonal block ``W_kk``.
 
@@ -120,7 +120,7 @@ def _coulomb_contact(P, mu, qn, q1, q2, slip):
     return yn, c * x - s * y, s * x + c * y, lam
 
 
-@kernel(types.Tuple((int64, NUMBER))(MATRIX, MATRIX, MATRIX, VECTOR, VECTOR, VECTOR, int64, NUMBER))
+@kernel(types.Tuple((int64, NUMBER))(MATRIX, MATRIX, MATRIX, VECTOR, VECTOR, VECTOR, int64, NUMBER), from_python=True)
 def gauss_seidel(W, P, parameters, y, w, slip, sweeps, tol):
     """Block Gauss-Seidel for Coulomb's law: solve contact after contact exactly, updating ``w = W y + q`` in place.
 

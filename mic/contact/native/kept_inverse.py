@@ -6,6 +6,7 @@ import numpy as np
 from numba import boolean, int64, types, void
 
 from mic.contact.native.kernel import BLOCKS, COUNTS, MATRIX, kernel
+from mic.contact.native.lapack import inverse_by_lapack
 from mic.contact.native.matrices import assign, system
 
 __all__ = ["DAMPING", "LARGE", "border", "change", "inverse_of", "inverted", "let_go"]
@@ -14,15 +15,6 @@ __all__ = ["DAMPING", "LARGE", "border", "change", "inverse_of", "inverted", "le
 DAMPING = 1e-12
 #: Rows of a matrix that LAPACK inverts.
 LARGE = 450
-
-
-@kernel(MATRIX(MATRIX))
-def _inverted_by_lapack(matrix):
-    """As :func:`inverted`, of a large one."""
-    try:
-        return np.linalg.inv(matrix.T).T  # the inverse comes column by column
-    except Exception:
-        return np.zeros_like(matrix)
 
 
 @kernel(void(MATRIX, MATRIX))
@@ -84,7 +76,7 @@ def inverted(matrix):
     """
     n = len(matrix)
     if n > LARGE:
-        return _inverted_by_lapack(matrix)
+        return inverse_by_lapack(matrix)
     rows, width = (n + 3) // 4 * 4, (n + 7) // 8 * 8
     M, place = np.zeros((rows, width)), np.empty(rows, np.int64)
     four, trial, pivot = np.empty((rows, 4)), np.empty((rows, 4)), np.empty((4, width))

@@ -5,7 +5,8 @@ the file of the kernel itself, not those of the kernels that it calls. Importing
 and a kernel that is loaded loads those that it calls.
 
 A kernel calls another one, as functions of a library call each other. Numba would copy the code of the callee into each
-caller, so that what stands at the bottom would be optimised again for all that stand above it.
+caller, so that what stands at the bottom would be optimised again for all that stand above it. Only kernels that Python
+calls have the wrapper that unpacks its arguments: wrappers for all would take a fifth of the compilation.
 """
 
 from __future__ import annotations
@@ -69,11 +70,12 @@ class _PackageCache(caching.FunctionCache):
 
 
 class Kernel(CPUDispatcher):
-    """A compiled function of one signature."""
+    """A compiled function of one signature, which other kernels call, and Python if ``from_python`` is set."""
 
-    def __init__(self, function: Callable, signature):
-        super().__init__(function, targetoptions={"nopython": True, "nogil": True, "error_model": "numpy"})
-        self._signature = signature
+    def __init__(self, function: Callable, signature, from_python: bool):
+        options = {"nopython": True, "nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}
+        super().__init__(function, targetoptions={**options, "no_cpython_wrapper": not from_python})
+        self._signature, self._from_python = signature, from_python
 
     @property
     def called(self) -> list[Kernel]:
@@ -107,15 +109,28 @@ class Kernel(CPUDispatcher):
         self.targetctx.remove_user_function(compiled.entry_point)
         self.targetctx.insert_user_function(compiled.entry_point, description)
 
-    def _compile_for_args(self, *_):  # at the first call: what Numba calls instead
+    def add_overload(self, compiled):
+        if self._from_python:
+            super().add_overload(compiled)
+        else:  # a call from Python would jump to a wrapper that is not there
+            self.overloads[tuple(compiled.signature.args)] = compiled
+
+    def _compile_for_args(self, *arguments):  # at the first call: what Numba calls instead
+        if not self._from_python:
+            self._explain_matching_error(*arguments)
         self.load()
         return self
+
+    def _explain_matching_error(self, *arguments):  # called if no overload fits
+        if not self._from_python:
+            raise TypeError(f"only kernels call {self.__qualname__}; Python may if its @kernel has from_python=True")
+        super()._explain_matching_error(*arguments)
 
     def get_call_template(self, args, kws):  # when a caller is compiled
         self.load()
         return super().get_call_template(args, kws)
 
 
-def kernel(signature) -> Callable[[Callable], Kernel]:
+def kernel(signature, from_python: bool = False) -> Callable[[Callable], Kernel]:
     """Decorator that makes a function a :class:`Kernel`."""
-    return lambda function: Kernel(function, signature)
+    return lambda function: Kernel(function, signature, from_python)

@@ -70,7 +70,7 @@ def linear_equation(A, B, open_):
         A[row, row], B[row, row] = open_, 1.0 - open_
 
 
-@kernel(void(EQUATION_POINTER, MATRIX, VECTOR, VECTOR, VECTOR, BLOCKS, BLOCKS, COUNTS))
+@kernel(void(EQUATION_POINTER, MATRIX, VECTOR, VECTOR, VECTOR, BLOCKS, BLOCKS, COUNTS), from_python=True)
 def derivative(equation, parameters, y, w, phi, A, B, state):
     """Fill all contacts' equations, their derivatives and states.
 
@@ -86,7 +86,7 @@ def derivative(equation, parameters, y, w, phi, A, B, state):
         linear_equation(A[k], B[k], open_)
 
 
-@kernel(NUMBER(NUMBER, VECTOR, VECTOR, VECTOR))
+@kernel(NUMBER(NUMBER, VECTOR, VECTOR, VECTOR), from_python=True)
 def force_scale(scale, q, y, w):
     """What errors are relative to, as in the certificate: the larger of ``scale`` and ``(yᵀ W y)^{1/2}``."""
     energy = 0.0
@@ -106,7 +106,7 @@ def relative(error, size):
     return 0.0 if error == 0.0 else np.inf
 
 
-@kernel(NUMBER(VECTOR))
+@kernel(NUMBER(VECTOR), from_python=True)
 def starting_scale(q):
     """Norm of ``Φ`` at ``y = 0``: the force with which each overlapping contact alone would answer ``q``."""
     total = 0.0

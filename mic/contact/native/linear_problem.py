@@ -6,7 +6,7 @@ import numpy as np
 from numba import int64
 
 from mic.contact.native.kernel import BLOCKS, COUNTS, MATRIX, VECTOR, kernel
-from mic.contact.native.linear_step import solve_dense
+from mic.contact.native.lapack import least_squares, solution
 from mic.contact.native.linearised_law import CONTACTS
 from mic.contact.native.matrices import assign
 
@@ -22,15 +22,11 @@ def solved(matrix, right):
     size = np.abs(right).max() if right.size else 0.0
     if size == 0.0:
         return np.zeros_like(right)
-    found = solve_dense(np.ascontiguousarray(matrix.T), right)
+    found = solution(np.ascontiguousarray(matrix.T), right)
     worst = np.abs(np.dot(matrix, found) - right).max()
     if worst <= UNSOLVED * size:
         return found
-    for i in range(len(matrix)):
-        for j in range(len(matrix)):
-            if not np.isfinite(matrix[i, j]):
-                return np.full_like(right, np.nan)
-    return np.ascontiguousarray(np.linalg.lstsq(matrix, right, HYPERSTATIC)[0])
+    return least_squares(matrix, right, HYPERSTATIC)
 
 
 @kernel(MATRIX(MATRIX, BLOCKS, BLOCKS, COUNTS))

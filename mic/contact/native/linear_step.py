@@ -8,9 +8,10 @@ import numpy as np
 from numba import boolean, int64, typeof, types, void
 
 from mic.contact.native.kernel import BLOCKS, COUNTS, MATRIX, NUMBER, VECTOR, kernel
+from mic.contact.native.lapack import solution
 from mic.contact.states import SLIP
 
-__all__ = ["LARGE", "linear_step", "solve_dense"]
+__all__ = ["LARGE", "linear_step"]
 
 
 class Unknowns(NamedTuple):
@@ -42,15 +43,6 @@ RANK = 1e-10
 LARGE = 900
 #: Iterations of GMRES, and its residual relative to the right-hand side; each Newton step gains that much.
 KRYLOV, NEAR = 40, 1e-8
-
-
-@kernel(MATRIX(MATRIX, MATRIX))
-def solve_dense(columns, right):
-    """``J⁻¹ R`` of a matrix given by its columns, ``Jᵀ``, as LAPACK has it; zeros if it is singular to the last bit."""
-    try:
-        return np.ascontiguousarray(np.linalg.solve(columns.T, right))
-    except Exception:
-        return np.zeros_like(right)
 
 
 @kernel(void(NUMBER, NUMBER, NUMBER, BLOCKS, int64))
@@ -255,7 +247,7 @@ def _columns(W, unknowns, C, D, damping, size):
     return columns
 
 
-@kernel(boolean(MATRIX, BLOCKS, BLOCKS, VECTOR, COUNTS, int64, VECTOR, NUMBER, boolean, VECTOR))
+@kernel(boolean(MATRIX, BLOCKS, BLOCKS, VECTOR, COUNTS, int64, VECTOR, NUMBER, boolean, VECTOR), from_python=True)
 def linear_step(W, A, B, phi, state, known, z, damping, approach, x):
     """Solve ``A_k x_k + B_k (W x)_k = -Φ_k`` for all contacts, given that ``x = -z`` where ``state`` is ``known``.
 
@@ -276,7 +268,7 @@ def linear_step(W, A, B, phi, state, known, z, damping, approach, x):
     large = approach and len(r) > LARGE
     approach = approach and (not large or _approached(columns, r, d))
     if not large or not approach:
-        d = solve_dense(columns, r.reshape((len(r), 1))).ravel()
+        d = solution(columns, r.reshape((len(r), 1))).ravel()
     for a in range(len(contacts)):
         for q in range(unknowns.some[a]):
             for c in range(3):

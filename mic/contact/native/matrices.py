@@ -29,7 +29,7 @@ def assign_sum(target, a, factor, b):
         target[i] = a[i] + factor * b[i]
 
 
-@kernel(void(MATRIX, VECTOR, VECTOR))
+@kernel(void(MATRIX, VECTOR, VECTOR), from_python=True)
 def times(W, x, out):
     """``out = W x`` for symmetric ``W``, skipping the contacts where ``x`` vanishes; two of the others at a time."""
     out[:] = 0.0
@@ -85,7 +85,7 @@ def times_together(W, X, out):
                 only[j] += row0[j] * a0 + row1[j] * a1 + row2[j] * a2
 
 
-@kernel(void(MATRIX, MATRIX, COUNTS, MATRIX, MATRIX))
+@kernel(void(MATRIX, MATRIX, COUNTS, MATRIX, MATRIX), from_python=True)
 def responses(S, T, at, F, out):
     """``out = F Sᵀ``, one sample a row, skipping the entries of F that vanish; column k is row ``at[k]`` of S and T.
 
@@ -113,7 +113,7 @@ def responses(S, T, at, F, out):
                 row[j] += S0[j] * f0 + S1[j] * f1 + S2[j] * f2 + S3[j] * f3
 
 
-@kernel(MATRIX(MATRIX, MATRIX, COUNTS, COUNTS))
+@kernel(MATRIX(MATRIX, MATRIX, COUNTS, COUNTS), from_python=True)
 def symmetric(S, T, at, numbers):
     """Rows and columns `numbers` of a matrix, the mean of it and its transpose; column k is row ``at[k]`` of S, T."""
     n, size = len(numbers), len(S)
@@ -131,7 +131,7 @@ def symmetric(S, T, at, numbers):
     return out
 
 
-@kernel(MATRIX(MATRIX, COUNTS, int64))
+@kernel(MATRIX(MATRIX, COUNTS, int64), from_python=True)
 def block(S, own, size):
     """Rows and columns of the contacts `own`, `size` each, of a matrix over all: a fraction of the cost of taking rows,
     then columns, where few of many are asked for."""

@@ -64,7 +64,9 @@ COUPLING = typeof(Coupling(*np.empty((3, 0, 0))))
 NEWTON_SETTINGS = typeof(NewtonSettings(0.0, 0.0, 0.0, 0.0, 0, 0))
 
 
-@kernel(types.Tuple((NUMBER, int64))(EQUATION_POINTER, COUPLING, VECTOR, VECTOR, VECTOR, NEWTON_SETTINGS))
+@kernel(
+    types.Tuple((NUMBER, int64))(EQUATION_POINTER, COUPLING, VECTOR, VECTOR, VECTOR, NEWTON_SETTINGS), from_python=True
+)
 def newton(equation, coupling, q, y, w, settings):
     """Semismooth Newton on ``Φ(y, W y + q) = 0``; ``y`` and ``w`` end at the best point found.
 

@@ -275,7 +275,10 @@ def _solve(contacts, loads, step, slopes, alone, x, f, F, state):
     return False
 
 
-@kernel(void(CONTACTS, RECORDS, ALL_LOADS, COUNTS, boolean, MATRIX, BLOCKS, types.Array(int64, 2, "C"), MATRIX))
+@kernel(
+    void(CONTACTS, RECORDS, ALL_LOADS, COUNTS, boolean, MATRIX, BLOCKS, types.Array(int64, 2, "C"), MATRIX),
+    from_python=True,
+)
 def differentiate(contacts, records, loads, first, forced, f, F, state, q):
     """Solve the recorded steps of n samples again, with derivatives.
 

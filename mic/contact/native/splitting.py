@@ -48,7 +48,7 @@ def _split(shift, q, parameters, rho, z, l, r, x):
         r[i + 2] = rho * z[i + 2] - l[i + 2] - q[i + 2]
 
 
-@kernel(void(EQUATION_POINTER, COUPLING, MATRIX, NUMBER, NUMBER, BATCH, NUMBER, int64, int64))
+@kernel(void(EQUATION_POINTER, COUPLING, MATRIX, NUMBER, NUMBER, BATCH, NUMBER, int64, int64), from_python=True)
 def solve_by_splitting(equation, coupling, resolvent, rho, shift, batch, tol, steps, rounds):
     """Every sample of the batch: splitting, then Newton, in rounds with twice the splitting ``steps`` each.
 

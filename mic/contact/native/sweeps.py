@@ -19,7 +19,7 @@ from mic.contact.native.problem import ScaledProblem
 __all__ = ["sweeps"]
 
 
-@kernel(void(EQUATION_POINTER, COUPLING, MATRIX, BATCH, NUMBER, int64, int64, NUMBER))
+@kernel(void(EQUATION_POINTER, COUPLING, MATRIX, BATCH, NUMBER, int64, int64, NUMBER), from_python=True)
 def solve_by_sweeps(equation, coupling, P, batch, tol, rounds, sweeps, crowd):
     """Every sample of the batch: Gauss-Seidel, then Newton, in rounds with twice the ``sweeps`` each.
 

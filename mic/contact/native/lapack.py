@@ -1,0 +1,79 @@
+"""Linear systems by LAPACK: with their checks and messages, those of ``np.linalg`` take a tenth of all compilation.
+
+What stands row by row here is read column by column there: the transpose.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import boolean, float64, int32, types
+
+from mic.contact.native.kernel import MATRIX, NUMBER, kernel
+
+__all__ = ["inverse_by_lapack", "least_squares", "solution"]
+
+#: Kind of numbers, the first argument of a routine: double precision.
+DOUBLE = ord("d")
+_KIND, _SIZE, _NUMBERS, _INTEGERS = types.char, types.intp, types.CPointer(float64), types.CPointer(int32)
+
+
+def _routine(name: str, *arguments) -> types.ExternalFunction:
+    """What Numba itself calls; returns 0 if LAPACK succeeds."""
+    return types.ExternalFunction(f"numba_{name}", types.intc(_KIND, *arguments))
+
+
+_solve = _routine("xgesv", _SIZE, _SIZE, _NUMBERS, _SIZE, _INTEGERS, _NUMBERS, _SIZE)
+_factorise = _routine("xxgetrf", _SIZE, _SIZE, _NUMBERS, _SIZE, _INTEGERS)
+_invert = _routine("ez_xxgetri", _SIZE, _NUMBERS, _SIZE, _INTEGERS)
+_solve_least_squares = _routine(
+    "ez_gelsd", _SIZE, _SIZE, _SIZE, _NUMBERS, _SIZE, _NUMBERS, _SIZE, _NUMBERS, float64, _INTEGERS
+)
+
+
+@kernel(boolean(MATRIX))
+def _finite(matrix):
+    for row in matrix:
+        for value in row:
+            if not math.isfinite(value):
+                return False
+    return True
+
+
+@kernel(MATRIX(MATRIX, MATRIX))
+def solution(columns, right):
+    """``J⁻¹ R`` of a matrix given by its columns, ``Jᵀ``; zeros if it is singular to the last bit, or not finite."""
+    n, count = right.shape
+    J, x, pivots = columns.copy(), np.ascontiguousarray(right.T), np.empty(n, np.int32)
+    if n == 0 or not (_finite(J) and _finite(x)):
+        return np.zeros((n, count))
+    if _solve(DOUBLE, n, count, J.ctypes, n, pivots.ctypes, x.ctypes, n) != 0:
+        return np.zeros((n, count))
+    return np.ascontiguousarray(x.T)
+
+
+@kernel(MATRIX(MATRIX))
+def inverse_by_lapack(matrix):
+    """Inverse of a matrix; zeros if it is singular to the last bit, or not finite."""
+    n, found, pivots = len(matrix), matrix.copy(), np.empty(len(matrix), np.int32)
+    if n == 0 or not _finite(found):
+        return np.zeros((n, n))
+    if _factorise(DOUBLE, n, n, found.ctypes, n, pivots.ctypes) != 0:
+        return np.zeros((n, n))
+    if _invert(DOUBLE, n, found.ctypes, n, pivots.ctypes) != 0:
+        return np.zeros((n, n))
+    return found
+
+
+@kernel(MATRIX(MATRIX, MATRIX, NUMBER))
+def least_squares(matrix, right, negligible):
+    """Least solution of a square system; singular values below ``negligible`` of the largest count as zero."""
+    n, count = right.shape
+    J, x = np.ascontiguousarray(matrix.T), np.ascontiguousarray(right.T)
+    sizes, rank = np.empty(n), np.empty(1, np.int32)
+    if n == 0 or not (_finite(J) and _finite(x)):
+        return np.full((n, count), np.nan)
+    if _solve_least_squares(DOUBLE, n, n, count, J.ctypes, n, x.ctypes, n, sizes.ctypes, negligible, rank.ctypes) != 0:
+        return np.full((n, count), np.nan)
+    return np.ascontiguousarray(x.T)
