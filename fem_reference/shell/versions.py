@@ -1,7 +1,7 @@
 """The supported dolfinx versions.
 
-`fem_reference.shell.compat` holds the calls that differ between them. The tests pass with the versions in `TRIED`; for
-those in `READ` only the documentation of dolfinx was read. Every other version is refused.
+`fem_reference.shell.compat` holds the calls that differ between them. The tests of finite elements pass with the
+versions in `TRIED`. Every other version is refused.
 
 The module imports only the standard library, so that it can run before anything is installed:
 ``python3 -I fem_reference/shell/versions.py`` ends with exit code 0 if the interpreter's dolfinx is supported, and
@@ -13,10 +13,14 @@ from __future__ import annotations
 import sys
 from importlib.metadata import PackageNotFoundError, packages_distributions, version
 
-__all__ = ["READ", "TRIED", "UnsupportedVersion", "installed", "supported"]
+__all__ = ["TRIED", "UnsupportedVersion", "installed", "supported"]
 
-TRIED = {(0, 5): "Debian 12", (0, 9): "Debian 13", (0, 11): "wheel dolfinx-solver-real, Debian unstable"}
-READ = ((0, 10),)
+TRIED = {
+    (0, 5): "Debian 12",
+    (0, 9): "Debian 13",
+    (0, 10): "Ubuntu 26.04",
+    (0, 11): "wheel dolfinx-solver-real, Debian unstable",
+}
 REMEDY = "apt-get install python3-dolfinx (Debian), or pip install dolfinx-solver-real (Linux, Python 3.12 or later)"
 
 
@@ -30,13 +34,12 @@ def supported(text: str) -> tuple[int, int]:
     Raises
     ------
     UnsupportedVersion
-        If it is neither in `TRIED` nor in `READ`.
+        If it is not in `TRIED`.
     """
     major, minor = (int(part) for part in text.split(".")[:2])
-    if (major, minor) in TRIED or (major, minor) in READ:
+    if (major, minor) in TRIED:
         return major, minor
-    known = sorted([*TRIED, *READ])
-    names = [f"{a}.{b}" + (f" ({TRIED[a, b]})" if (a, b) in TRIED else "") for a, b in known]
+    names = [f"{a}.{b} ({where})" for (a, b), where in TRIED.items()]
     raise UnsupportedVersion(f"dolfinx {text} is not supported; install one of {', '.join(names)}: {REMEDY}")
 
 
