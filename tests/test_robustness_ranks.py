@@ -25,8 +25,8 @@ PAIRED = 4  # blocks with contact pairs and forces
 TABLES = [table.name for table in (*DATASETS, FORCES, SUMS, CONDENSED)]
 SECONDS = 240  # after which processes count as hanging; on a busy machine they take ten to start
 
-without_mpirun = pytest.mark.skipif(launcher() is None, reason="mpirun is not installed")
-pytestmark = [pytest.mark.fem, pytest.mark.slow, without_mpirun]
+needs_mpirun = pytest.mark.skipif(launcher() is None, reason="mpirun is not installed")
+pytestmark = [pytest.mark.fem, pytest.mark.slow, needs_mpirun]
 
 
 @pytest.fixture(scope="module")

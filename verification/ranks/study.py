@@ -19,7 +19,7 @@ from verification.study import FOLDER, Acceptance, Finding, Study
 SOLVES = (("lap_joint", "coarse", (1, 2, 4)), ("wheelhouse", "medium", (1, 2)))
 QUICK_SOLVES = (("hat_on_plate", "coarse", (1, 2)),)
 LAUNCHED = ("OMPI_", "PMIX_", "PMI_", "PRTE_", "HYDRA_", "MPI_")  # variables of the mpirun that started this process
-#: More processes than cores, bound to none: MPICH does so by itself, Open MPI on request, the fourth and the fifth.
+#: More processes than cores, bound to none: MPICH does so by itself, Open MPI 4 if OMPI_ asks for it, 5 if PRTE_ does.
 SETTINGS = {
     "OMPI_MCA_rmaps_base_oversubscribe": "1",
     "OMPI_MCA_hwloc_base_binding_policy": "none",
