@@ -174,7 +174,7 @@ def test_tables_as_people_have_them_are_read_unchanged(case, tmp_path):
     content, kind, first = TABLES_OF_PEOPLE[case]
     rows, said = rows_of(tmp_path, content, kind)
     assert rows[0] == first
-    assert said.startswith("I read your columns so: ")
+    assert said.startswith("columns read: ")
 
 
 #: Cases whose numbers in a workbook went through another unit and back.
@@ -338,7 +338,7 @@ def test_what_cannot_be_read_is_refused_in_one_sentence(case, tmp_path):
 def test_standard_headers_are_read_without_a_word(tmp_path):
     assert rows_of(tmp_path, "name,x,y,z,parts\nW,1,2,3,rail plate\n", Weld)[1] == ""
     said = rows_of(tmp_path, "Id;x;y;Z [in];colour\nW;1;2;3;red\n", Weld, unit="mm")[1]
-    assert said == "I read your columns so: z from 'Z [in]', name from 'Id', z × 25.4, x, y as named; ignored: 'colour'"
+    assert said == "columns read: z from 'Z [in]', name from 'Id', z × 25.4, x, y as named; ignored: 'colour'"
 
 
 finite = st.floats(allow_nan=False, allow_infinity=False, width=64)
@@ -490,7 +490,7 @@ def test_a_scene_calls_its_parts_by_any_of_their_names(tmp_path):
     assert found["welds"] == [{"name": "W_1", "radius": 3, "parts": ["rail", "plate"], "point": [1.0, 2.0, 3.0]}]
     assert found["zones"][0]["parts"] == ["rail", "plate"]
     assert found["tables_read"] == [
-        "w.csv: I read your columns so: x from 'X', y from 'Y', z from 'Z', name from 'Weld', part1 from 'Part 1', "
+        "w.csv: columns read: x from 'X', y from 'Y', z from 'Z', name from 'Weld', part1 from 'Part 1', "
         "part2 from 'Part 2'"
     ]
 

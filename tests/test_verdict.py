@@ -172,7 +172,7 @@ def test_thirty_samples_claim_less_than_95_per_cent(copied, no_pictures):
     """In verdict, report, summary and tables; 15 of 30 samples show what half of the assemblies do."""
     outcome = read_outcome(copied)
     (said,) = [one for one in verdict(outcome).sentences if one.startswith("Intervals: ")]
-    assert "at least 90 % of them hold, for what 50.0 % or more of the assemblies do; 30 samples may" in said
+    assert "at least 90 % contain the true value, for effects in at least 50.0 % of the assemblies; 30 samples" in said
     assert outcome.summary()["confidence_level"] == 0.9
     characteristics = outcome.summary()["laws"]["coulomb"]["measurements"].values()
     assert all((one["confidence"], one["rarest_event"]) == (0.9, 0.5) for one in characteristics)

@@ -345,9 +345,7 @@ def test_tables_call_renamed_parts_by_the_names_of_their_decks(tmp_path):
     assert [(weld.name, weld.parts, weld.point) for weld in scene.welds] == [("S1", ("rail", "b"), (65.5, 15, 0.5))]
     (point,) = scene.measurements
     assert (point.name, point.part, point.lower, point.upper) == ("M1", "rail", -0.25, 0.25)
-    assert (
-        proposal.sentences[0].startswith("w.csv: I read your columns so: x from 'X [mm]'") and scene.tables_read == []
-    )
+    assert proposal.sentences[0].startswith("w.csv: columns read: x from 'X [mm]'") and scene.tables_read == []
     with pytest.raises(mic.SceneError, match="--name c=…: there is no part called 'c'; known: a, b"):
         write_scene(laid(tmp_path), tmp_path / "other", {None: 1.0}, renamed={"c": "rail"})
     with pytest.raises(mic.SceneError, match="--name: the parts would be b, b; give each a name of its own"):

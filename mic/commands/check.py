@@ -211,9 +211,9 @@ def _print_sources(console, assembly, results):
 def _one_sigma(one) -> str:
     """What one standard deviation of a source does, in words."""
     if one.rule in ("stiffness", "none"):
-        return "needs the stiffness" if one.rule == "stiffness" else "moves no free part"
+        return "needs the influence coefficients" if one.rule == "stiffness" else "moves no free part"
     if one.point is None:
-        return f"{one.length:.3g} mm at its item, whose part bends"
+        return f"{one.length:.3g} mm at the item; the part bends"
     about = "about " if one.rule == "estimate" else ""
     return f"{about}{one.length:.3g} mm, {one.part} at ({', '.join(f'{x:.0f}' for x in one.point)})"
 

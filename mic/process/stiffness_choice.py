@@ -120,8 +120,8 @@ def stiffness_sentences(assembly: Assembly, nominal: Reduction) -> list[str]:
         return []
     remedy = f'`stiffness = "auto"` would use {USED[choice.suitable]}'
     if choice.obstacle:
-        remedy += f", but for this: {choice.obstacle}"
+        remedy += f"; this scene prevents it: {choice.obstacle}"
     return [
-        f"{choice.measure}: the nominal stiffness may change key characteristics by up to about "
-        f"{100 * ALLOWED / LIMIT * choice.deviation:.0f} % of the largest; {remedy}"
+        f"{choice.measure}. The nominal stiffness may change key characteristics by up to about "
+        f"{100 * ALLOWED / LIMIT * choice.deviation:.0f} % of the largest. {remedy}"
     ]

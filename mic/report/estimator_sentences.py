@@ -43,7 +43,7 @@ def estimator_sentences(outcome: Outcome) -> list[str]:
 
 
 def claimed_confidence(outcome: Outcome) -> str:
-    """Share of the intervals of the run that hold, at least, in words."""
+    """Smallest share of the intervals of the run that contain the true value, in words."""
     return percent(float(confidence(min((len(outcome.sample_numbers(law)) for law in outcome.laws), default=0))))
 
 
@@ -55,10 +55,10 @@ def interval_claim(outcome: Outcome, law: str) -> str:
     if samples < FEWEST:
         return f"Fewer than {FEWEST} samples give no intervals."
     share = float(rarest_event(samples))
-    whom = f"what {percent(share, 1)} or more of the assemblies do" if share < 1 else "what all assemblies do"
+    effects = f"effects in at least {percent(share, 1)} of the assemblies" if share < 1 else "effects in all assemblies"
     return (
-        f"Intervals: at least {percent(float(confidence(samples)))} of them hold, for {whom}; {samples} samples may "
-        "show too little of anything rarer."
+        f"Intervals: at least {percent(float(confidence(samples)))} contain the true value, for {effects}; "
+        f"{samples} samples may miss rarer effects."
     )
 
 

@@ -95,7 +95,7 @@ class Header:
         if not unusual and not ignored:
             return ""
         read = [*unusual, *([f"{', '.join(usual)} as named"] if usual else [])] or ["none"]
-        return "I read your columns so: " + ", ".join(read) + ("; ignored: " + ", ".join(ignored) if ignored else "")
+        return "columns read: " + ", ".join(read) + ("; ignored: " + ", ".join(ignored) if ignored else "")
 
 
 @dataclass(frozen=True)
