@@ -1,4 +1,4 @@
-"""Picture of the trade: error against cost of all versions."""
+"""Picture of error against cost of all versions."""
 
 from __future__ import annotations
 

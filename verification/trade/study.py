@@ -542,10 +542,10 @@ REASONS = {
 
 STUDY = Study(
     order=110,
-    title="The trade",
+    title="Accuracy against cost",
     claim=(
-        "Accuracy can be bought in many ways. Three named settings lie on the front of cost and error, `auto` chooses "
-        "for a scene, and the study states the cost of 6σ to 1, 2, 5 or 10 %."
+        "Three named settings lie on the Pareto front of cost and error, `auto` chooses a setting for a scene, and the "
+        "study states the cost of 6σ to 1, 2, 5 or 10 %."
     ),
     reference=(
         "Lap joint and bracket, finer in every parameter than any setting (elements, candidate distance, path), on "
