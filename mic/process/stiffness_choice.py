@@ -69,7 +69,7 @@ class StiffnessChoice:
         """The deviation in words."""
         if not self.part:
             return "no part deviates in shape"
-        return f"{self.part} deviates by {self.deviation:.2g} of its thickness"
+        return f"part {self.part} deviates by {self.deviation:.2g} of its thickness"
 
 
 def choose_stiffness(assembly: Assembly, nominal: Reduction) -> StiffnessChoice:
