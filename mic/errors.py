@@ -35,7 +35,7 @@ class MicError(Exception):
     """Base of every error whose message tells the user what to correct."""
 
     def _render_traceback_(self) -> list[str]:
-        """What IPython and notebooks print: the lines of the user, without those of this program, and the message."""
+        """Traceback for IPython and notebooks: the user's lines, without those of this program, and the message."""
         frames = traceback.extract_tb(self.__traceback__)
         own = [frame for frame in frames if not any(folder in frame.filename for folder in _INNER)]
         return [*traceback.format_list(own), f"{type(self).__name__}: {self}"]

@@ -153,7 +153,7 @@ def opt_beta0(poisson: float) -> float:
 
 
 class Kinematics(NamedTuple):
-    """What both elements read off (u, θ): components in the triangle's plane, and their plane gradients."""
+    """Quantities that both elements take from (u, θ): components in the triangle's plane, and their plane gradients."""
 
     grad_u: ufl.core.expr.Expr  #: ∂u_α/∂x_β, (2, 2)
     grad_w: ufl.core.expr.Expr  #: ∇w, (2,)
@@ -187,7 +187,7 @@ def kinematics(T: Triangle, u, θ) -> Kinematics:
 
 
 class Corners(NamedTuple):
-    """What the curved edges read off the triangle's corners; vectors of space."""
+    """Normals, rotations and displacement gradient of a curved triangle at its corners, as vectors of space."""
 
     normal: list  #: n0, n1, n2
     rotation: list  #: θ0, θ1, θ2
@@ -399,7 +399,7 @@ def p2_cr(V, material: Material, normals=None):
 
 @dataclass(frozen=True)
 class ShellElement:
-    """What a part needs to know of an element.
+    """The properties of an element that a part uses.
 
     Attributes
     ----------

@@ -1,1 +1,1 @@
-"""What the commands of ``mic`` do, one file a command or kind of command; :mod:`mic.options` declares them."""
+"""The commands of ``mic``, one file each or one for a kind; :mod:`mic.options` declares their options."""

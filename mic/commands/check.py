@@ -114,7 +114,7 @@ def check(scene, law, accuracy, converge, normals, overlap, strict, page):
 
 
 def _optimisation(assembly) -> list[str]:
-    """What `mic optimise` may change, in sentences; refuses places off the parts."""
+    """Describe the changes that `mic optimise` may make; refuses places off the parts."""
     if assembly.scene.optimise is None:
         return []
     from mic.studies.optimisation.description import describe  # few scenes have a table `optimise`
@@ -209,7 +209,7 @@ def _print_sources(console, assembly, results):
 
 
 def _one_sigma(one) -> str:
-    """What one standard deviation of a source does, in words."""
+    """Describe the effect of one standard deviation of a source."""
     if one.rule in ("stiffness", "none"):
         return "needs the influence coefficients" if one.rule == "stiffness" else "moves no free part"
     if one.point is None:
@@ -313,7 +313,7 @@ def _print_normals(console, assembly):
 
 
 def _coefficients(part):
-    """Where the part's influence coefficients come from.
+    """Origin of the part's influence coefficients.
 
     Raises
     ------

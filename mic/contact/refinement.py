@@ -85,7 +85,7 @@ def _step(S, w, parameters, force, law, unit):
     step = -np.where((state == OPEN)[:, None], phi, 0.0).ravel()
     if len(closed):
         rows = (d * closed[:, None] + np.arange(d)).ravel()
-        # What opens moves the others.
+        # A contact that opens moves the others.
         gone = np.flatnonzero(step)
         right = phi[closed] + _times(B[closed], D[rows] * (S[np.ix_(rows, gone)] @ (D[gone] * step[gone])))
         W = (D[rows, None] * S[np.ix_(rows, rows)] * D[rows]).reshape(len(closed), d, -1)

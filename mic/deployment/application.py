@@ -78,7 +78,7 @@ class ProposedChange(BaseModel):
 
 
 class Certificate(BaseModel):
-    """How the characteristics were computed, and how accurately."""
+    """Method by which the characteristics were computed, and its accuracy."""
 
     method: Literal["learnt", "evaluated", "none"]
     residual: float | None = Field(None, description="Largest scale-free residual of the contact problems.")

@@ -56,7 +56,7 @@ class ScanFolder:
     folder: Path
 
     def content(self, serial: str) -> dict[str, Any]:
-        """What a request logs of the scans of a serial number: the number, and a checksum of the files.
+        """Log entry of the scans of a serial number: the number, and a checksum of the files.
 
         Raises
         ------
@@ -257,7 +257,7 @@ class Service:
         await asyncio.gather(*self._tasks, return_exceptions=True)
 
     async def content(self, deviations: dict[str, float], scan: str | None) -> Content:
-        """What a request states, with a checksum of the scans of its serial number.
+        """Content of a request, with a checksum of the scans of its serial number.
 
         Raises
         ------

@@ -42,7 +42,7 @@ _POLICY = (
 
 
 class GuardedPage(Protocol):
-    """What a page permits its clients."""
+    """Permissions of a page's clients."""
 
     def permitted_value(self, key: str, value: Any) -> Any:
         """The value that a variable of the page gets for a client's value; None if the client may not set it."""

@@ -140,7 +140,7 @@ def _turned(arms: np.ndarray) -> np.ndarray:
 
 
 def displacements(assembly: Assembly, shapes: Sequence[SourceShape] = ()) -> list[Displacement]:
-    """What one standard deviation of each source does to the free parts, the largest first.
+    """Displacement of the free parts by one standard deviation of each source, the largest first.
 
     Sources that need the stiffness follow, then those that move nothing. The modes of a random field or of measured
     shapes count as one source, by the root of the sum of their squares.

@@ -1,4 +1,4 @@
-"""What the functions of the rules return."""
+"""Return type of the rules."""
 
 from __future__ import annotations
 

@@ -24,7 +24,7 @@ LOAD = 5e4  # N at one support or contact pair
 
 @dataclass(frozen=True)
 class Results:
-    """What samples of a scene give.
+    """Results of a scene's samples.
 
     Attributes
     ----------

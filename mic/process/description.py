@@ -15,7 +15,7 @@ MAX_NAMES = 6  # longer lists are shortened to their first names and the last
 
 
 def opening(plan: StagePlan, contacts: bool) -> str:
-    """How contact is treated in a stage, in a few words.
+    """Describe the treatment of contact in a stage.
 
     Parameters
     ----------
@@ -140,7 +140,7 @@ def _names(items, numbers: Sequence[int]) -> list[str]:
 
 
 def _clause(noun: str, names: Sequence[str], plural: str, singular: str, how: str = "") -> Iterable[str]:
-    """What happens to the items with these names; nothing if there are none."""
+    """Describe the action on the items with these names; empty if there are none."""
     if names:
         yield (f"{noun}s {_enumeration(names)} {plural}" if len(names) > 1 else f"{noun} {names[0]} {singular}") + how
 

@@ -137,6 +137,6 @@ def contact_columns(
 
 
 def states(state: np.ndarray) -> str:
-    """How many contacts are in each state, as ``3 open, 20 stick, 1 slip``."""
+    """Number of contacts in each state, as ``3 open, 20 stick, 1 slip``."""
     count = np.bincount(state.ravel(), minlength=len(STATES))
     return ", ".join(f"{number} {name}" for number, name in zip(count.tolist(), STATES))

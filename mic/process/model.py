@@ -105,7 +105,7 @@ class ReducedModel(Reduction):
         return {}
 
     def __getstate__(self) -> dict[str, Any]:
-        """What a copy or another process needs; it prepares the laws that it uses itself."""
+        """State for a copy or another process, which prepares the laws that it uses itself."""
         return {name: value for name, value in vars(self).items() if name != "_processes"}
 
     @checked

@@ -119,5 +119,5 @@ class MovingRows:
 
 
 def _columns(rows: Sequence[Row], place: Place) -> list[int]:
-    """Where the row that moves stands among some rows."""
+    """Position of the moving row among some rows."""
     return [j for j, row in enumerate(rows) if row == place.row]

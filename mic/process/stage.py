@@ -570,7 +570,7 @@ def _side_by_side(first: np.ndarray, second: np.ndarray) -> np.ndarray:
 
 
 def path_of(plan: StagePlan, law, tolerance: float, thinnest: float) -> Path:
-    """How a stage's steps are followed under a law, where the thinnest part has this thickness."""
+    """Settings by which the steps of a stage are followed under a law, for this smallest thickness."""
     if plan.path == "followed" and law.followed:
         return Followed(tolerance, LEAST_MOTION * thinnest)
     return Increments(plan.increments)

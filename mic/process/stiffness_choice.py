@@ -35,7 +35,7 @@ USED = {
 
 @dataclass(frozen=True)
 class StiffnessChoice:
-    """What ``stiffness = "auto"`` uses for a scene.
+    """The stiffness that ``"auto"`` chooses for a scene.
 
     Attributes
     ----------
@@ -61,7 +61,7 @@ class StiffnessChoice:
 
     @property
     def stiffness(self) -> str:
-        """What is used: the suitable stiffness, or the nominal one if there is an obstacle."""
+        """The stiffness in use: the suitable one, or the nominal one if there is an obstacle."""
         return "nominal" if self.obstacle else self.suitable
 
     @property
@@ -73,7 +73,7 @@ class StiffnessChoice:
 
 
 def choose_stiffness(assembly: Assembly, nominal: Reduction) -> StiffnessChoice:
-    """What ``stiffness = "auto"`` uses for an assembly.
+    """Choose the stiffness of an assembly for ``stiffness = "auto"``.
 
     Parameters
     ----------
@@ -104,7 +104,7 @@ def _size(part, scene, shape: np.ndarray, deviations: np.ndarray) -> float:
 
 
 def stiffness_sentences(assembly: Assembly, nominal: Reduction) -> list[str]:
-    """What ``stiffness = "auto"`` uses, or what a scene with the nominal stiffness should use; empty if that suits it.
+    """State the choice of ``"auto"``, or advise a scene whose nominal stiffness is too inaccurate; else empty.
 
     Parameters
     ----------

@@ -166,7 +166,7 @@ def state_picture(outcome: Outcome, context: Context) -> Picture | None:
 
 
 def _motion_sentence(outcome, context):
-    """How friction changes mean and spread of the tangential displacement, zone by zone."""
+    """Sentence on the change of the tangential displacement's mean and spread by friction, zone by zone."""
     frictional, frictionless = context.frictional, context.frictionless
     if frictional is None or frictionless is None:
         return ""

@@ -48,7 +48,7 @@ def claimed_confidence(outcome: Outcome) -> str:
 
 
 def interval_claim(outcome: Outcome, law: str) -> str:
-    """What the intervals of the key characteristics hold for."""
+    """State which effects the intervals of the key characteristics cover, and how often."""
     improved, samples = outcome.improved(law), len(outcome.sample_numbers(law))
     if improved is not None and all(yes for key, yes in zip(improved.keys, improved.better) if key[0] == "measurement"):
         return _unseen(outcome, law)
@@ -84,7 +84,7 @@ def _of_law(outcome: Outcome, law: str) -> str:
 
 
 def _words(kind: str, better: bool) -> str:
-    """How an output is estimated, after its name."""
+    """Describe the estimator of an output, after the output's name."""
     *one_step, function = kind.split(", ")
     if not better:
         return "by the samples alone, because no surrogate is better"
@@ -100,7 +100,7 @@ def _at_least(share: float) -> str:
 
 
 def _unseen(outcome: Outcome, law: str) -> str:
-    """What the samples may not show."""
+    """State which effects the samples may miss."""
     improved, samples = outcome.improved(law), len(outcome.sample_numbers(law))
     cheap = improved.estimates.cheap_samples if improved else 0
     share, beyond = percent(float(rarest_event(samples, SEEN)), 1), ""

@@ -25,7 +25,7 @@ STUDIED = (
 
 @dataclass(frozen=True)
 class LawCost:
-    """What the associated law (13) does otherwise than Coulomb's, over n samples valid under both and m contacts.
+    """Differences between the associated law (13) and Coulomb's, over n samples valid under both and m contacts.
 
     Attributes
     ----------

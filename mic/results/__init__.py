@@ -1,1 +1,1 @@
-"""What a run leaves behind: its tables, statistics with their uncertainty, displacement fields."""
+"""The results of a run: tables, statistics with their uncertainty, displacement fields."""

@@ -38,7 +38,7 @@ class OutputSamples:
 
     @classmethod
     def of(cls, block: BlockSamples, model) -> OutputSamples:
-        """Those of a block.
+        """The outputs of a block.
 
         Parameters
         ----------

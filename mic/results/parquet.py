@@ -85,7 +85,7 @@ def _verified(content: bytes) -> bytes:
 
 
 def _footer(content: bytes) -> int:
-    """Where the footer of a Parquet file begins."""
+    """Offset of the footer of a Parquet file."""
     length, magic = content[-LENGTH - len(MAGIC) : -len(MAGIC)], content[-len(MAGIC) :]
     footer = len(content) - len(MAGIC) - LENGTH - int.from_bytes(length, "little")
     if magic != MAGIC or footer < 0:

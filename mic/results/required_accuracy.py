@@ -49,7 +49,7 @@ class Uncertainty(NamedTuple):
         return self.ratio <= 1
 
     def sentence(self, samples: int) -> str:
-        """What a number of samples has reached, and what to do if that is not enough."""
+        """State the accuracy that a number of samples has reached, and the remedy if it is insufficient."""
         title, unit = QUANTITIES[self.quantity]
         half, required = (_number(value, unit) for value in (self.ratio * self.required, self.required))
         subject = f"{title} of {self.name}"
@@ -86,7 +86,7 @@ def _of_characteristics(table: pd.DataFrame, required: Mapping[str, float]) -> I
 
 
 def _of_slips(table: pd.DataFrame, required: float) -> Iterator[Uncertainty]:
-    """Those of slip, or of tangential displacement without friction; relative to at least :data:`SMALLEST`."""
+    """Accuracy of slip, or of tangential displacement without friction; relative to at least :data:`SMALLEST`."""
     table = table[table["mean_rms_tangential"].notna()]
     for figure in ("mean", "six_sigma"):
         slip, tangential = (f"{figure}_{motion}" for motion in ("rms_slip", "rms_tangential"))

@@ -138,7 +138,7 @@ class Block:
         return f"{self.first:06d}-{self.end - 1:06d}"
 
     def stamp(self, identity: str) -> str:
-        """What its files carry: the identity of their run, law and samples, so that exchanged files are noticed."""
+        """Metadata of its files: the identity of run, law and samples, which reveals exchanged files."""
         return f"{identity} {self.law} {self.name}"
 
 
@@ -447,7 +447,7 @@ class RunFolder:
         return frame
 
     def read_arrays(self, table: Table, block: Block, identity: str) -> Any:
-        """What :meth:`write_block` got as `arrays` for a table; None if not stored. Errors as :meth:`read_block`."""
+        """The `arrays` that :meth:`write_block` stored for a table, or None. Errors as :meth:`read_block`."""
         path = self._path(table, block)
         try:
             header, arrays = load_arrays(path, _FORMATS[table])
@@ -532,7 +532,7 @@ class RunFolder:
         return sorted({block for table in _BLOCK_TABLES for block in self._blocks_with(table)})
 
     def _stamp(self, block: Block) -> str | None:
-        """What the files of a block carry; None if the block is not finished or cannot be read."""
+        """Metadata of the files of a block; None if the block is not finished or cannot be read."""
         try:
             return read_identity(self._path(SAMPLES, block), SAMPLES)
         except (FileNotFoundError, FormatError):

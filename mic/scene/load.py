@@ -95,7 +95,7 @@ EXPECTED = {
 
 
 def _expected(error: str, text: bytes) -> str:
-    """What a TOML file should have where `error` says, with the line there."""
+    """The line of a TOML file to which `error` refers, and the syntax expected there."""
     remedy = next((words for start, words in EXPECTED.items() if error.startswith(start)), "correct the syntax there")
     line = re.search(r"at line (\d+)", error)
     written = text.decode(errors="replace").splitlines()[int(line[1]) - 1].strip()[:80] if line else ""

@@ -1,4 +1,4 @@
-"""How notebooks show a scene and its reduced model: a few lines of text, and HTML with a picture.
+"""Display of a scene and its reduced model in notebooks: a few lines of text, and HTML with a picture.
 
 The picture is SVG written by hand: it needs no meshes, which a saved model does not carry, and no drawing library.
 """
@@ -183,5 +183,5 @@ def _hull(name: str, points: np.ndarray, colour: str) -> list[str]:
 
 
 def _title(name: str) -> str:
-    """What a mark shows under the pointer."""
+    """Tooltip of a mark."""
     return f"<title>{escape(name)}</title>"

@@ -12,7 +12,7 @@ __all__ = ["Scan"]
 
 
 class Scan(Table):
-    """How a part is scanned, for `mic predict --scan`; without a table the defaults hold."""
+    """Properties of the scans of a part, for `mic predict --scan`; without a table the defaults hold."""
 
     part: Name
     """the part"""

@@ -84,7 +84,7 @@ class Header:
         return [header for i, header in enumerate(self.headers) if header and i not in used]
 
     def said(self, ignored: Sequence[str] = ()) -> str:
-        """What each column was read as, and was ignored; empty if the headers are the keys and all are used."""
+        """The key of each column, and the ignored columns; empty if the headers are the keys and all are used."""
         own = {key: self.headers[i] for key, i in self.key_of.items()}
         usual = [key for key, header in own.items() if header == key]
         unusual = [f"{key} from {header!r}" for key, header in own.items() if header != key]

@@ -93,7 +93,7 @@ class TableFile:
 
     @property
     def said(self) -> str:
-        """How the columns were read, and what was ignored; empty if the headers are the keys and all was used."""
+        """The key of each column, and the ignored columns; empty if the headers are the keys and all are used."""
         return self.header.said(self.notes)
 
     @property
@@ -171,7 +171,7 @@ class TableFile:
 
     @cached_property
     def _evidence(self) -> list[tuple[set[str], set[str]]]:
-        """Of each column, and last of the table: decimal marks that are certain, and marks that group thousands."""
+        """Certain decimal marks, and marks that group thousands: of each column, and last of the table."""
         texts = {self.key_of[key] for key in self.columns.texts & self.key_of.keys()}
         found: list[tuple[set[str], set[str]]] = [(set(), set()) for _ in (*self.header.headers, "table")]
         for column in range(len(self.header.headers)):

@@ -132,7 +132,7 @@ class SurrogateEstimates:
     _fold: np.ndarray  # (n,)
 
     def at(self, outputs: list[int]) -> SurrogateEstimates:
-        """Those of some of the outputs."""
+        """The estimates of some of the outputs."""
         mean, variance = (_Sum(*(part[..., outputs] for part in total)) for total in (self._mean, self._variance))
         return replace(
             self,

@@ -87,7 +87,7 @@ class Estimate:
         return cls(*(_scalar_or_array(np.asarray(a)) for a in (value, low, high, moments.n, moments.excluded)))
 
     def at(self, k: int) -> Estimate:
-        """That of one of k quantities."""
+        """The estimate of one of k quantities."""
         return Estimate(*(_scalar_or_array(np.asarray(getattr(self, field.name)[k])) for field in fields(self)))
 
 

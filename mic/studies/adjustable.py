@@ -1,4 +1,4 @@
-"""What may be adjusted on individual assemblies, with bounds, steps, costs and objective."""
+"""Adjustments of individual assemblies: items, bounds, steps, costs and objective."""
 
 from __future__ import annotations
 

@@ -57,7 +57,7 @@ def run_program(
             limit = int(memory) if most == resource.RLIM_INFINITY else min(int(memory), most)
             with suppress(ProcessLookupError):  # it has ended
                 resource.prlimit(process.pid, resource.RLIMIT_AS, (limit, limit))
-                # It ends by itself, too, should this process be killed.
+                # If this process is killed, the helper ends by itself, too.
                 resource.prlimit(process.pid, resource.RLIMIT_CPU, (int(seconds) + 1, int(seconds) + 1))
         return process.wait(seconds)
     except subprocess.TimeoutExpired:

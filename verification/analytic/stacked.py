@@ -63,7 +63,7 @@ class Stack:
         return 5 * np.asarray(w) * self.span**4 / 384 / self.bending
 
     def held(self, w) -> np.ndarray:
-        """What friction takes from it while the load grows, mm; while it falls, so much is added."""
+        """Reduction of the deflection by friction while the load grows, mm; while the load falls, it is added."""
         return self.friction * np.asarray(w) * self.depth * self.span**3 / 48 / self.bending
 
     @property

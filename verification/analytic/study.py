@@ -63,7 +63,7 @@ def layered_cantilever(context):
 
 
 def mesh_uncertainty(fine, coarse, exact) -> Uncertainty:
-    """That of a simulation whose mesh and pairs are half as dense in `coarse`: their difference bounds its error."""
+    """Bound of the error of a simulation: its difference from `coarse`, with half the density of mesh and pairs."""
     return Uncertainty(num=float(np.abs(fine - coarse).max() / np.abs(exact).max()) / COVERAGE)
 
 

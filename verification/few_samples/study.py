@@ -29,7 +29,7 @@ RUNS = 160  # that stop by themselves; a few decide nothing about coverage
 
 
 def intervals(y: np.ndarray, found, limit: np.ndarray, tails: bool) -> dict[str, Estimate]:
-    """What a run reports for k outputs: estimates with surrogates, or of the samples alone where there is none."""
+    """The figures that a run reports for k outputs: estimates with surrogates, else of the samples alone."""
     nowhere = np.full(len(limit), -np.inf)
     alone = {
         "mean": estimates.mean(y),

@@ -1,4 +1,4 @@
-"""How accurate influence coefficients are on a mesh of given size, block by block, for patch and for nodal
+"""Accuracy of influence coefficients on a mesh of given size, block by block, for patch and for nodal
 functionals."""
 
 from __future__ import annotations

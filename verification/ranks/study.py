@@ -42,7 +42,7 @@ def launcher() -> str | None:
 
 
 def missing() -> str:
-    """What the study lacks."""
+    """Name the missing requirement of the study."""
     return "" if launcher() else "mpirun is not installed"
 
 

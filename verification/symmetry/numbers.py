@@ -78,7 +78,7 @@ def numbers(model: Any, evaluation: Any, order: np.ndarray | None = None) -> pd.
 
 
 def full_numbers(model: Any, evaluation: Any) -> pd.DataFrame:
-    """Those that a full solve of one sample gives: key characteristics, forces and displacements of contacts.
+    """Numbers of one sample's full solve: key characteristics, forces and displacements of contacts.
 
     Parameters
     ----------
@@ -112,7 +112,7 @@ def _pairs(model, stage, resolution, order) -> dict[tuple[str, str, str, str], n
 
 
 def disagreement(given: pd.DataFrame, other: pd.DataFrame) -> pd.DataFrame:
-    """How far other numbers are from the given ones, in the same units.
+    """Differences of other numbers from the given ones, in the same units.
 
     Returns
     -------

@@ -51,7 +51,7 @@ UNITS = {"mm": (1, 0), "N": (0, 1), "N mm": (1, 1)}
 
 @dataclass(frozen=True)
 class Transformation:
-    """How a scene is seen otherwise.
+    """A transformation of a scene that leaves its physics unchanged.
 
     Attributes
     ----------

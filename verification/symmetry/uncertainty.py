@@ -188,7 +188,7 @@ def _read(path: Path) -> dict[Law, pd.DataFrame]:
 
 
 def lines(table: pd.DataFrame) -> pd.DataFrame:
-    """What is printed: a row per number, with the pairs of a zone as one, their largest uncertainty.
+    """The printed table: a row per number, with the pairs of a zone as one, their largest uncertainty.
 
     Returns
     -------
@@ -207,7 +207,7 @@ def lines(table: pd.DataFrame) -> pd.DataFrame:
 
 
 def sentences(table: pd.DataFrame, refused: Sequence[str], samples: int) -> list[str]:
-    """What the uncertainties are, in one sentence, then a line for each way that gave no result."""
+    """The uncertainties in one sentence, then a line for each transformation without a result."""
     if not len(table):
         return ["Numerical uncertainty: not estimated.", *(f"Not solved {one}" for one in refused)]
     worst = table.loc[table.index.get_level_values("unit") != "1", "relative"].idxmax()

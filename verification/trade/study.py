@@ -234,7 +234,7 @@ def mean_of(found: dict, name: str, versions: tuple[Knobs, ...]) -> pd.DataFrame
 
 
 def averaged(found: dict, name: str, truth: Truth) -> pd.DataFrame:
-    """What the truth gives for each sample, averaged over places of the candidates.
+    """The reference result of each sample, averaged over places of the candidates.
 
     One followed version stands for the truth; what other places change is measured in one increment a step.
     """
@@ -276,7 +276,7 @@ def dominated(lines: pd.DataFrame) -> list[str]:
 
 
 def drawn(lines: pd.DataFrame) -> dict[str, pd.DataFrame]:
-    """What the picture shows, by panel: each scene, and the worst error and total cost of all."""
+    """Data of the picture, by panel: each scene, and the worst error and total cost of all."""
     columns = {"error of 6σ": "error", "±": "half", "whole answer, CPU s": "seconds"}
     shown = lines.rename(columns=columns)[["scene", "knob", "value", *columns.values()]]
     by_panel = {name.replace("_", " "): own.reset_index(drop=True) for name, own in shown.groupby("scene", sort=False)}
@@ -290,7 +290,7 @@ def drawn(lines: pd.DataFrame) -> dict[str, pd.DataFrame]:
 
 
 def chosen_automatically(found: dict, truths, context) -> pd.DataFrame:
-    """What the setting auto chooses on each scene, with the error that it measured and that against the truth."""
+    """Choice of the setting auto on each scene, with the error that it measured and that against the truth."""
 
     def of(name) -> dict:
         start = time.process_time()
