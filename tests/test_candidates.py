@@ -7,15 +7,21 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from support.stages import on_the_way
 from typer.testing import CliRunner
 
 import mic
 from mic.compliance.cache import influence_coefficients
 from mic.compliance.support import statically_determinate
 from mic.errors import SceneError
+from mic.geometry.pairing import Side
+from mic.geometry.structured import extrude
+from mic.geometry.surface import Surface
 from mic.model.assembly import assemble
+from mic.model.zone_pairs import pressed_places
 from mic.options import app
 from mic.process.model import ReducedModel
+from mic.statistics.draw import draw
 from mic.studies.pair_convergence import DENSER, denser_scene
 
 MESHES = Path(__file__).resolve().parents[1] / "meshes"
@@ -35,12 +41,6 @@ def with_zone(scene, **keys):
     return scene.model_copy(update={"zones": [zone.model_copy(update=keys) for zone in scene.zones]})
 
 
-def drawn(scene, seed, count):
-    """Samples of the deviations of a scene."""
-    sigma, mean = (np.array([getattr(one, key) for one in scene.deviations]) for key in ("sigma", "mean"))
-    return mean + sigma * np.random.default_rng(seed).standard_normal((count, len(mean)))
-
-
 def sideways(points, point):
     return np.linalg.norm((points - np.array(point))[:, :2], axis=1)
 
@@ -50,7 +50,7 @@ def test_candidates_stand_four_thicknesses_apart_along_the_edges_and_within_and_
 ):
     """1000 mm² of sheets of 1 mm, 130 mm about: 32 or 33 at the edges, 4 mm apart, and one for each 16 mm² within.
 
-    Half of what those at the edges take lies beyond these.
+    Half of the area of those at the edges lies beyond these.
     """
     edge, count = 130 / 4, (1000 - 130 * 4 / 2) / 16
     assert model.contacts.watched.all() and abs(len(model.contacts) - edge - count) < 3
@@ -135,12 +135,12 @@ def on_a_rest(folder, radius, sheets=2):
 
 
 @pytest.mark.fem
-@pytest.mark.parametrize("radius, sheets", [(2.5, 2), (7.0, 2), (2.5, 3)])
+@pytest.mark.parametrize("radius, sheets", [(7.0, 2), (2.5, 3)])
 def test_sheets_alike_between_pads_of_two_sizes_stay_together(radius, sheets, tmp_path, cache):
-    """Half of what each pad presses passes from sheet to sheet right there, so that both bend alike.
+    """Half of each pad's pressure passes from sheet to sheet right there, so that both bend alike.
 
-    Of three, a third of the difference of what the pads press bends each; of either zone one pad is behind a third
-    sheet.
+    Each of three sheets is bent by a third of the difference between the pads; for either zone one pad lies behind a
+    third sheet.
     """
     model = mic.reduce(on_a_rest(tmp_path, radius, sheets), cache)
     clamped = model.evaluate({}).resolutions["clamp"]
@@ -148,45 +148,35 @@ def test_sheets_alike_between_pads_of_two_sizes_stay_together(radius, sheets, tm
     assert clamped.displacement[0, :, 0].max() < 6e-5  # mm; with cells across the rest's rim 10 to 13 e-5
 
 
-@pytest.mark.slow
-def test_a_locator_has_a_rim_where_it_backs_a_clamp_and_does_not_change_the_spacing(tmp_path, cache):
-    """Not where it holds along the sheets, holds a node, has the rim of the clamp's pad, or stands beside that."""
+def test_a_locator_has_a_rim_only_where_it_backs_a_clamp(tmp_path):
+    """Not where it holds along the sheets, holds a node, or stands beside the clamp's pad."""
     scene = on_a_rest(tmp_path, 4.0)
+    sheets = {part.name: Side(Surface(*extrude([(0, 0), (36, 0)], 0.0, 42.0, 9.0)[:2]), 1.0) for part in scene.parts}
 
-    def points(**keys):
+    def rims(**keys):
+        """Own radius, and that of the clamp, of each locator that backs a clamp."""
         locators = [one.model_copy(update=keys) if one.name == "rest" else one for one in scene.locators]
-        assembly = assemble(scene.model_copy(update={"locators": locators}), cache)
-        assert assembly.spacing == (4.0,)
-        return assembly.contacts.point
+        places = pressed_places(scene.model_copy(update={"locators": locators}), scene.zones[0], sheets)
+        return [(place.radius, place.backed_radius) for place in places if place.backed_radius]
 
-    without = points(radius=0.0)
-    np.testing.assert_array_equal(points(direction=(1.0, 0.0, 0.0)), without)
-    np.testing.assert_allclose(points(radius=5.0), without, atol=0.2)
-    assert points().shape != without.shape
-    beside = (19.0, 26.5, 0.0)
-    np.testing.assert_array_equal(points(point=beside), points(point=beside, radius=0.0))
+    assert rims() == [(4.0, 5.0)]
+    for change in ({"direction": (1.0, 0.0, 0.0)}, {"radius": 0.0}, {"point": (19.0, 26.5, 0.0)}):
+        assert rims(**change) == []
 
 
 def test_watched_is_dense(model):
     """All candidates at once, none left out, one increment a step."""
-    stages = [
-        stage.model_copy(update={"increments": 1}) if stage.kind in ("clamp", "weld", "release") else stage
-        for stage in model.scene.stages
-    ]
-    watched = replace(
-        model,
-        scene=model.scene.model_copy(update={"stages": stages}),
-        contacts=replace(model.contacts, nugget=np.full(len(model.contacts), -1)),
-    )
+    own = replace(model.contacts, nugget=np.full(len(model.contacts), -1))
+    watched = replace(on_the_way(model, 1), contacts=own)
     dense = replace(watched, contacts=replace(watched.contacts, watched=np.zeros(len(model.contacts), bool)))
-    samples = drawn(model.scene, 4, 6)
+    samples = draw(model.scene, 4, 0, 6)
     one, other = watched.evaluate(samples), dense.evaluate(samples)
     assert not one.failed.any() and not other.failed.any()
     np.testing.assert_allclose(one.measurements, other.measurements, atol=1e-5)
 
 
 def test_a_single_sample_has_the_results_of_its_batch(model):
-    samples = drawn(model.scene, 5, 5)
+    samples = draw(model.scene, 5, 0, 5)
     together = model.evaluate(samples).measurements
     for sample, wanted in zip(samples, together):
         np.testing.assert_allclose(model.evaluate(sample).measurements[0], wanted, atol=1e-6)
@@ -198,7 +188,7 @@ def test_contacts_within_a_nugget_carry_no_force_after_welding(model):
     for k in np.flatnonzero(inside):
         weld = model.scene.welds[model.contacts.nugget[k]]
         assert sideways(model.contacts.point[[k]], weld.point)[0] <= weld.radius
-    samples = drawn(model.scene, 5, 4)
+    samples = draw(model.scene, 5, 0, 4)
     found = model.evaluate(samples).resolutions
     assert found["clamp"].force[:, inside, 0].any()  # before the weld they press
     assert not found["release"].force[:, inside].any()
@@ -254,15 +244,16 @@ def test_the_scene_nearest_to_the_paper_is_the_wheelhouse_but_for_its_choices():
 def test_check_reports_the_change_of_characteristics_with_denser_pairs(cache, tmp_path, monkeypatch):
     monkeypatch.setenv("COLUMNS", "80")  # a narrow terminal cuts nothing
     monkeypatch.setenv("MIC_CACHE", str(cache))
+    monkeypatch.setattr("mic.report.check_page.check_page", lambda *_: "")
     page = ["--page", str(tmp_path / "check.html")]
-    told = CliRunner().invoke(app, ["check", str(MESHES / "lap_joint"), "--law", "frictionless", "--converge", *page])
-    assert told.exit_code == 0, told.output
-    pairs = re.search(r"(\d+) and (\d+) pairs; largest penetration .* 0 of 30 samples failed", told.output)
+    done = CliRunner().invoke(app, ["check", str(MESHES / "lap_joint"), "--law", "frictionless", "--converge", *page])
+    assert done.exit_code == 0, done.output
+    pairs = re.search(r"(\d+) and (\d+) pairs; largest penetration .* 0 of 30 samples failed", done.output)
     assert pairs and 1.8 < int(pairs[2]) / int(pairs[1]) < 2.3
-    row = next(line for line in told.output.splitlines() if "M1" in line and "%" in line)
+    row = next(line for line in done.output.splitlines() if "M1" in line and "%" in line)
     off, half = (float(each) for each in row.split("│")[-2].strip(" %").split(" ± "))
     assert abs(off) < 3 and 0 < half < 1  # of the difference: either 6σ has one of a quarter
-    assert "not a bound" in told.output and "…" not in told.output[told.output.index("Key characteristics and") :]
+    assert "not a bound" in done.output and "…" not in done.output[done.output.index("Key characteristics and") :]
 
 
 @pytest.mark.slow
@@ -276,53 +267,36 @@ def test_denser_pairs_stand_at_a_share_of_the_distance(scene, cache):
 # -------------------------------------------------------------------------------------------- known answers
 
 LENGTH, WIDTH, THICKNESS, YOUNG = 200.0, 20.0, 2.0, 210e3  # mm, MPa
-INERTIA = WIDTH * THICKNESS**3 / 12
 
 
-def strip_scene(folder, clamps, fixture, zone, size=5.0, measurements=()):
-    """A strip along x without lateral contraction, its ends on locators, above a rigid fixture; read while clamped."""
+def strip_above_table(folder, gap, clamps):
+    """A strip along x without lateral contraction, its ends on locators, pressed down `gap` above a rigid table."""
     (folder / "geometry.py").write_text(
         "from mic.geometry.structured import extrude\n"
         f"def build(part, size):\n    return extrude([(0, 0), ({WIDTH}, 0)], 0.0, {LENGTH}, size)\n"
     )
-    at = [("z", x, y) for x, y in ((0, 2), (0, WIDTH - 2), (LENGTH, WIDTH / 2))]
-    at += [("y", 0, 2), ("y", LENGTH, 2), ("x", 0, 2)]
-    return mic.Scene(
-        name="strip",
-        folder=folder,
-        parts=[dict(name="strip", geometry="geometry.py", size=size, thickness=THICKNESS, young=YOUNG, poisson=0.0)],
-        fixtures=[dict(name="stop", **fixture)],
-        locators=[
-            dict(name=f"A{i}", part="strip", point=(x, y, 0), direction=AXES[axis], radius=0)
-            for i, (axis, x, y) in enumerate(at)
-        ],
-        clamps=[dict(name=f"C{i}", part="strip", direction=(0, 0, -1), **one) for i, one in enumerate(clamps)],
-        zones=[dict(name="stop", parts=("stop", "strip"), **zone)],
-        stages=[dict(kind="locate"), dict(kind="clamp")] + [dict(kind="measure")] * bool(measurements),
-        measurements=[dict(lower=-1, upper=1, **one) for one in measurements],
-        report=dict(laws=["frictionless"]),
-    )
-
-
-def flat_table(folder, gap):
-    """A file of a rigid table under the whole strip; returns its name."""
     corners = [(-5, -5), (LENGTH + 5, -5), (LENGTH + 5, WIDTH + 5), (-5, WIDTH + 5)]
     a, b, c, d = (f"vertex {x} {y} {-THICKNESS / 2 - gap}\n" for x, y in corners)
     facets = "".join(f"facet normal 0 0 1\nouter loop\n{one}endloop\nendfacet\n" for one in (a + b + c, a + c + d))
     (folder / "table.stl").write_text(f"solid table\n{facets}endsolid table\n")
-    return "table.stl"
-
-
-@pytest.mark.fem
-def test_a_strip_pressed_onto_a_stop(tmp_path, cache):
-    """The stop takes what the strip does not: R = P − 48 E I g/L³."""
-    gap, force = 0.5, 20.0
-    middle = (LENGTH / 2, WIDTH / 2)
-    stop = dict(point=(*middle, -THICKNESS / 2 - gap), normal=(0, 0, 1), radius=4.0)
-    scene = strip_scene(tmp_path, [dict(point=(*middle, 0), force=force, radius=4.0)], stop, {})
-    found = mic.reduce(scene, cache).evaluate({}).resolutions["clamp"]
-    wanted = force - 48 * YOUNG * INERTIA * gap / LENGTH**3
-    assert found.force[0, :, 0].sum() == pytest.approx(wanted, rel=5e-3)
+    held = [("z", 0, 2), ("z", 0, WIDTH - 2), ("z", LENGTH, WIDTH / 2), ("y", 0, 2), ("y", LENGTH, 2), ("x", 0, 2)]
+    return mic.Scene(
+        name="strip",
+        folder=folder,
+        parts=[dict(name="strip", geometry="geometry.py", size=5.0, thickness=THICKNESS, young=YOUNG, poisson=0.0)],
+        fixtures=[dict(name="table", mesh="table.stl")],
+        locators=[
+            dict(name=f"A{i}", part="strip", point=(x, y, 0), direction=AXES[axis], radius=0)
+            for i, (axis, x, y) in enumerate(held)
+        ],
+        clamps=[
+            dict(name=f"C{i}", part="strip", point=(*at, 0), direction=(0, 0, -1), force=force, radius=0)
+            for i, (at, force) in enumerate(clamps)
+        ],
+        zones=[dict(name="table", parts=("table", "strip"))],
+        stages=[dict(kind="locate"), dict(kind="clamp")],
+        report=dict(laws=["frictionless"]),
+    )
 
 
 @pytest.mark.fem
@@ -332,125 +306,12 @@ def test_a_strip_under_a_uniform_load_lifts_off_a_table_at_its_ends(tmp_path, ca
     a⁴ = 24 E I g/q,        R/(q L) = 1 − a/L        with both ends: each takes q a/2.
     """
     gap, load = 0.02, 0.05  # mm, N/mm
-    places = np.arange(2.5, LENGTH, 5.0)
-    clamps = [dict(point=(x, y, 0), force=load * 5.0 / 2, radius=0) for x in places for y in (WIDTH / 4, 3 * WIDTH / 4)]
-    scene = strip_scene(tmp_path, clamps, dict(mesh=flat_table(tmp_path, gap)), {})
+    places = [(x, y) for x in np.arange(2.5, LENGTH, 5.0) for y in (WIDTH / 4, 3 * WIDTH / 4)]
+    scene = strip_above_table(tmp_path, gap, [(place, load * 5.0 / 2) for place in places])
     found = mic.reduce(scene, cache).evaluate({}).resolutions["clamp"]
-    free = (24 * YOUNG * INERTIA * gap / load) ** 0.25
+    free = (24 * YOUNG * WIDTH * THICKNESS**3 / 12 * gap / load) ** 0.25
     assert free < LENGTH / 2
-    total = found.force[0, :, 0].sum()
-    assert total / (load * LENGTH) == pytest.approx(1 - free / LENGTH, rel=5e-3)
-
-
-@pytest.mark.fem
-def test_a_strip_sinks_between_two_rows_of_pairs_as_a_beam_and_not_with_candidates(tmp_path, cache):
-    """Pressed by P in the middle of two rows of pairs, a apart, L₁ from the ends: by the theorem of three moments
-
-    M = −3 P a²/(8 (2 L₁ + 3 a)) over the rows,   δ = (P a³/48 + M a²/8)/(E I) into the table,   ΣR = P − 2 M/L₁.
-    """
-    force, apart, across = 400.0, 40.0, np.linspace(0, WIDTH, 5)
-    line = [(LENGTH / 2, y, force * share) for y, share in zip(across, (1 / 8, 1 / 4, 1 / 4, 1 / 4, 1 / 8))]
-    clamps = [dict(point=(x, y, 0), force=own, radius=0) for x, y, own in line]
-    table = dict(mesh=flat_table(tmp_path, 0.0))
-    rows = [(LENGTH / 2 + side * apart / 2, y, 0.0) for side in (-1, 1) for y in across]
-
-    probe = dict(name="depth", part="strip", point=(LENGTH / 2, WIDTH / 2, 0), direction=(0, 0, -1), radius=0)
-
-    def pressed(zone):
-        scene = strip_scene(tmp_path, clamps, table, zone, measurements=[probe])
-        return mic.reduce(scene, cache).evaluate({})
-
-    free = (LENGTH - apart) / 2
-    moment = -3 * force * apart**2 / (8 * (2 * free + 3 * apart))
-    depth = (force * apart**3 / 48 + moment * apart**2 / 8) / (YOUNG * INERTIA)
-    found = pressed(dict(points=rows, patch=0.0))
-    assert found.measurements[0, 0] == pytest.approx(depth, rel=0.02)
-    assert found.resolutions["clamp"].force[0, :, 0].sum() == pytest.approx(force - 2 * moment / free, rel=0.02)
-    watched = pressed({})
-    assert watched.measurements[0, 0] < 1e-3 and watched.resolutions["clamp"].unseen[0] < 1e-3
-
-
-@pytest.mark.fem
-def test_a_strip_that_drapes_over_a_round_stop_lies_on_its_rim_as_a_beam_on_four_supports(tmp_path, cache):
-    """Pressed by P at c from either end, it lifts off between its supports at a = L/2 − R and L − a; with
-
-    w(x, p) = (L − p) x (2 L p − p² − x²)/(6 E I L), x ≤ p, of a force 1 at p:   X = P Σw(a, c)/Σw(a, a).
-    """
-    force, c, radius = 10.0, 30.0, 40.0
-    clamps = [dict(point=(x, WIDTH / 2, 0), force=force, radius=4.0) for x in (c, LENGTH - c)]
-    stop = dict(point=(LENGTH / 2, WIDTH / 2, -THICKNESS / 2), normal=(0, 0, 1), radius=radius)
-    probes = [
-        dict(name=f"P{i}", part="strip", point=(x, WIDTH / 2, 0), direction=(0, 0, 1), radius=0)
-        for i, x in enumerate((c, LENGTH / 2))
-    ]
-    scene = strip_scene(tmp_path, clamps, stop, {}, measurements=probes)
-    found = mic.reduce(scene, cache).evaluate({})
-
-    def both(x, p):
-        """Deflection at x under a force of 1 at p and another at L − p."""
-        total = 0.0
-        for at in (p, LENGTH - p):
-            near, far = (x, at) if x <= at else (LENGTH - x, LENGTH - at)
-            total += (LENGTH - far) * near * (2 * LENGTH * far - far**2 - near**2)
-        return total / (6 * YOUNG * INERTIA * LENGTH)
-
-    a = LENGTH / 2 - radius
-    carried = force * both(a, c) / both(a, a)
-    wanted = [carried * both(x, a) - force * both(x, c) for x in (c, LENGTH / 2)]
-    assert found.resolutions["clamp"].force[0, :, 0].sum() == pytest.approx(2 * carried, rel=0.01)
-    assert found.measurements[0] == pytest.approx(wanted, rel=0.02)  # lying on cells within, 10 % off
-
-
-CROSS = """
-import numpy as np
-from mic.geometry.structured import extrude
-
-def build(part, size):
-    points, triangles, normals = extrude([(-10, 0), (10, 0)], -30.0, 60.0, size)
-    if part == "across":
-        points = points @ np.array([[0, 1, 0], [-1, 0, 0], [0, 0, 1]]) - [0, 0, 1]
-    return points, triangles, normals
-"""
-
-
-def crossed(folder, at, **zone):
-    """Two strips that cross, the upper one held on one side of the lower one, and pressed down on the other."""
-    (folder / "cross.py").write_text(CROSS)
-    held = {"along": [(-28, -8), (-28, 8), (-14, 0)], "across": [(-8, -28), (8, -28), (0, 28)]}
-    ways = {"along": [(0, 1, 0), (1, 0, 0), (0, 1, 0)], "across": [(0, 1, 0), (1, 0, 0), (1, 0, 0)]}
-    level = {"along": 0.0, "across": -1.0}
-    return mic.Scene(
-        name="cross",
-        folder=folder,
-        parts=[dict(name=part, geometry="cross.py", size=2.5, thickness=1, young=YOUNG, poisson=0.3) for part in level],
-        locators=[
-            dict(name=f"{part}-{i}{kind}", part=part, point=(*place, level[part]), direction=way)
-            for part in level
-            for i, place in enumerate(held[part])
-            for kind, way in (("z", (0, 0, 1)), ("", ways[part][i]))
-        ],
-        clamps=[dict(name="C", part="along", point=(*at, 0), direction=(0, 0, -1), force=10, radius=0)],
-        zones=[dict(name="all", parts=("across", "along"), **zone)],
-        stages=[dict(kind="locate"), dict(kind="clamp"), dict(kind="measure")],
-        measurements=[
-            dict(name="M", part="along", point=(*at, 0), direction=(0, 0, 1), radius=0, lower=-1, upper=1),
-            dict(name="N", part="across", point=(9, 0, -1), direction=(0, 0, 1), radius=0, lower=-1, upper=1),
-        ],
-        report=dict(laws=["frictionless"]),
-    )
-
-
-@pytest.mark.fem
-@pytest.mark.parametrize("at, zone", [((27, 9), {}), ((27, 0), {"spacing": 3.0})])
-def test_crossing_strips_have_the_contact_forces_of_contact_at_every_node(zone, at, tmp_path, cache):
-    """No part has a corner there, but their overlap has, and nodes of both stand on it."""
-    scene = crossed(tmp_path, at, **zone)
-    every_node = assemble(scene, cache, every_node=True)
-    wanted = ReducedModel.build(every_node, influence_coefficients(every_node, cache)[0]).evaluate({})
-    found = mic.reduce(scene, cache).evaluate({})
-    assert found.measurements[0] == pytest.approx(wanted.measurements[0], rel=1e-3)  # from edges alone 2 to 3 % off
-    carried, beside = (one.resolutions["clamp"].force[0, :, 0].sum() for one in (found, wanted))
-    assert carried == pytest.approx(beside, rel=1e-3)
+    assert found.force[0, :, 0].sum() / (load * LENGTH) == pytest.approx(1 - free / LENGTH, rel=5e-3)
 
 
 HEM = """import numpy as np
@@ -504,7 +365,7 @@ def hem_scene(folder, **zone):
 
 @pytest.mark.fem
 def test_a_sheet_within_a_hem_has_the_contact_forces_of_contact_at_every_node(tmp_path, cache):
-    """Pressed down, up, twisted, and both: forces and places follow every node's, the nearer the denser candidates."""
+    """Pressed down, up, twisted, and both: forces and places follow those of every node."""
     tilts = np.array([[0.3, 0.3], [-0.3, -0.3], [0.3, -0.3], [0.1, -0.4]])
 
     def found(spacing, every_node=False):
@@ -516,11 +377,10 @@ def test_a_sheet_within_a_hem_has_the_contact_forces_of_contact_at_every_node(tm
         up = model.contacts.frame[:, 2, 0] > 0  # towards the sheet from the lower leaf
         return evaluation.measurements, np.column_stack([force[:, up].sum(1), force[:, ~up].sum(1)])
 
-    (wanted, carried), (read, force), default = found(4.0, every_node=True), found(2.0), found(4.0)
+    (wanted, carried), (read, force) = found(4.0, every_node=True), found(2.0)
     assert (carried.max(axis=0) > 50.0).all() and (carried[2:] > 20.0).all()  # N: a twist presses both leaves
     assert np.abs(force - carried).max() < 0.02 * carried.max()
     assert (np.abs(read - wanted) < np.maximum(0.05 * np.abs(wanted), 2e-3)).all()
-    assert np.abs(read - wanted).max() < np.abs(default[0] - wanted).max()
 
 
 def test_rows_with_rounding_errors_of_rigid_motions_do_not_hold_a_part():

@@ -143,7 +143,7 @@ def test_processes_with_different_caches_agree(springs, tmp_path, full):
     assert cached == {"p": full == "first"}
     second, same = influence_coefficients(Assembly, tmp_path / "second", comm=Rank(1, wire))
     assert same == cached and not wire and found["p"].H == [[1.0]]
-    assert set(second) == ({"p"} if full == "second" else set())  # what is kept is the first's alone
+    assert set(second) == ({"p"} if full == "second" else set())  # the first process alone reads its cache
     assert springs.calls == (1 if full == "first" else 3)  # both compute together, or none does
 
 
@@ -173,4 +173,4 @@ def test_a_provider_that_cannot_be_loaded_gives_the_reason(register):
     register(load)
     with pytest.raises(MissingProvider, match="theirs: No module named 'dolfinx'"):
         provider.find(part())
-    provider.check_element("whatever")  # its elements are not known
+    provider.check_element("whatever")  # the known elements are incomplete

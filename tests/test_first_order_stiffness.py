@@ -20,7 +20,7 @@ from mic.model.reduction import Reduction
 from mic.options import app
 from mic.process.model import ReducedModel
 from mic.process.process import Process
-from mic.process.stiffness import coefficients, derivative_sets, select_shapes
+from mic.process.stiffness import coefficients, select_shapes
 from mic.process.stiffness_choice import choose_stiffness, stiffness_sentences
 from verification.comparison import difference, reduced_and_assembly, reduced_model
 from verification.stiffness import DeviatedStiffness
@@ -49,7 +49,7 @@ def on_own_mesh(built):
     return memoised(lambda steps: full.evaluate(mean + [steps * STEP, 0.0]))
 
 
-def test_frames_turn_with_both_sheets_so_that_the_order_of_the_parts_is_no_matter(built, cache):
+def test_frames_turn_with_both_sheets_whatever_their_order(built, cache):
     """The upper sheet turns and the lower does not; frames that turned with the first part moved slips by 0.011 mm."""
     scene = read(lap("first-order"))
     other = reduced_model(assemble(scene.model_copy(update={"parts": scene.parts[::-1]}), cache), cache)
@@ -101,10 +101,7 @@ def test_the_error_is_of_second_order(built, on_own_mesh):
     model, mean = models["first-order"], models["mean"].deviations({})[0]
 
     def error(one, steps):
-        return max(
-            np.abs(one.evaluate(mean + [way * STEP, 0.0]).measurements[0] - on_own_mesh(way).measurements).max()
-            for way in (-steps, steps)
-        )
+        return np.abs(one.evaluate(mean + [steps * STEP, 0.0]).measurements[0] - on_own_mesh(steps).measurements).max()
 
     assert 1.8 < np.log2(error(model, 2) / error(model, 1)) < 2.3
     for wrong in (models["mean"], planted(model, H=-1), planted(model, H=0), planted(model, G=0)):
@@ -172,12 +169,11 @@ def test_friction_may_vary_beside_it(built):
 def test_candidates_and_limited_forces_use_the_stiffness_of_the_sample(cache):
     """As in a model that has the sample's compliance and gaps from the beginning."""
     table = lap("first-order")
-    table["zones"][0].pop("pairs")
+    table["zones"][0] |= {"pairs": None, "spacing": 8.0}
     table["clamps"] = [clamp | {"force": 2.0} for clamp in table["clamps"]]
     table["welds"] = [weld | {"gun": 0.5} for weld in table["welds"]]
-    table["deviations"].append(table["deviations"][0] | {"name": "E", "part": "lower", "point": [95, 5, 0]})
     model, _ = reduced_and_assembly(read(table), cache)
-    sample = np.array([-6.5, 40.0, -3.5])
+    sample = np.array([-6.5, 40.0])
     alone = replace(model.with_deviations(sample), slopes=None).evaluate(sample)
     found = model.process().attempt(np.array([model.deviations({})[0], sample]))
     assert model.contacts.watched.all() and not found.failed.any()
@@ -217,21 +213,19 @@ def test_each_part_that_a_source_deforms_is_computed_once_and_a_check_counts_the
     monkeypatch.setattr("mic.commands.check.load_scene", lambda *_: assembly.scene)
     monkeypatch.setattr("mic.report.check_page.check_page", lambda *_: "")
 
-    def told():
+    def printed():
         output = CliRunner().invoke(app, ["check", "scene"], env={"COLUMNS": "200"}).output
         return next(line for line in output.splitlines() if "to first order" in line)
 
-    assert derivative_sets(assembly) == (["F", "W"], 2 + 2 * 2 + 2 * 2)
     each = "; each sample needs its own model, which takes many times as long"
     assert (
-        told() == f"• stiffness to first order in up to F, W: at most 10 further sets of influence coefficients{each}"
+        printed()
+        == f"• stiffness to first order in up to F, W: at most 10 further sets of influence coefficients{each}"
     )
     coefficients(with_scene(assembly, stiffness="nominal"), tmp_path, said.append)
     omitted = "F (1 more, with 0.0% of the rotations of the sheets, are left out)"
-    known = (
-        f"• stiffness to first order in {omitted}: 6 further sets of influence coefficients, {{}} to be computed{each}"
-    )
-    assert told() == known.format(6)
+    further = f"• stiffness to first order in {omitted}: 6 further sets of influence coefficients"
+    assert printed() == f"{further}, 6 to be computed{each}"
     found, cached = coefficients(assembly, tmp_path, said.append)
     assert cached == {"lower": False, "upper": False} and f"stiffness to first order in {omitted}" in said
     bent = [f"{part} at F {sign} 1 σ" for part in ("lower", "upper") for sign in "+−"]
@@ -240,7 +234,6 @@ def test_each_part_that_a_source_deforms_is_computed_once_and_a_check_counts_the
         f"influence coefficients of {name}" for name in names
     ]
     assert set(found["upper"].slopes) == {"F"} == set(found["lower"].slopes)
-    assert told() == known.format(0)
     again: list[str] = []
     assert coefficients(assembly, tmp_path, again.append)[1] == {"lower": True, "upper": True}
     assert not any(line.startswith("influence") for line in again)
@@ -297,7 +290,7 @@ def test_the_error_of_omitted_sources_is_about_the_stated_share(with_forces, cac
     model, share = reduced_model(assembly, cache), shapes.share
     assert model.slopes.source.tolist() == [0] and share > 0.04
     mean, stiffness, off = replace(model, slopes=None), DeviatedStiffness(assembly, model), {"mean": [], "first": []}
-    signs = np.array([[1, 1, 1, 1, 0], [1, -1, 1, -1, 0], [1, 1, -1, -1, 0], [1, -1, -1, 1, 0]])
+    signs = np.array([[1, 1, 1, 1, 0], [1, -1, -1, -1, 0]])
     for sample in model.deviations({}) + signs * [*sigmas, 0.0]:
         own = stiffness.at(sample).evaluate(sample).measurements
         for name, one in (("mean", mean), ("first", model)):

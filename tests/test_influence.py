@@ -104,7 +104,7 @@ def test_without_metis_the_coefficients_are_the_same(monkeypatch):
 
 @pytest.mark.parametrize("unknown", ["series", "place"])
 def test_a_mumps_of_unknown_structure_is_called_through_petsc(unknown, monkeypatch):
-    """Its version is none of those known, or does not stand where that version has it."""
+    """Its version is unknown, or its structure has another layout than that version."""
     if unknown == "series":
         layouts = {f"0{series}": layout for series, layout in mumps.LAYOUTS.items()}
     else:
@@ -187,7 +187,7 @@ COMPLIANCE = {
 
 @pytest.mark.parametrize("element", ELEMENTS)
 def test_an_element_gives_the_coefficients_that_caches_hold_and_those_of_the_pseudo_inverse(element):
-    """Where the former fails for a good reason, raise `GENERATION`: old caches are else used with the new element.
+    """If the former fails for a good reason, raise `GENERATION`; otherwise old caches are used with the new element.
 
     On balanced forces H is L K⁺ Lᵀ, whatever the pins; K⁺ by the dense spectrum. Rigid readings G included.
     """

@@ -1,4 +1,4 @@
-"""What paths leave is handed on from stage to stage: an estimate that counts a stage's own path alone is too small."""
+"""Path errors add up from stage to stage: an estimate from the path of one stage alone is too small."""
 
 import numpy as np
 from support.springs import at_face, dragged

@@ -30,13 +30,13 @@ def plates(gun=None, deviations=()):
 
 def one_by_one(process, deviations):
     """Resolutions by stage, and what the measurements read, from the stages themselves."""
-    asked, state, resolutions, readings = process.drive(deviations), process.start(len(deviations)), {}, None
+    driven, state, resolutions, readings = process.drive(deviations), process.start(len(deviations)), {}, None
     for stage in process.stages:
-        state, resolution = stage.advance(state, asked)
+        state, resolution = stage.advance(state, driven)
         if resolution is not None:
             resolutions[stage.plan.name] = resolution
         if stage.plan.reads:
-            readings = state.reading["measurement"] + asked.measured
+            readings = state.reading["measurement"] + driven.measured
     return resolutions, readings
 
 

@@ -15,6 +15,7 @@ from support.stages import with_stages
 import mic
 from mic.contact.laws import LAWS
 from mic.model.assembly import GapPoints
+from mic.model.rows import Joints
 from mic.process.actions import tongs
 from mic.process.description import opening, sentences
 from mic.process.drive import drive
@@ -64,32 +65,19 @@ def plans():
     return {plan.name: plan for plan in plan_stages(mic.Scene(**SCENE), WELD_SIZE)}
 
 
-def moves(plan):
-    """Settling, released rows, dropped loads, closing welds, bilateral rows and loads of each step of a stage."""
-    return [
-        (step.settles, step.released, step.dropped_loads, step.closing, step.bilateral, step.loads)
-        for step in plan.steps
-    ]
-
-
-def test_overlap_settles_first_then_locators_and_clamps_close_in_order(plans):
+def test_overlap_settles_once_then_locators_and_clamps_close_in_order(plans):
     set_down = tuple(("locator", i) for i in range(12))
     located = (*set_down, ("locator", 12))
-    assert moves(plans["close"]) == [
-        (True, (), (), (), set_down, ()),
-        (False, (), (), (), located, ()),
-        (False, (), (), (), (*located, ("clamp", 0)), ()),
-        (False, (), (), (), (*located, ("clamp", 0)), (1,)),
+    assert [(step.settles, step.bilateral, step.loads) for step in plans["close"].steps] == [
+        (True, set_down, ()),
+        (False, located, ()),
+        (False, (*located, ("clamp", 0)), ()),
+        (False, (*located, ("clamp", 0)), (1,)),
     ]
-
-
-def test_forces_add_up_and_a_stage_may_have_increments(plans):
+    assert not any(step.released or step.dropped_loads or step.closing for step in plans["close"].steps)
+    assert [name for name, plan in plans.items() if any(step.settles for step in plan.steps)] == ["close"]
     assert plans["close2"].steps[-1].loads == (1, 2) and plans["close2"].increments == 3
     assert plans["close"].path == "followed" and plans["close2"].path == "increments"
-
-
-def test_overlap_settles_only_once(plans):
-    assert [name for name, plan in plans.items() if any(step.settles for step in plan.steps)] == ["close"]
 
 
 def test_a_weld_freezes_all_its_rows_once(plans):
@@ -99,9 +87,9 @@ def test_a_weld_freezes_all_its_rows_once(plans):
     assert {("weld", i) for i in range(9)} <= set(plans["open"].bilateral)
 
 
-def test_a_release_opens_all_but_the_kept_in_reverse_order(plans):
-    kept = {("locator", i) for i in range(6)} | {("weld", i) for i in range(9)}
-    assert set(plans["open"].bilateral) == kept
+def test_a_release_opens_all_but_named_rows_in_reverse_order(plans):
+    left = {("locator", i) for i in range(6)} | {("weld", i) for i in range(9)}
+    assert set(plans["open"].bilateral) == left
     assert [(step.released, step.dropped_loads) for step in plans["open"].steps] == [
         ((), (2,)),
         ((), (1,)),
@@ -130,17 +118,14 @@ def test_welds_are_made_together_in_sequence_or_in_the_groups_of_an_order():
 
 
 def test_a_release_opens_its_groups_and_keeps_the_clamps_that_it_names():
-    keep = [f"a{i}" for i in range(6)]
+    own = [f"a{i}" for i in range(6)]
     rest = [f"b{i}" for i in range(6)]
-    plan = variant(open={"keep": [*keep, "press"], "order": [[*rest, "further"], ["press2", "hold"]]})["open"]
-    assert [step.loads for step in plan.steps] == [(1, 2), (1,)]
-    assert [step.released for step in plan.steps] == [tuple(("locator", i) for i in range(6, 13)), (("clamp", 0),)]
-
-
-def test_a_clamp_that_is_kept_stays_closed_in_the_reverse_order_too():
-    plan = variant(open={"keep": [*(f"a{i}" for i in range(6)), "press", "hold"]})["open"]
-    assert [step.dropped_loads for step in plan.steps] == [(2,), (), ()]
-    assert plan.steps[-1].loads == (1,) and ("clamp", 0) in plan.bilateral
+    groups = variant(open={"keep": [*own, "press"], "order": [[*rest, "further"], ["press2", "hold"]]})["open"]
+    assert [step.loads for step in groups.steps] == [(1, 2), (1,)]
+    assert [step.released for step in groups.steps] == [tuple(("locator", i) for i in range(6, 13)), (("clamp", 0),)]
+    reverse = variant(open={"keep": [*own, "press", "hold"]})["open"]
+    assert [step.dropped_loads for step in reverse.steps] == [(2,), (), ()]
+    assert reverse.steps[-1].loads == (1,) and ("clamp", 0) in reverse.bilateral
 
 
 def test_a_one_step_stage_includes_overlap():
@@ -166,18 +151,19 @@ def test_opposing_clamps_close_together():
     assert groups(part="a") == groups(direction=[0, 0, 1]) == groups(point=[20, 5, 0]) == [(0,), (1,)]
 
 
-def test_a_release_that_frees_a_part_is_refused():
-    with pytest.raises(mic.SceneError, match=r"stages \(open\): 3 rigid-body motions are free once a3, a4.* opened"):
-        variant(open={"keep": ["a0", "a1", "a2"]})
+#: In three groups; after the second only `hold` and `further`, two supports along z, hold the two welded parts.
+IN_GROUPS = [[f"{part}{i}" for part in "ab" for i in range(6)], ["press2", "press"], ["hold", "further"]]
 
 
-def test_the_error_names_the_step_that_frees_a_part():
-    """Then only `hold` and `further`, two supports along z, hold the two welded parts."""
-    opened = {"keep": [], "order": [[f"{part}{i}" for part in "ab" for i in range(6)], ["press2", "press"]]}
-    opened["order"].append(["hold", "further"])
-    with pytest.raises(
-        mic.SceneError, match=r"stages \(open\): 4 rigid-body motions are free once a0, a1, a2, a3 … op"
-    ):
+@pytest.mark.parametrize(
+    "opened, free",
+    [
+        ({"keep": ["a0", "a1", "a2"]}, "3 rigid-body motions are free once a3, a4.* opened"),
+        ({"keep": [], "order": IN_GROUPS}, "4 rigid-body motions are free once a0, a1, a2, a3 … opened"),
+    ],
+)
+def test_a_release_that_frees_a_part_is_refused_and_names_what_opened(opened, free):
+    with pytest.raises(mic.SceneError, match=rf"stages \(open\): {free}"):
         variant(open=opened)
 
 
@@ -244,7 +230,7 @@ class Meaning:
     scene = mic.Scene(**SCENE)
     labels = {"locator": [item.name for item in scene.locators], "clamp": [item.name for item in scene.clamps]}
     contacts = contacts_at(np.zeros((1, 3)), np.eye(3)[None], [0], [0.3], [0.05])
-    weld_size = WELD_SIZE
+    joints = Joints(WELD_SIZE)
     weld_gap = np.array([0.1, *[0.0] * 5, 0.2, 0.0, 0.0])
     between = GapPoints(np.zeros(1, int), np.array([0.02]), np.full(1, -1), np.zeros((1, 3)))
 
@@ -258,14 +244,14 @@ def test_deviations_change_strokes_targets_forces_and_gaps_with_the_right_sign()
     shape["weld"][0, 4] = 0.01  # how the first one's gap tilts; the tangential ones must not enter
     shape["weld"][0, [1, 3, 7]] = 5.0
     shape["locator"][0, 8] = 0.4  # the part stands 0.4 mm too high at b2 ...
-    asked = drive(Meaning, np.array([[0.1, -0.05, 2.0]]), shape)
-    assert asked.target["locator"][0, 8] == pytest.approx(0.1 - 0.4)  # ... and must come down for its locator
-    assert asked.target["clamp"][0, 0] == pytest.approx(-0.25 - 0.05)
-    np.testing.assert_allclose(asked.push[0, 1:], [42.0, 7.0])
-    np.testing.assert_allclose(asked.gap, [[0.03]])
-    np.testing.assert_allclose(asked.weld_gap, [[0.1, 0, 0, 0, 0.01, 0, 0.23, 0, 0]])
-    np.testing.assert_allclose(asked.between, [[0.03]])
-    np.testing.assert_allclose(asked.measured, [[0.7]])
+    driven = drive(Meaning, np.array([[0.1, -0.05, 2.0]]), shape)
+    assert driven.target["locator"][0, 8] == pytest.approx(0.1 - 0.4)  # ... and must come down for its locator
+    assert driven.target["clamp"][0, 0] == pytest.approx(-0.25 - 0.05)
+    np.testing.assert_allclose(driven.push[0, 1:], [42.0, 7.0])
+    np.testing.assert_allclose(driven.gap, [[0.03]])
+    np.testing.assert_allclose(driven.weld_gap, [[0.1, 0, 0, 0, 0.01, 0, 0.23, 0, 0]])
+    np.testing.assert_allclose(driven.between, [[0.03]])
+    np.testing.assert_allclose(driven.measured, [[0.7]])
 
 
 # ------------------------------------------------------------------------------- two springs and a gap, by hand
@@ -358,14 +344,6 @@ def test_a_clamp_stage_without_clamps_solves_contact(settle, path):
     rested = bare.evaluate({}).resolutions["clamp"]
     np.testing.assert_allclose(rested.force[0, 0], [0.3 * STIFFNESS / 2, 0.0, 0.0], atol=1e-9)
     np.testing.assert_allclose(rested.displacement[0, 0], 0.0, atol=1e-10)
-
-
-def test_the_first_of_two_clamp_stages_without_clamps_solves_contact():
-    stages = stage_list("locate", "clamp", "clamp again", "measure")
-    scene = mic.Scene(
-        name="bare", parts=SCENE["parts"], locators=[*six("a", "locate"), *six("b", "locate")], stages=stages
-    )
-    assert [plan.resolves for plan in plan_stages(scene, ())] == [False, True, False, False]
 
 
 def test_a_release_opens_in_reverse_order():

@@ -46,7 +46,7 @@ def test_forces_balance_and_reproduce_the_measurements(name, law, request):
 
 
 def test_nested_single_threaded_functions_stay_single_threaded():
-    def threads():  # of the libraries that can have several: a solver's own may be built for one, whoever loaded it
+    def threads():  # a solver may bring a library that is built for one thread
         libraries = [library for library in threadpool_info() if library["user_api"] == "blas"]
         return {library["num_threads"] for library in libraries if library["threading_layer"] != "disabled"}
 
@@ -62,13 +62,6 @@ def test_nested_single_threaded_functions_stay_single_threaded():
         before = threads()
         assert before == {2}, "BLAS has one thread here, and this test cannot fail"
         assert (outer(), threads()) == ({1}, before)
-
-
-def test_later_stages_do_not_change_the_clamped_state(lap_model):
-    deviations = draw(lap_model.scene, 3, 0, 4)
-    before = with_kinds(lap_model, "locate", "clamp").evaluate(deviations).resolutions["clamp"]
-    followed = lap_model.evaluate(deviations).resolutions["clamp"]
-    np.testing.assert_allclose(before.force, followed.force, atol=1e-6 * np.abs(before.force).max())
 
 
 def test_a_weld_keeps_its_initial_gap(lap_model):
@@ -123,9 +116,9 @@ def test_a_sample_that_misses_its_tolerance_in_one_step_fails(lap_model, monkeyp
 @pytest.mark.slow
 @pytest.mark.parametrize("law", ["coulomb", "associated", "frictionless"])
 def test_a_sample_has_the_same_bits_in_any_batch_order_and_number_of_threads(hat_model, law):
-    deviations = draw(hat_model.scene, 5, 0, 11)
+    deviations = draw(hat_model.scene, 5, 0, 7)
     whole = everything(hat_model.process(law).evaluate(deviations))
-    for own, threads in ((np.arange(1), 1), (np.arange(2, 8), 1), (np.arange(11)[::-1], 2)):
+    for own, threads in ((np.arange(1), 1), (np.arange(2, 5), 1), (np.arange(7)[::-1], 2)):
         found = everything(hat_model.process(law, threads=threads).evaluate(deviations[own]))
         assert [name for name in whole if not np.array_equal(found[name], whole[name][own], equal_nan=True)] == []
 
@@ -194,10 +187,8 @@ def test_a_scene_without_friction_runs_under_the_default_law(lap_scene, cache):
 
 @pytest.mark.slow
 def test_increments_change_the_result_and_converge(hat_model):
-    def measured(increments):
-        return on_the_way(hat_model, increments).evaluate(draw(hat_model.scene, 3, 0, 4)).measurements
-
-    one, many, more = measured(1), measured(8), measured(16)
+    deviations = draw(hat_model.scene, 3, 0, 2)
+    one, many, more = (on_the_way(hat_model, count).evaluate(deviations).measurements for count in (1, 6, 12))
     assert np.abs(more - one).max() > 1e-4  # mm: were increments ignored, nothing would move
     assert np.abs(more - many).max() < 0.5 * np.abs(more - one).max()
 
@@ -234,7 +225,7 @@ def test_a_part_without_support_is_refused_before_computation(lap_scene, cache, 
     ]
 
     def compute(*_):
-        raise AssertionError("influence coefficients were asked for")
+        raise AssertionError("influence coefficients were requested")
 
     monkeypatch.setattr("mic.compliance.cache.influence_coefficients", compute)
     with pytest.raises(mic.SceneError, match=r"stages \(release\): 4 rigid-body motions are free"):
@@ -243,7 +234,7 @@ def test_a_part_without_support_is_refused_before_computation(lap_scene, cache, 
 
 @pytest.mark.slow
 def test_a_redundant_locator_is_named_and_has_no_effect(lap_scene, lap_model, cache):
-    # Of one increment each, because a step more is a leg more, and a path that is followed has errors of its own.
+    # One increment each: the locator adds a step, and a followed path has errors of its own in each step.
     twin = lap_scene.locators[0].model_copy(update={"name": "twin", "stage": "clamp"})
     scene = lap_scene.model_copy(update={"locators": [*lap_scene.locators, twin]})
     process, alone = Process(mic.reduce(scene, cache), "coulomb"), Process(lap_model, "coulomb")
@@ -255,20 +246,6 @@ def test_a_redundant_locator_is_named_and_has_no_effect(lap_scene, lap_model, ca
     deviations = draw(lap_scene, 3, 0, 2)
     found, expected = (one.evaluate(deviations).measurements for one in (process, alone))
     np.testing.assert_allclose(found, expected, atol=1e-8)
-
-
-@pytest.mark.parametrize(
-    "values, word",
-    [
-        ({"F9": 1.0}, "'F9' is not a deviation"),
-        ([1.0, 2.0], "expected 3 values"),
-        ({"F1": np.nan}, "'F1' is nan"),
-        ([[0, 0, 0], [0, np.inf, 0]], "sample 1, 'F2' is inf"),
-    ],
-)
-def test_invalid_deviations_are_named(lap_model, values, word):
-    with pytest.raises(ValueError, match=word):
-        lap_model.evaluate(values)
 
 
 @pytest.mark.slow

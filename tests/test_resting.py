@@ -41,7 +41,7 @@ def test_feet_share_an_off_centre_clamp_by_the_lever_rule(path):
     found = table([PRESS], kinds=("locate", {"kind": "clamp"} | path, "measure")).evaluate({})
     np.testing.assert_allclose(clamped(found), CARRIED, rtol=1e-8)
     np.testing.assert_allclose(found.measurements[0], -PAIR * CARRIED, rtol=1e-8)
-    # What a carries goes to its locators: their three supports hold 100 N in all.
+    # The locators of a carry its load: their three supports hold 100 N in all.
     np.testing.assert_allclose(found.resolutions["clamp"].reaction[0][:3].sum(), 100.0, rtol=1e-9)
     # The rigid motions of the outcome, from which fields are drawn: b sinks by the first foot.
     np.testing.assert_allclose(found.motion[0, 8], -PAIR * CARRIED[0], rtol=1e-8)
@@ -73,7 +73,7 @@ def test_a_sample_fails_beyond_the_friction_limit():
     carried = resolution.force[3]
     np.testing.assert_allclose(carried.sum(axis=0), [100.0, -19.0, 0.0], atol=1e-7)
     assert (np.hypot(*carried[:, 1:].T) <= 0.2 * carried[:, 0] + 1e-7).all()
-    # A sample knows nothing of the others, nor of one that fails beside it.
+    # A sample does not depend on the others, nor on one that fails beside it.
     alone = model.evaluate(forces[3:])
     np.testing.assert_array_equal(alone.measurements[0], found.measurements[3])
 
@@ -122,7 +122,7 @@ def test_placing_a_part_causes_no_friction():
 
 
 def test_friction_starts_at_the_placed_position():
-    """Sides that stick at once, one of them 0.1 mm out: what was put down is no slip, in one step either."""
+    """Sides that stick at once, one of them 0.1 mm out: the placement is no slip, also in one step."""
     one, three = (groove(3.0, OUT, path).evaluate({}) for path in ({"path": "one-step"}, {"increments": 3}))
     assert not one.failed.any() and not three.failed.any()
     np.testing.assert_allclose(one.measurements, three.measurements, atol=1e-6)
@@ -163,7 +163,7 @@ def test_a_shape_deviation_is_measured_from_the_resting_position():
     model = table([PRESS], shape=longer, deviations=[deviation])
     nominal, moved = model.evaluate({}), model.evaluate({"D": 0.2})
     np.testing.assert_allclose(moved.resolutions["clamp"].force, nominal.resolutions["clamp"].force, atol=1e-6)
-    # Of the point at the foot the shape says −d, and b stands d higher there: it reads as before.
+    # The shape moves the point at the foot by −d, and b stands d higher there: it reads as before.
     np.testing.assert_allclose(moved.measurements, nominal.measurements, atol=1e-8)
 
 
@@ -235,7 +235,7 @@ def test_a_flexible_sheet_can_rest_on_another_and_be_welded(lap_scene, cache):
         assert set(found.resolutions[stage].rung) == {"followed"}
     force = found.resolutions["clamp"].force
     np.testing.assert_allclose(force.sum(axis=1), [[60.0, 0.0, 0.0]] * 4, atol=1e-7)
-    # Of both parts' forces, those of the fixture included, no resultant is left.
+    # The forces on both parts, those of the fixture included, have no resultant.
     assert np.abs(model.compliance.resultants(found.functional_force)).max() < 1e-6
     one = model.evaluate(samples[2])
     np.testing.assert_array_equal(one.measurements[0], found.measurements[2])

@@ -31,7 +31,7 @@ from mic.studies.sensitivity import effects, steps
 
 EXACT = 1e-7  # of the largest derivative of a key characteristic
 STEP = 1e-5  # standard deviations
-#: mm, of rows that are eliminated anew: by less is rounding, by more a contact changes its state.
+#: mm, of rows that are eliminated again: smaller steps show rounding, larger ones change the state of a contact.
 MOVED = (1e-4, 3e-5, 1e-5, 3e-6)
 TIGHT = 1e-12  # of the contact certificate: differences of less would be rounding
 SIGMA = {"locator": 0.05, "clamp": 5.0}
@@ -53,7 +53,7 @@ def sigmas(model) -> np.ndarray:
 
 
 def central(model, values, samples, step=STEP) -> np.ndarray:
-    """(n, k, p) central differences of what ``values`` makes of deviations (n, p), per standard deviation."""
+    """(n, k, p) central differences of ``values``, a function of deviations (n, p), per standard deviation."""
     σ, p = sigmas(model), samples.shape[1]
     moved = [(samples[:, None] + sign * step * np.diag(σ)).reshape(-1, p) for sign in (1, -1)]
     up, down = (values(x).reshape(len(samples), p, -1) for x in moved)
@@ -101,7 +101,7 @@ def test_a_law_that_reads_more_owns_its_tangent(lap_model, law):
 
 
 def frozen(process, steps):
-    """What key characteristics are along paths of these steps, for so many samples beside each."""
+    """Returns a function: key characteristics along paths of these steps, for several samples beside each."""
 
     def values(samples):
         beside = {key: np.repeat(record, len(samples) // len(record)) for key, record in steps.items()}
@@ -111,7 +111,7 @@ def frozen(process, steps):
 
 
 @pytest.mark.slow
-def test_along_a_followed_path_it_is_the_derivative_of_its_steps(lap_model):
+def test_derivatives_along_a_followed_path_are_those_of_its_steps(lap_model):
     model = with_positions(lap_model)
     process, samples = model.process("coulomb", TIGHT), draw(model.scene, 1, 0, 4)
     found = sensitivities(process, samples)
@@ -119,7 +119,7 @@ def test_along_a_followed_path_it_is_the_derivative_of_its_steps(lap_model):
     assert {record.order for records in found.steps.values() for record in records} == {2}
     slope = found.jacobian * sigmas(model)
     assert off(slope, central(model, frozen(process, found.steps), samples)) < EXACT
-    # Free steps differ by what the paths err in the key characteristics, over the difference's step.
+    # Free steps differ by the error of the paths in the key characteristics, over the step of the difference.
     exact, errors = Process(model, "coulomb", TIGHT, path_tolerance=1e-5), []
 
     def values(x):
@@ -134,14 +134,14 @@ def test_along_a_followed_path_it_is_the_derivative_of_its_steps(lap_model):
 
 
 @pytest.mark.slow
-def test_along_the_hats_followed_path_too(hat_model):
+def test_derivatives_are_exact_along_the_followed_path_of_the_hat(hat_model):
     """Some hundred steps a sample, in which contacts close, open and slide round corners."""
     process = hat_model.process("coulomb", TIGHT)
     # In the second, a slider is found without a tangential force, and so without a direction.
     samples = np.concatenate(
         [draw(hat_model.scene, seed, first, 1) for seed, first in ((1, 0), (hat_model.scene.monte_carlo.seed, 2))]
     )
-    # Where rounding puts it, the second lies 1e-5 σ from a jump by 3e-8 mm, which is no part of a derivative.
+    # Without this shift the second lies 1e-5 σ from a jump by 3e-8 mm, which no derivative contains.
     samples += 2e-4 * sigmas(hat_model)
     found = sensitivities(process, samples)
     assert found.exact.all() and min(len(record.ends) for records in found.steps.values() for record in records) > 1
@@ -181,8 +181,8 @@ def test_a_locator_and_a_clamp_are_inputs_without_being_deviations(lap_model):
 
 
 def with_places(model, share=0.02) -> tuple[ReducedModel, dict]:
-    """The model with made-up position rows, as if a weld moved towards a pair, and others read what pairs read as they
-    move; and for each input which rows those are."""
+    """The model with made-up position rows, as if a weld moved towards a pair, and locators and clamps read pairs as
+    they move; and these rows by input."""
     scene, contact, weld = model.scene, model.rows["contact"], model.rows["weld"]
     moving = {f"locators.{scene.locators[2].name}.x": {("locator", 2): share * contact[7]}}
     moving |= {f"clamps.{scene.clamps[0].name}.y": {("clamp", 0): share * contact[30]}}
@@ -212,7 +212,7 @@ def displaced(model, rows, step) -> ReducedModel:
 @pytest.mark.slow
 @pytest.mark.parametrize(("way", "change"), [("followed", {}), (3, {"close": True})])
 def test_a_place_in_the_sheet_is_an_input(lap_model, way, change):
-    """What the row reads elsewhere counts, what it pushes with there, and the weld's gap."""
+    """The readings of the row elsewhere count, its force there, and the gap of the weld."""
     model = on_the_way(lap_model, way)
     welds = [one.model_copy(update=change) for one in model.scene.welds]
     model, moving = with_places(replace(model, scene=model.scene.model_copy(update={"welds": welds})))
@@ -229,7 +229,7 @@ def test_a_place_in_the_sheet_is_an_input(lap_model, way, change):
         k = int(np.argmin(apart))
         difference = slopes[k]  # the one that a smaller step changes least
         largest = np.abs(difference).max()
-        # By which it errs itself: of two that rounding has moved alike the next larger step knows better.
+        # Its own error: rounding may move two differences alike, so the next larger step counts too.
         erring = max(apart[max(k - 1, 0) : k + 1])
         assert largest > 1e-6 and erring < 1e-5 * largest, name
         within = 10 * EXACT * largest + erring
@@ -242,10 +242,10 @@ def test_a_requested_position_moves_like_the_point_of_the_scene(lap_scene, cache
     """Without zones, whose pairs would go with pads and locators: a weld and a locator, put elsewhere on the meshes."""
     bare = lap_scene.model_copy(update={"zones": []})
     names = [f"welds.{bare.welds[1].name}.x", f"locators.{bare.locators[0].name}.x"]
-    asked = [name.removesuffix(".x") for name in names]
-    report = bare.report.model_copy(update={"positions": asked})
+    moved_items = [name.removesuffix(".x") for name in names]
+    report = bare.report.model_copy(update={"positions": moved_items})
     model = mic.reduce(bare.model_copy(update={"report": report}), cache)
-    in_plane = {f"{one}.{axis}" for one in asked for axis in "xy"}  # the sheets lie in z = 0
+    in_plane = {f"{one}.{axis}" for one in moved_items for axis in "xy"}  # the sheets lie in z = 0
     assert set(model.labels["position"]) == in_plane
     found = model.sensitivities({}, "coulomb", names).jacobian[0]
     values = []
@@ -293,11 +293,11 @@ def test_reach_is_the_distance_to_the_next_change_of_state(lap_model):
     assert all(held)
 
 
-@pytest.mark.parametrize("asked", ["welds.W9", "zones.lap", "", "welds.", "W1", "locators.W1"])
-def test_places_that_do_not_exist_are_refused(lap_scene, asked):
+@pytest.mark.parametrize("name", ["welds.W9", "zones.lap", "", "welds.", "W1", "locators.W1"])
+def test_places_that_do_not_exist_are_refused(lap_scene, name):
     keys = lap_scene.model_dump(exclude_none=True)
-    keys["report"]["positions"] = [asked]
-    with pytest.raises(ValidationError, match=rf"report.positions\[0\]: there is no '{re.escape(asked)}'; known: "):
+    keys["report"]["positions"] = [name]
+    with pytest.raises(ValidationError, match=rf"report.positions\[0\]: there is no '{re.escape(name)}'; known: "):
         lap_scene.model_validate(keys)
 
 
@@ -336,8 +336,8 @@ def resting(force=100.0, gap=(0.02, -0.03, 0.01), **path) -> ReducedModel:
 @pytest.mark.parametrize(
     ("law", "path"), [("coulomb", {}), ("associated", {"increments": 3}), ("coulomb", {"path": "one-step"})]
 )
-def test_where_a_part_rests_is_derived_too(law, path):
-    """It is put down where nothing overlaps, pressed, and slides a little; where it lies follows the inputs."""
+def test_the_position_of_a_resting_part_is_differentiated(law, path):
+    """It is placed without overlap, pressed, and slides a little; its position follows the inputs."""
     model = resting(**path)
     process, samples = model.process(law, TIGHT), np.array([[0.1, 0.3, 0.02]])
     found = sensitivities(process, samples)
@@ -388,8 +388,8 @@ def test_a_table_shows_the_effect_of_a_step_of_each_input(lap_model):
     for deviation in model.scene.deviations:
         step = {deviation.name: deviation.mean + 1e-3 * deviation.sigma}
         moved = 1e3 * (model.evaluate(step, "coulomb").measurements[0] - base)
-        told = found.table.loc[found.table["input"] == deviation.name, "effect"].to_numpy()
-        np.testing.assert_allclose(told, moved, rtol=0, atol=1e-4 * np.abs(found.table["effect"]).max())
+        printed = found.table.loc[found.table["input"] == deviation.name, "effect"].to_numpy()
+        np.testing.assert_allclose(printed, moved, rtol=0, atol=1e-4 * np.abs(found.table["effect"]).max())
     assert 0 < found.reach <= found.table.loc[found.table["input"].isin(model.parameters), "reach"].min()
     assert found.where.split(": ")[0] in [stage.name for stage in model.scene.stages]
 
@@ -448,7 +448,7 @@ def test_a_change_of_state_has_one_sided_derivatives(law):
 
 
 def test_forces_of_limited_clamps_are_inputs():
-    """What does not reach its position pushes with its limit; what reaches it does not hang on it, to either side."""
+    """A clamp that does not reach its position pushes with its limit; on one that does, the limit has no effect."""
     soft, stiff = -1 / STIFFNESS, -0.5 / STIFFNESS
     needed = STIFFNESS * (2 * 0.5 - 0.3)
     cases = [(10.0, [soft] * 2), (25.0, [stiff] * 2), (2 * needed, [0.0] * 2), (needed, [stiff, 0.0])]

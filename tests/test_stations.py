@@ -181,7 +181,7 @@ def test_overlap_in_a_later_station_settles_against_existing_contacts():
 
     With f on a from b and N from c: f + 2 N = 0.35 k (c meets a), 2 f + N = P − g k (b stays on a). It touches from the
     start, N and the drag D grow together, and c slips all the way under load. b, which sticks to a by what the first
-    drag left there, goes with a, by μ N/4k: the slip is D/2k − 3/2 μ N/2k. Began it all anew, b would slip.
+    drag left there, goes with a, by μ N/4k: the slip is D/2k − 3/2 μ N/2k. If memory were lost, b would slip.
     """
     hold = at_face("b", (0, 0, -1), name="H", force=30.0, stage="hold")
     stick = at_face("b", (1, 0, 0), name="T", force=1.0, stage="hold")

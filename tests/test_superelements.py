@@ -88,18 +88,19 @@ def labelled(path, K, points):
 
 
 def columns(K, layout):
-    """Number, first row, and pieces of a column in OUTPUT4, integers and values each: whole, or its runs that are not
-    zero, told by two integers or one; and the column past the last."""
+    """Number, first row, and pieces (integers, values) of each column in OUTPUT4, and the column past the last.
+
+    A column is one piece (`layout` "whole"), or its nonzero runs, each described by two integers or one."""
     for number, column in enumerate(K.T, 1):
         if layout == "whole":
             yield number, 1, [((), column)]
             continue
         rows = np.flatnonzero(column)
         runs = [run for run in np.split(rows, np.flatnonzero(np.diff(rows) > 1) + 1) if len(run)]
-        told = [(2 * len(run) + 1, run[0] + 1) for run in runs]
+        heads = [(2 * len(run) + 1, run[0] + 1) for run in runs]
         if layout == "one":
-            told = [(first + (length << 16),) for length, first in told]
-        yield number, 0, [(integers, column[run]) for integers, run in zip(told, runs)]
+            heads = [(first + (length << 16),) for length, first in heads]
+        yield number, 0, [(integers, column[run]) for integers, run in zip(heads, runs)]
     yield len(K) + 1, 1, [((), np.ones(1))]
 
 
@@ -175,9 +176,9 @@ def test_every_format_gives_the_matrix_that_was_written(tmp_path, sheet, K, name
 
 def test_rigid_motions_are_read_exactly_between_nodes_and_by_the_arm_of_the_nearest(tmp_path, sheet):
     centre, f = sheet.centroid, functionals(sheet, PLACES, 4.0)
-    for kept in (np.arange(len(sheet.points)), np.arange(0, len(sheet.points), 2)):
-        edges = [(i, j) for i in range(len(kept)) for j in range(i)]
-        market(tmp_path / "a.mtx", frame(sheet.points[kept], edges), sheet.points[kept])
+    for chosen in (np.arange(len(sheet.points)), np.arange(0, len(sheet.points), 2)):
+        edges = [(i, j) for i in range(len(chosen)) for j in range(i)]
+        market(tmp_path / "a.mtx", frame(sheet.points[chosen], edges), sheet.points[chosen])
         part, found = coefficients(tmp_path / "a.mtx", sheet)
         for row in range(len(f)):
             patch, d = f.patches[f.patch[row]], f.direction[row]
@@ -339,8 +340,8 @@ def test_a_scene_of_superelements_is_checked_and_computed_without_finite_element
     monkeypatch.setenv("MIC_CACHE", str(cache))
     monkeypatch.setenv("COLUMNS", "200")
     scene = framed_scene(tmp_path)
-    told = CliRunner().invoke(app, ["check", str(tmp_path), "--page", str(tmp_path / "check.html")]).output
-    assert "of a superelement" in told and "The scene is valid" in told
+    output = CliRunner().invoke(app, ["check", str(tmp_path), "--page", str(tmp_path / "check.html")]).output
+    assert "of a superelement" in output and "The scene is valid" in output
     samples = np.array([[item.mean + item.sigma for item in scene.deviations]])
     one = mic.reduce(scene, cache).evaluate(samples).measurements
     assert np.isfinite(one).all() and np.abs(one).max() > 1e-6

@@ -1,12 +1,12 @@
-"""Sheets of varying thickness: interpolation, faces, closed forms, the full solve and refused input."""
+"""Sheets of varying thickness: interpolation, faces, closed forms and refused input."""
 
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
+from support.deviated import lap_joint, read
 
 import mic
 from mic.compliance.cache import influence_coefficients, is_cached
@@ -18,28 +18,12 @@ from mic.model.one_sigma import one_sigma
 from mic.model.shape import thickening
 from mic.model.sources import sources, thickness_ranges, with_deviations
 from mic.process.model import ReducedModel
-from mic.scene.load import read_table
 from mic.studies import thickness
 from mic.studies.sensitivity import effects
 from mic.studies.thickness import interpolation_errors
 
-LAP = Path(__file__).resolve().parents[1] / "meshes" / "lap_joint"
 T = {"name": "T", "kind": "thickness", "part": "upper", "sigma": 0.02}
 FORCE = {"name": "F", "kind": "force", "part": "upper", "point": [65, 20, 1], "mean": -5.0, "sigma": 1.5}
-
-
-def lap(deviations, thickness=1.0, pairs=6, **keys):
-    """The table of a small lap joint with other deviations, its upper sheet so thick, one increment a step."""
-    table = mic.load_scene(LAP).model_dump(mode="json", exclude={"folder"})
-    table["parts"] = [part | {"density": 7850.0, "size": "coarse"} for part in table["parts"]]
-    table["parts"][1]["thickness"] = thickness
-    table["zones"][0]["pairs"] = pairs
-    table["stages"][1:4] = [one | {"path": "increments", "increments": 1} for one in table["stages"][1:4]]
-    return table | {"report": {"laws": ["coulomb"]}, "deviations": deviations} | keys
-
-
-def read(table):
-    return read_table(table, LAP / "scene.toml")
 
 
 def sheet(t, λ, ℓ0, ℓ1):
@@ -88,7 +72,7 @@ def test_functionals_on_a_face_move_with_it():
 @pytest.fixture(scope="module")
 def assembled(cache):
     """With candidates, and a lower sheet of 0.8 mm."""
-    table = lap([T])
+    table = lap_joint([T])
     table["zones"][0].pop("pairs")
     table["parts"][0]["thickness"] = 0.8
     return assemble(read(table), cache)
@@ -126,7 +110,7 @@ def test_the_compliance_through_the_sheets_follows_their_thickness(assembled):
 def test_a_lap_sags_with_its_weight_as_a_plate_does(cache):
     """Between supports its sag is of q/D, with q of t and D of t³; its derivative is −2 sag/t."""
     change = {"welds": [], "clamps": [], "zones": [], "stages": [{"kind": "locate"}, {"kind": "measure"}]}
-    model = mic.reduce(read(lap([{"name": "g", "kind": "gravity"}, T | {"sigma": 0.03}], **change)), cache)
+    model = mic.reduce(read(lap_joint([{"name": "g", "kind": "gravity"}, T | {"sigma": 0.03}], **change)), cache)
     sag = model.evaluate({}).measurements[0]
     assert np.abs(sag).min() > 1e-5
     for more in (-0.15, 0.01, 0.15):
@@ -138,30 +122,18 @@ def test_a_lap_sags_with_its_weight_as_a_plate_does(cache):
 
 @pytest.fixture(scope="module")
 def varied(cache):
-    scene = read(lap([FORCE, T]))
+    scene = read(lap_joint([FORCE, T]))
     return assemble(scene, cache), mic.reduce(scene, cache)
-
-
-@pytest.mark.fem
-@pytest.mark.slow
-def test_the_full_solve_of_the_thicker_sheet_agrees(varied):
-    from fem_reference.full.model import FullModel  # only here: what else is tested takes no finite elements
-
-    assembly, model = varied
-    found, reduced = FullModel(assembly, route="condensed").evaluate([-5.0, -0.1]), model.evaluate({"T": -0.1})
-    assert np.abs(reduced.measurements[0] - model.evaluate({}).measurements[0]).max() > 0.01
-    assert np.abs(found.measurements - reduced.measurements[0]).max() < 1e-8
-    for stage, one in reduced.resolutions.items():
-        largest = np.abs(one.force).max()
-        assert np.abs(found.resolutions[stage].force - one.force[0]).max() <= 1e-7 * largest
 
 
 @pytest.mark.fem
 def test_a_scene_drawn_with_the_thinner_sheet_gives_the_same_result(cache):
     """Measured in its clamps, for welds stand elsewhere where a gap is drawn."""
     change = {"welds": [], "stages": [{"kind": "locate"}, {"kind": "clamp", "increments": 1}, {"kind": "measure"}]}
-    thin = mic.reduce(read(lap([], 0.9, **change)), cache).evaluate({})
-    model = mic.reduce(read(lap([T], **change)), cache)
+    table = lap_joint([], **change)
+    table["parts"][1]["thickness"] = 0.9
+    thin = mic.reduce(read(table), cache).evaluate({})
+    model = mic.reduce(read(lap_joint([T], **change)), cache)
     drawn, found = model.evaluate({}), model.evaluate({"T": -0.1})
     assert np.abs(thin.measurements - drawn.measurements).max() > 0.005
     np.testing.assert_allclose(found.measurements, thin.measurements, atol=1e-7)
@@ -260,19 +232,19 @@ def test_invalid_thickness_deviations_are_refused_with_the_remedy(case):
     change, message = BAD[case]
     item = {key: value for key, value in (T | change).items() if value is not None}
     with pytest.raises(mic.SceneError, match=message):
-        retained(lap([item]))
+        retained(lap_joint([item]))
 
 
 def test_two_thickness_deviations_of_one_sheet_and_fields_are_refused():
     with pytest.raises(mic.SceneError, match=r"\(U\): the thickness of 'upper' is varied by 'T' already; merge"):
-        retained(lap([T, T | {"name": "U"}]))
+        retained(lap_joint([T, T | {"name": "U"}]))
     with pytest.raises(mic.SceneError, match=r"T\): fields are computed at the nominal thickness .* leave fields out"):
-        retained(lap([T], report={"fields": True}))
+        retained(lap_joint([T], report={"fields": True}))
 
 
 @pytest.mark.parametrize("key", ["stiffness", "compliance"])
 def test_a_varying_thickness_is_refused_for_a_given_matrix(key):
-    table = lap([T])
+    table = lap_joint([T])
     table["parts"][1] = {"name": "upper", "mesh": "upper.inp", "thickness": 1.0, key: "upper.mtx"}
     table["parts"][1] |= {"young": 210e3, "poisson": 0.3}
     with pytest.raises(mic.SceneError, match=rf"\(T\): part: 'upper' has its {key} from a file, which holds for one"):
@@ -281,8 +253,8 @@ def test_a_varying_thickness_is_refused_for_a_given_matrix(key):
 
 def test_the_range_of_thickness_follows_from_truncation_and_tables():
     of = lambda table: thickness_ranges(read(table))["upper"]
-    assert of(lap([T | {"sigma": 0.2, "truncated": [-0.1, 0.1]}])) == pytest.approx((0.9, 1.1))
-    assert of(lap([T], monte_carlo={"values": [[0.3], [-0.02]]})) == pytest.approx((0.88, 1.3))
-    assert of(lap([T | {"sigma": 0.0, "mean": 0.2}])) == pytest.approx((1.19, 1.21))
+    assert of(lap_joint([T | {"sigma": 0.2, "truncated": [-0.1, 0.1]}])) == pytest.approx((0.9, 1.1))
+    assert of(lap_joint([T], monte_carlo={"values": [[0.3], [-0.02]]})) == pytest.approx((0.88, 1.3))
+    assert of(lap_joint([T | {"sigma": 0.0, "mean": 0.2}])) == pytest.approx((1.19, 1.21))
     with pytest.raises(mic.SceneError, match=r"the samples of the table lead from 1.98 to 2.02 mm, and part 'upper'"):
-        retained(lap([T], monte_carlo={"values": [[1.02], [0.98]]}))  # the thickness itself
+        retained(lap_joint([T], monte_carlo={"values": [[1.02], [0.98]]}))  # the thickness itself

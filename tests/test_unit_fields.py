@@ -43,11 +43,11 @@ def test_cached_fields_equal_solved_fields_and_further_functionals_are_added(par
         displacement_field(part, loads, tmp_path)
     made = displacement_field(part, loads, tmp_path)
     monkeypatch.setattr(provider, "find", refuse)
-    kept = displacement_field(part, -3 * loads[:, ::-1], tmp_path)
+    cached = displacement_field(part, -3 * loads[:, ::-1], tmp_path)
     scale = np.abs(direct[:, :3]).max()
     np.testing.assert_allclose(made[0], direct[:, :3], atol=1e-9 * scale)
-    np.testing.assert_allclose(kept[0], -3 * direct[:, :3, ::-1], atol=3e-9 * scale)
-    np.testing.assert_array_equal(kept[1], modes[:, :3])
+    np.testing.assert_allclose(cached[0], -3 * direct[:, :3, ::-1], atol=3e-9 * scale)
+    np.testing.assert_array_equal(cached[1], modes[:, :3])
     np.testing.assert_array_equal(displacement_field(part, loads, tmp_path)[0], made[0])  # to the bit
     displacement_field(part, few, tmp_path)
 

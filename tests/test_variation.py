@@ -82,7 +82,7 @@ def test_the_tolerance_of_form_grows_with_the_size(size, tolerance):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", range(40))
+@pytest.mark.parametrize("seed", range(12))
 def test_a_proposed_locator_moves_no_node_of_its_part_far(seed, tmp_path):
     """Found by solving for the rigid motion of the part itself, locator by locator."""
     body, six, variation = random_part(np.random.default_rng(seed), tmp_path)
@@ -97,7 +97,7 @@ def test_a_proposed_locator_moves_no_node_of_its_part_far(seed, tmp_path):
 
 @pytest.mark.fem
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", range(12))
+@pytest.mark.parametrize("seed", range(4))
 def test_a_proposed_shape_moves_no_node_of_its_part_by_more_than_stated(seed, tmp_path, cache):
     """With the sheet's own stiffness between the points of the field, and on its locators; and it does move some."""
     body, six, variation = random_part(np.random.default_rng(1000 + seed), tmp_path)

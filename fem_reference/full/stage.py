@@ -29,7 +29,7 @@ from fem_reference.full.load_path import ContactFailure, Contacts, LoadPath, Pen
 from fem_reference.full.path import TOUCHING, FullTrace, Point, extrapolated, increments, shares, transition
 from mic.errors import FreeMotion
 from mic.model.rest_rows import separating_motion
-from mic.process.actions import Joints, ResolveOverlap, Row
+from mic.process.actions import ResolveOverlap
 from mic.process.drive import Drive
 from mic.process.plan import StagePlan, Step, row_compliance
 
@@ -96,9 +96,9 @@ class FullState:
     solution: State
     left: np.ndarray
     anchor: np.ndarray
-    reaction: Mapping[Row, float] = field(default_factory=dict)
+    reaction: Mapping[tuple[str, int], float] = field(default_factory=dict)
     push: Mapping[int, float] = field(default_factory=dict)
-    stop: Mapping[Row, float] = field(default_factory=dict)
+    stop: Mapping[tuple[str, int], float] = field(default_factory=dict)
     frozen: Mapping[int, float] = field(default_factory=dict)
 
     @classmethod
@@ -186,7 +186,7 @@ class FullStage:
     def _make_welds(self, step, state, drive):
         reading = self.mesh.rows["weld"] @ state.solution.u
         frozen = dict(state.frozen) | {row: float(reading[row]) for row in step.made}
-        closed = step.closed(Joints(self.mesh.assembly.weld_size))
+        closed = step.closed(self.mesh.assembly.joints)
         return frozen | {row: -float(drive.weld_gap[0, row]) for row in closed}
 
     def _load_path(self, number, step: Step, state, drive) -> LoadPath:

@@ -12,6 +12,7 @@ from mic.compliance.part import Part
 from mic.contact.friction import Friction
 from mic.geometry.deck import Deck
 from mic.geometry.surface import Surface
+from mic.model.rows import Joints
 from mic.scene import Scene
 
 __all__ = ["Assembly", "AssemblyRows", "Contacts", "GapPoints"]
@@ -156,6 +157,11 @@ class AssemblyRows:
     weld_gap: np.ndarray
     spacing: tuple[float | None, ...]
     position_gap: np.ndarray
+
+    @property
+    def joints(self) -> Joints:
+        """The rows of each weld."""
+        return Joints(self.weld_size)
 
 
 @dataclass(frozen=True)

@@ -242,8 +242,8 @@ def _compared_rows(assembly: Assembly, p: int) -> tuple[Part, dict[str, csr_matr
     normals = acting["contact"][acting["contact"] % contacts.dimension == 0]
     zone = contacts.zone[normals // contacts.dimension]
     normals = np.concatenate([np.zeros(0, int), *(_evenly_chosen(normals[zone == z]) for z in np.unique(zone))])
-    welds = np.intersect1d(acting["weld"], np.concatenate([[0], np.cumsum(assembly.weld_size)[:-1]]))
-    across = {"contact": normals, "weld": welds.astype(int), "clamp": acting["clamp"], "force": acting["force"]}
+    welds = np.intersect1d(acting["weld"], assembly.joints.first)
+    across = {"contact": normals, "weld": welds, "clamp": acting["clamp"], "force": acting["force"]}
     pushing = vstack([rows[kind][numbers] for kind, numbers in across.items()], format="csr")
     for kind in ("measurement", "locator"):
         if not pushing.shape[0]:  # nothing pushes this part

@@ -83,7 +83,7 @@ def zone_of_weld(zones: Sequence, zone_of_pair: np.ndarray, points: np.ndarray, 
 
 def mean_gaps(model) -> np.ndarray:
     """(w,) mean nominal gaps of the welds of an assembly or a reduction, mm."""
-    return model.weld_gap[np.cumsum([0, *model.weld_size[:-1]])] if model.weld_size else np.zeros(0)
+    return model.weld_gap[model.joints.first]
 
 
 def frozen_gaps(model) -> list[str]:

@@ -23,6 +23,7 @@ from mic.compliance.thickness import Thicknesses
 from mic.errors import ArgumentError
 from mic.model.assembly_types import Assembly, Contacts, GapPoints
 from mic.model.characteristics import Characteristics
+from mic.model.rows import Joints
 from mic.model.shape import shape_readings
 from mic.model.shape_derivatives import ShapeDerivatives
 from mic.model.sources import thickness_changes, with_deviations
@@ -111,6 +112,11 @@ class Reduction:
             thicknesses={one.part: one.thicknesses for one in coefficients if one.thicknesses is not None},
             **{name: getattr(assembly, name) for name in FROM_ASSEMBLY},
         )
+
+    @property
+    def joints(self) -> Joints:
+        """The rows of each weld."""
+        return Joints(self.weld_size)
 
     @property
     def parameters(self) -> list[str]:

@@ -8,6 +8,7 @@ the full finite-element reference both use these rows. Rows that no stage and no
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.sparse import csr_matrix
@@ -19,7 +20,7 @@ from mic.geometry.pairing import Side
 from mic.geometry.surface import Patch, Projection, Surface
 from mic.scene import Scene
 
-__all__ = ["AXES", "KINDS", "NORMAL", "REACH", "SHARE", "Rows", "on_part", "xyz"]
+__all__ = ["AXES", "KINDS", "NORMAL", "REACH", "SHARE", "Joints", "Row", "Rows", "on_part", "xyz"]
 
 #: Kinds of rows. "between": points between contact pairs; "position": growth of other rows as an item moves.
 KINDS = ("locator", "clamp", "weld", "contact", "between", "force", "measurement", "position")
@@ -28,6 +29,8 @@ AXES = ("n", "t1", "t2")  #: of a joint's frame
 NORMAL = {3: (0,), 6: (0, 4, 5), 9: (0, 3, 6)}
 REACH = 5.0  # mm: a point of the scene farther than this from its part is refused, not projected
 SHARE = 0.03  # of the part's diameter, if that is more: a refusal must not depend on the unit in which a part is drawn
+
+Row = tuple[str, int]  #: a row by its kind and its number
 
 
 class Rows:
@@ -139,6 +142,39 @@ class Rows:
         lengths = [len(functionals) for functionals in self._functionals.values()]
         start = dict(zip(self._functionals, np.concatenate([[0], np.cumsum(lengths)])))
         return {kind: _matrix(terms, start, sum(lengths)) for kind, terms in self._terms.items()}
+
+
+@dataclass(frozen=True)
+class Joints:
+    """The rows of each weld.
+
+    Attributes
+    ----------
+    size : tuple of int
+        Rows of each weld: the means along n, t1, t2; then rotations about these, or moments along them, first those
+        over t1 and then those over t2.
+    """
+
+    size: tuple[int, ...]
+
+    @property
+    def first(self) -> np.ndarray:
+        """(w,) first row of each weld."""
+        return np.concatenate([[0], np.cumsum(self.size)]).astype(int)[:-1]
+
+    def rows(self, weld: int) -> list[Row]:
+        """All rows of a weld."""
+        start = int(self.first[weld])
+        return [("weld", row) for row in range(start, start + self.size[weld])]
+
+    def normal(self, weld: int) -> list[int]:
+        """The rows of a weld along its normal: the mean gap of its sheets, and how the gap tilts."""
+        return [int(self.first[weld]) + row for row in NORMAL[self.size[weld]]]
+
+    @property
+    def normals(self) -> np.ndarray:
+        """(k,) the normal rows of all welds."""
+        return np.array([row for weld in range(len(self.size)) for row in self.normal(weld)], dtype=int)
 
 
 def on_part(key: str, part: str, surface: Surface, points, name: str = "") -> Projection:

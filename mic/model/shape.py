@@ -214,8 +214,8 @@ def thickening(assembly, p: int, skin: int) -> np.ndarray:
         The face that stays: 1 on the side of the mesh's normals, -1 on the other, 0 the mid-surface.
     """
     part, functionals = assembly.parts[p], slice(assembly.offsets[p], assembly.offsets[p + 1])
-    rows, first = assembly.rows, np.cumsum([0, *assembly.weld_size])[: len(assembly.weld_size)]
-    joints = (rows["contact"][:: assembly.contacts.dimension], rows["between"], rows["weld"][first])
+    rows = assembly.rows
+    joints = (rows["contact"][:: assembly.contacts.dimension], rows["between"], rows["weld"][assembly.joints.first])
     moved = np.zeros(len(part.functionals))
     for joint in joints:
         entries = joint[:, functionals].tocoo()

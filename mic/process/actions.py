@@ -15,14 +15,11 @@ from typing import Any
 
 import numpy as np
 
-from mic.model.rows import NORMAL
 from mic.scene.stages import moves_assembly, placing_stages
 
-__all__ = ["STAGE_MOVES", "Close", "Fixture", "Join", "Joints", "Move", "Open", "stage_moves", "together", "tongs"]
+__all__ = ["STAGE_MOVES", "Close", "Fixture", "Join", "Move", "Open", "stage_moves", "together", "tongs"]
 
 MAX_COSINE = -0.9  # of the angle between the directions of two clamps that push against each other
-
-Row = tuple[str, int]  #: a row by its kind and its number
 
 
 @dataclass(frozen=True)
@@ -134,39 +131,6 @@ class ResolveOverlap(Action):
 
 class Read(Action):
     """Read the measurements."""
-
-
-@dataclass(frozen=True)
-class Joints:
-    """The rows of each weld.
-
-    Attributes
-    ----------
-    size : tuple of int
-        Rows of each weld: the means along n, t1, t2; then rotations about these, or moments along them, first those
-        over t1 and then those over t2.
-    """
-
-    size: tuple[int, ...]
-
-    @property
-    def first(self) -> np.ndarray:
-        """(w,) first row of each weld."""
-        return np.concatenate([[0], np.cumsum(self.size)]).astype(int)[:-1]
-
-    def rows(self, weld: int) -> list[Row]:
-        """All rows of a weld."""
-        start = int(self.first[weld])
-        return [("weld", row) for row in range(start, start + self.size[weld])]
-
-    def normal(self, weld: int) -> list[int]:
-        """The rows of a weld along its normal: the mean gap of its sheets, and how the gap tilts."""
-        return [int(self.first[weld]) + row for row in NORMAL[self.size[weld]]]
-
-    @property
-    def normals(self) -> np.ndarray:
-        """(k,) the normal rows of all welds."""
-        return np.array([row for weld in range(len(self.size)) for row in self.normal(weld)], dtype=int)
 
 
 Move = tuple[Action, ...]  #: actions that happen together, contact active throughout

@@ -18,7 +18,6 @@ from dataclasses import dataclass, fields
 import numpy as np
 
 from mic.model.sources import sources
-from mic.process.actions import Joints
 
 __all__ = ["DriveTerms", "Drive", "drive"]
 
@@ -117,7 +116,7 @@ def drive(assembly, deviations: np.ndarray, shape: Mapping[str, np.ndarray], ter
         target[kind][:, row] += share * deviations[:, j]
     for row, j, share in terms.push:
         push[:, row] += share * deviations[:, j]
-    contacts, normal = assembly.contacts, Joints(tuple(assembly.weld_size)).normals
+    contacts, normal = assembly.contacts, assembly.joints.normals
     weld_gap = np.tile(assembly.weld_gap, (len(deviations), 1))
     weld_gap[:, normal] += shape["weld"][:, normal]
     return Drive(

@@ -27,7 +27,8 @@ from scipy.sparse import csr_matrix, diags, hstack, identity, kron
 from mic.compliance.support import completing_rows
 from mic.contact.laws import LAWS
 from mic.errors import FreeMotion, SceneError
-from mic.process.actions import Joints, Placement
+from mic.model.rows import Joints
+from mic.process.actions import Placement
 
 __all__ = ["check_resting", "free_motion_error", "with_resting_parts", "describe_direction"]
 
@@ -110,7 +111,7 @@ def check_resting(assembly, plans: Sequence, laws: Iterable[str]) -> None:
     """
     if not any(step.resting for plan in plans for step in plan.steps):
         return
-    bodies, joints = _RigidParts(assembly.scene), Joints(tuple(assembly.weld_size))
+    bodies, joints = _RigidParts(assembly.scene), assembly.joints
     for law in laws:
         for plan in plans:
             resolved = [step for step in plan.steps if step.resolves]

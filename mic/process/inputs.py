@@ -20,8 +20,8 @@ from typing import Any
 import numpy as np
 
 from mic.errors import ArgumentError
+from mic.model.rows import Row
 from mic.model.sources import sources
-from mic.process.actions import Joints, Row
 from mic.process.drive import Drive
 
 __all__ = ["Inputs", "Place", "known_inputs"]
@@ -40,7 +40,7 @@ def known_inputs(model) -> dict[str, float]:
 
 def _fixed_inputs(model) -> dict[str, tuple[str, Any]]:
     """The inputs that are not deviations, with the kind and the number of what each changes."""
-    scene, first = model.scene, Joints(tuple(model.weld_size)).first.tolist()
+    scene, first = model.scene, model.joints.first.tolist()
     found: dict[str, tuple[str, Any]] = {f"locators.{one.name}": ("locator", i) for i, one in enumerate(scene.locators)}
     found |= {f"clamps.{one.name}": ("clamp", i) for i, one in enumerate(scene.clamps)}
     limited = [(i, one.name) for i, one in enumerate(scene.clamps) if one.limit is not None]
@@ -112,7 +112,7 @@ class Inputs:
                 raise ArgumentError(
                     f"inputs: {name!r} is not an input of this model{reason}; known inputs: " + ", ".join(known)
                 )
-        p, labels, contacts, joints = len(names), model.labels, model.contacts, Joints(tuple(model.weld_size))
+        p, labels, contacts = len(names), model.labels, model.contacts
         own = dict(zip((one.name for one in model.scene.deviations), sources(model.scene)))
         target = {kind: np.zeros((p, len(labels[kind]))) for kind in ("locator", "clamp")}
         push, friction = np.zeros((p, len(labels["clamp"]))), np.zeros((len(contacts), p))
@@ -125,7 +125,7 @@ class Inputs:
                 continue
             kind, number = fixed[name]
             if kind == "position":
-                places += [Place(i, row, position) for row, position in _rows_at(model, joints, name)]
+                places += [Place(i, row, position) for row, position in _rows_at(model, name)]
             elif kind == "friction":
                 friction[contacts.zone == number, i] = 1.0
             elif kind == "limit":
@@ -151,7 +151,7 @@ class Inputs:
         for kind, moved in self.target.items():
             found.target[kind][:] += np.tile(moved, (n, 1))
         found.push[:] += np.tile(self.push, (n, 1))
-        normal = set(Joints(tuple(model.weld_size)).normals)
+        normal = set(model.joints.normals)
         for place in self.places:
             # At the moved row the stress-free shape differs, and so does the gap of a weld.
             drawn, (kind, row) = deviations @ (model.rows["position"][place.number] @ model.shape).ravel(), place.row
@@ -162,14 +162,14 @@ class Inputs:
         return found
 
 
-def _rows_at(model, joints: Joints, name: str) -> list[tuple[Row, int]]:
+def _rows_at(model, name: str) -> list[tuple[Row, int]]:
     """The rows that move with a position, each with its position row."""
     numbers = [i for i, label in enumerate(model.labels["position"]) if label == name]
     table, item = name.rsplit(".", 1)[0].split(".", 1)
     kind = table[:-1]
     if kind == "weld":
         weld = [one.name for one in model.scene.welds].index(item)
-        return list(zip(joints.rows(weld), numbers))
+        return list(zip(model.joints.rows(weld), numbers))
     return [((kind, model.labels[kind].index(item)), numbers[0])]
 
 

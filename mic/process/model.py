@@ -17,7 +17,6 @@ from mic.errors import ArgumentError, SceneError
 from mic.model.assembly import Assembly
 from mic.model.reduction import Reduction
 from mic.model.rest_rows import RestRows
-from mic.process.actions import Joints
 from mic.process.evaluation import Evaluation, PathSteps, Sensitivities
 from mic.process.plan import StagePlan, Step, plan_assembly, plan_stages
 from mic.process.process import TOLERANCE, Process
@@ -71,11 +70,6 @@ class ReducedModel(Reduction):
         mean = nominal.deviations({})[0]
         model = with_shape(nominal, assembly, fields, own, mean)
         return with_derivatives(model, assembly, fields, slopes, mean) if follows else model
-
-    @property
-    def joints(self) -> Joints:
-        """The rows of each weld."""
-        return Joints(tuple(self.weld_size))
 
     @cached_property
     def plans(self) -> list[StagePlan]:

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mic.contact.tangent import ComplianceDerivative
-from mic.process.actions import Row
+from mic.model.rows import Row
 from mic.process.inputs import Place
 from mic.process.stage import EliminatedStep
 from mic.process.state import ProcessState

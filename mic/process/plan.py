@@ -12,17 +12,16 @@ from typing import Any
 
 import numpy as np
 
+from mic.model.rows import Joints, Row
 from mic.process.actions import (
     Fixture,
     Join,
-    Joints,
     Move,
     MoveAssembly,
     Placement,
     PlaceParts,
     Read,
     ResolveOverlap,
-    Row,
     stage_moves,
     together,
 )

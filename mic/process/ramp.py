@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mic.process.actions import Joints
+from mic.model.rows import Joints
 from mic.process.drive import Drive
 from mic.process.plan import Step
 from mic.process.state import ROW_VALUES, Names, ProcessState, Values

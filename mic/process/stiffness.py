@@ -38,7 +38,6 @@ from mic.model.reduction import Reduction
 from mic.model.shape import dilation
 from mic.model.shape_derivatives import ShapeDerivatives
 from mic.model.sources import sources
-from mic.process.actions import Joints
 from mic.process.stiffness_choice import choose_stiffness
 from mic.scene import Scene
 
@@ -372,8 +371,7 @@ def _gap_changes(
         for kind in ("contact", "weld")
         for read in [model.rows[kind] @ (model.shape @ deviations)]
     )
-    normal = Joints(tuple(model.weld_size)).normals
-    weld_gap[np.setdiff1d(np.arange(len(weld_gap)), normal)] = 0.0
+    weld_gap[np.setdiff1d(np.arange(len(weld_gap)), model.joints.normals)] = 0.0
     return gap[:: assembly.contacts.dimension], weld_gap
 
 

@@ -1,4 +1,4 @@
-"""Small scenes whose parts are out of shape in the mean."""
+"""Small scenes whose parts deviate, as tables."""
 
 from pathlib import Path
 
@@ -7,29 +7,36 @@ from mic.scene.load import read_table
 
 MESHES = Path(__file__).resolve().parents[2] / "meshes"
 WARM = {"name": "W", "kind": "temperature", "part": "lower", "mean": 40.0, "sigma": 1.0}
+STEEL = {"density": 7850.0, "expansion": 1.2e-5}  # kg/m³, 1/K
 
 
-def lap(stiffness, mean=-5.0, **keys):
-    """The table of a small lap joint whose upper sheet is out of shape in the mean, and the lower one warm."""
-    table = mic.load_scene(MESHES / "lap_joint").model_dump(mode="json", exclude={"folder"})
-    table["parts"] = [part | {"expansion": 1.2e-5, "size": "coarse"} for part in table["parts"]]
-    table["zones"][0]["pairs"] = 6
-    table["stages"][1:4] = [one | {"path": "increments", "increments": 1} for one in table["stages"][1:4]]
-    force = {"name": "F", "kind": "force", "part": "upper", "point": [65, 20, 1], "mean": mean, "sigma": 0.25 * mean}
-    force["sigma"] = abs(force["sigma"]) or 1.0
-    table |= {"report": {"laws": ["coulomb"]}, "deviations": [force, WARM], "stiffness": stiffness}
-    return table | keys
-
-
-def hat(stiffness):
-    """Likewise of a hat on a plate, whose bends turn, as the shipped scene has its shapes."""
-    table = mic.load_scene(MESHES / "hat_on_plate").model_dump(mode="json", exclude={"folder"})
-    table["parts"] = [part | {"size": 12.0} for part in table["parts"]]
+def _coarse(folder, size, deviations, **keys):
+    """The table of a shipped scene with elements of a size, six pairs in each zone and one increment for each step."""
+    table = mic.load_scene(MESHES / folder).model_dump(mode="json", exclude={"folder"})
+    table["parts"] = [part | STEEL | {"size": size} for part in table["parts"]]
     table["zones"] = [zone | {"pairs": 6} for zone in table["zones"]]
     for stage in table["stages"]:
         if stage["kind"] in ("clamp", "weld", "release"):
             stage |= {"path": "increments", "increments": 1}
-    return table | {"report": {"laws": ["coulomb"]}, "stiffness": stiffness}
+    return table | {"report": {"laws": ["coulomb"]}, "deviations": deviations} | keys
+
+
+def lap_joint(deviations, **keys):
+    """The table of a small lap joint with other deviations."""
+    return _coarse("lap_joint", "coarse", deviations, **keys)
+
+
+def lap(stiffness, mean=-5.0, **keys):
+    """The table of a small lap joint whose upper sheet is out of shape in the mean, and the lower one warm."""
+    force = {"name": "F", "kind": "force", "part": "upper", "point": [65, 20, 1], "mean": mean}
+    force["sigma"] = 0.25 * abs(mean) or 1.0
+    return lap_joint([force, WARM], stiffness=stiffness) | keys
+
+
+def hat(stiffness):
+    """Likewise of a hat on a plate, whose bends turn under a force."""
+    force = {"name": "F1", "kind": "force", "part": "hat", "point": [150, -40, 1], "direction": [0, 0, 1]}
+    return _coarse("hat_on_plate", 20.0, [force | {"mean": 4.0, "sigma": 1.5}], stiffness=stiffness)
 
 
 def read(table, folder="lap_joint"):

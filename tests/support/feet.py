@@ -1,7 +1,7 @@
 """Rigid bodies that touch at given points, each of which yields on springs of its own: statics by hand.
 
-Whatever a contact reads of a part yields there by 1/k along its normal and by half of that along its tangents, and
-nowhere else; everything else (locators, clamps, welds, measurements) reads the rigid body.
+At a contact a part yields by 1/k along its normal and by half of that along its tangents, and nowhere else; everything
+else (locators, clamps, welds, measurements) reads the rigid body.
 """
 
 import numpy as np

@@ -1,8 +1,8 @@
 """Rigid bodies whose one face yields on springs: assemblies small enough to be solved by hand.
 
 Every part is rigid but for its face at `FACE`, which yields along z by 1/k per N and along x and y by half of that.
-What stands at the face (clamps, welds, contact pairs, measurements) reads it; everything else reads the rigid body, the
-moments of welds among it. All lies in one plane, gaps are along z.
+Items at the face (clamps, welds, contact pairs, measurements) read it; everything else reads the rigid body, also the
+moments of welds. All lies in one plane, gaps are along z.
 """
 
 import numpy as np
@@ -27,7 +27,7 @@ NOWHERE = GapPoints(np.zeros(0, int), np.zeros(0), np.zeros(0, int), np.zeros((0
 
 
 def rows_and_labels(scene, compliance, entries):
-    """Rows (r, F) and their labels by kind, from what each row reads: (part, functional, coefficient) each."""
+    """Rows (r, F) and their labels by kind, from the terms of each row, (part, functional, coefficient) each."""
     names = [part.name for part in scene.parts]
     rows, labels = {}, {}
     for kind, lines in entries.items():
@@ -55,7 +55,7 @@ def six(part, stage="locate", far=FAR):
 
 
 def at_face(part, direction=(0, 0, 1), **keys):
-    """What stands at the face of a part."""
+    """An item at the face of a part."""
     return {"part": part, "point": list(FACE), "direction": list(direction)} | keys
 
 
@@ -66,7 +66,7 @@ def spring_model(gap, weld_gap=(), **scene):
     functionals = {name: [(FACE, axis) for axis in ((0, 0, 1), (1, 0, 0), (0, 1, 0))] for name in names}
 
     def reading(item):
-        """What a row reads, (part, functional, coefficient) each."""
+        """Terms of the row that reads an item, (part, functional, coefficient) each."""
         if tuple(item.point) == FACE:
             x, y, z = item.direction
             return [(item.part, j, share) for j, share in enumerate((z, x, y)) if share]

@@ -1,4 +1,4 @@
-"""Models whose stages are followed otherwise."""
+"""Models whose stages follow another path."""
 
 from dataclasses import replace
 
@@ -9,7 +9,7 @@ def with_stages(model, stages):
 
 
 def on_the_way(model, way):
-    """The model with every stage followed as named, or in so many increments a step."""
+    """The model with the named path in every stage, or a number of increments in each step."""
     keys = {"path": way} if isinstance(way, str) else {"path": "increments", "increments": way}
     moves = ("clamp", "weld", "release")
     stages = [stage.model_copy(update=keys) if stage.kind in moves else stage for stage in model.scene.stages]

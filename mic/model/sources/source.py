@@ -9,11 +9,10 @@ from typing import Any, Literal
 import numpy as np
 from scipy.sparse import csr_matrix
 
+from mic.model.rows import Row
 from mic.scene.deviation import targets
 
-__all__ = ["KnownShape", "Row", "Source"]
-
-Row = tuple[str, int]  #: a row by its kind and its number
+__all__ = ["KnownShape", "Source"]
 
 
 @dataclass(frozen=True)
