@@ -325,8 +325,9 @@ def test_a_varying_force_can_hold_a_resting_part():
 # --------------------------------------------------------------------------------------------------- what is not held
 
 
-@pytest.mark.parametrize("normal, parts", [(UP, ["a", "b"]), ((0, 0, -1), ["b", "a"])])
-@pytest.mark.parametrize("way", [(0.6, 0.8, 0), (-0.6, -0.8, 0)])
+@pytest.mark.parametrize(
+    "way, normal, parts", [((0.6, 0.8, 0), UP, ["a", "b"]), ((-0.6, -0.8, 0), (0, 0, -1), ["b", "a"])]
+)
 def test_the_direction_in_which_a_part_is_pushed_off_is_reported(way, normal, parts):
     """The resting part is the first or the second body of its zone."""
     clamps = [PRESS, push(0, AT, way, "D")]
@@ -365,8 +366,8 @@ def loose(force, state, bound, stopped=0.0, free=3):
     return rest.loose(response, *arrays).get(0)
 
 
-def test_a_contact_holds_only_the_directions_that_it_resists():
-    """Sticking in all directions; slipping across its slip; without friction along its normal; open not at all."""
+def test_contacts_and_stops_hold_only_the_directions_that_they_resist():
+    """Sticking: all; slipping: across the slip; without friction: the normal; open: none; a stop: under force."""
     assert loose((10.0, 0.5, 0.5), STICK, 2.0) is None
     message = loose((10.0, 1.2, 1.6), SLIP, 2.0)  # friction along (0.6, 0.8): so it may go on slipping
     assert message in (
@@ -377,9 +378,6 @@ def test_a_contact_holds_only_the_directions_that_it_resists():
     assert "lies loose" in loose((10.0, 0.0, 0.0), STICK, 0.0)
     assert loose((10.0, 0.0, 0.0), STICK, 0.0, free=1) is None
     assert loose((0.0, 0.0, 0.0), OPEN, 2.0, free=1) == "not held: part b lies loose along z"
-
-
-def test_a_stop_holds_while_it_carries_force():
     assert loose((10.0, 2.0, 0.0), SLIP, 2.0) == "not held: part b lies loose along x"
     assert loose((10.0, 2.0, 0.0), SLIP, 2.0, stopped=3.0) is None
 

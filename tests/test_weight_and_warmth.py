@@ -146,6 +146,10 @@ def test_a_displaced_pin_moves_its_locators_and_a_displaced_hole_does_the_opposi
     np.testing.assert_allclose(targets({"hole": -0.1}), apart, atol=1e-15)
 
 
+MU = {"name": "mu", "kind": "friction", "target": "lap", "sigma": 0.05}
+WARM = {"name": "T", "kind": "temperature", "sigma": 1.0}
+ADDS = "zone 'lap' has no constant friction to add to; give it friction"
+#: A deviation, the words of its error, and a change of the table that causes it.
 BAD = {
     "a pin without a direction": (PIN | {"name": "p"}, "several locators of one pin need its direction"),
     "an unknown locator": (
@@ -160,38 +164,37 @@ BAD = {
     "without direction": (GRAVITY | {"direction": [0, 0, 0]}, "must not be zero"),
     "an unknown stage": (GRAVITY | {"stage": "night"}, "no part is placed in 'night'; name one of locate"),
     "a stage that places nothing": (GRAVITY | {"stage": "weld"}, "no part is placed in 'weld'"),
-    "an unknown part": ({"name": "T", "kind": "temperature", "sigma": 1, "part": "roof"}, "no part called 'roof'"),
+    "an unknown part": (WARM | {"part": "roof"}, "no part called 'roof'"),
+    "without density": (GRAVITY, r"\(g\): part 'upper' needs density", lambda table: table["parts"][1].pop("density")),
+    "without expansion": (WARM, r"\(T\): part 'upper' needs expan", lambda table: table["parts"][1].pop("expansion")),
+    "warm with fields": (
+        WARM,
+        "T.: fields do not include expansion; leave fields out of .report.",
+        lambda table: table["report"].update(fields=True),
+    ),
+    "an unknown zone": (MU | {"target": "roof"}, "no zone called 'roof'"),
+    "a zone without friction": (MU, ADDS, lambda table: table["zones"][0].update(friction=0)),
+    "friction by pressure": (
+        MU,
+        ADDS,
+        lambda table: table["zones"][0].update(friction_table=[[0.0, 0.2], [1.0, 0.2]]),
+    ),
 }
 
 
 @pytest.mark.parametrize("case", BAD)
 def test_invalid_deviations_are_refused_with_the_remedy(case, cache):
-    item, message = BAD[case]
+    item, message, *changes = BAD[case]
+    table = lap_joint([item])
+    for change in changes:
+        change(table)
     with pytest.raises(mic.SceneError, match=message):
-        assemble(read(lap_joint([item])), cache)
-
-
-@pytest.mark.parametrize("kind, key", [("gravity", "density"), ("temperature", "expansion")])
-def test_a_missing_material_property_is_refused(kind, key, cache):
-    table = lap_joint([{"name": "D", "kind": kind, "sigma": 1.0}])
-    del table["parts"][1][key]
-    with pytest.raises(mic.SceneError, match=rf"deviations\[0\] \(D\): part 'upper' needs {key}"):
-        assemble(read(table), cache)
-
-
-def test_fields_with_thermal_expansion_are_refused(cache):
-    table = lap_joint([{"name": "T", "kind": "temperature", "sigma": 1.0}])
-    table["report"]["fields"] = True
-    with pytest.raises(mic.SceneError, match="T.: fields do not include expansion; leave fields out of .report."):
         assemble(read(table), cache)
 
 
 def test_sources_without_temperature_do_not_expand(lap_scene):
     for source in sources(lap_scene):
         assert source.expansion() == {}
-
-
-MU = {"name": "mu", "kind": "friction", "target": "lap", "sigma": 0.05}
 
 
 def test_varying_friction_equals_scenes_with_that_friction(lap_model):
@@ -215,24 +218,6 @@ def test_varying_friction_equals_scenes_with_that_friction(lap_model):
     np.testing.assert_array_equal(force[[0, 1]], force[[5, 2]])
     smooth = varied.process("frictionless").evaluate(samples)
     assert not smooth.failed.any()
-
-
-@pytest.mark.parametrize(
-    "change, message",
-    [
-        ({"target": "roof"}, "no zone called 'roof'"),
-        ({"friction": 0}, "zone 'lap' has no constant friction to add to; give it friction"),
-        (
-            {"friction_table": [[0.0, 0.2], [1.0, 0.2]]},
-            "zone 'lap' has no constant friction to add to; give it friction",
-        ),
-    ],
-)
-def test_invalid_friction_deviations_are_refused_with_the_remedy(change, message, cache):
-    table = lap_joint([MU | {key: value for key, value in change.items() if not key.startswith("friction")}])
-    table["zones"][0] |= {key: value for key, value in change.items() if key.startswith("friction")}
-    with pytest.raises(mic.SceneError, match=message):
-        assemble(read(table), cache)
 
 
 @pytest.mark.slow

@@ -176,11 +176,11 @@ def superelement(
         raise SceneError(
             f"part {name!r}: {key}: its diagonal has negative entries, which no elastic body has; export it again"
         )
-    kept = np.full(len(given.node), True)
+    used = np.full(len(given.node), True)
     if stiffness:  # drop degrees of freedom without stiffness, such as rotations of solids
-        kept = np.asarray(abs(matrix).sum(axis=1)).ravel() > 0
-    matrix, freedom = matrix[kept][:, kept], np.full((len(numbers), 6), -1)
-    freedom[np.searchsorted(numbers, given.node[kept]), given.component[kept]] = np.arange(kept.sum())
+        used = np.asarray(abs(matrix).sum(axis=1)).ravel() > 0
+    matrix, freedom = matrix[used][:, used], np.full((len(numbers), 6), -1)
+    freedom[np.searchsorted(numbers, given.node[used]), given.component[used]] = np.arange(used.sum())
     away, nearest = cKDTree(points).query(drawn.points)
     of_vertex = np.where(away <= SAME * drawn.diameter, nearest, -1)
     body = Superelement(points, numbers, freedom, matrix, stiffness, of_vertex)

@@ -50,7 +50,7 @@ def assembly_rows(
     every_node : bool
         Whether every mesh vertex in the zones becomes a candidate.
     problems : Problems
-        Of the scene so far; whatever they left out of the scene is not looked for.
+        Errors of the scene so far; items with errors are missing from the scene.
 
     Raises
     ------
@@ -83,10 +83,10 @@ def assembly_rows(
         with problems:
             matrices[part.part.name] = _superelement(scene, part)
     problems.raise_all()
-    apart = np.array([pair.spacing for zone in pairs for pair in zone])
+    spacing = np.array([pair.spacing for zone in pairs for pair in zone])
     return AssemblyRows(
         parts=tuple(
-            refined_part(part, scene, contacts.zone, contacts.point, apart) for part in _parts(scene, rows, matrices)
+            refined_part(part, scene, contacts.zone, contacts.point, spacing) for part in _parts(scene, rows, matrices)
         ),
         rows=rows.matrices(),
         labels=rows.labels,

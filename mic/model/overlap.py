@@ -1,9 +1,9 @@
 """Nominal overlap: surfaces that are drawn into each other before anything moves.
 
 Chords across bends, offsets of the drawing and rounded thicknesses leave gaps g⁰ < 0 that no real sheets have. They
-would press the nominal assembly apart, more so with finer pairs, and pairs that close them would work against welds
-that keep them. So overlap is closed, g = max(g⁰, 0), at pairs and welds alike, up to a limit that drawing explains.
-A scene with more overlap is refused. A zone may keep intended overlap, for example at a stop that preloads.
+would separate the sheets of the nominal assembly, more so with finer pairs, and pairs that close them would work
+against welds that keep them. So overlap is closed, g = max(g⁰, 0), at pairs and welds alike, up to a limit that drawing
+explains. A scene with more overlap is refused. A zone may keep intended overlap, for example at a stop that preloads.
 """
 
 from __future__ import annotations

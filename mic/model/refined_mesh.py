@@ -29,7 +29,7 @@ NUGGET = 0.5  # largest element at a nugget, relative to its radius
 CANDIDATES = 1.5  # largest element at candidates, relative to their distance
 
 
-def refined_part(part: Part, scene: Scene, zone: np.ndarray, point: np.ndarray, apart: np.ndarray) -> Part:
+def refined_part(part: Part, scene: Scene, zone: np.ndarray, point: np.ndarray, spacing: np.ndarray) -> Part:
     """The part with elements divided at the nuggets of fused welds and under dense candidates.
 
     It is the same object if its elements are small enough, or if it is a superelement. Averaged welds need no
@@ -42,20 +42,20 @@ def refined_part(part: Part, scene: Scene, zone: np.ndarray, point: np.ndarray, 
         With all items placed.
     zone, point : (m,) int array, (m, 3) array
         Zone and point, mm, of each contact pair.
-    apart : (m,) array
+    spacing : (m,) array
         Intended distance of each candidate from its neighbours, mm; NaN for pairs that a zone states.
     """
     if part.superelement is not None:
         return part
     welds = [weld for weld in scene.welds if part.name in weld.parts and weld.fused and weld.radius > 0]
     radius = np.array([weld.radius for weld in welds])
-    of_part = np.isfinite(apart) & np.array([part.name in one.parts for one in scene.zones], dtype=bool)[zone]
+    of_part = np.isfinite(spacing) & np.array([part.name in one.parts for one in scene.zones], dtype=bool)[zone]
     places = np.concatenate([np.reshape([weld.point for weld in welds], (-1, 3)), point[of_part]])
-    size = np.concatenate([NUGGET * radius, CANDIDATES * apart[of_part]])
+    size = np.concatenate([NUGGET * radius, CANDIDATES * spacing[of_part]])
     if not len(size):
         return part
     drawn = part.surface
-    reach = np.concatenate([radius, apart[of_part] / 2])
+    reach = np.concatenate([radius, spacing[of_part] / 2])
     fine = divided(drawn.points, drawn.triangles, drawn.corner_normals, drawn.project(places).point, reach, size)
     if len(fine.triangles) == len(drawn.triangles):
         return part

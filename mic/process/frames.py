@@ -84,7 +84,7 @@ def frame(found: Evaluation, table: str) -> pd.DataFrame:
         return pd.DataFrame(columns | {"sample": index.to_flat_index()[columns["sample"]]})
     measured = names.measurements if found.measurements.shape[1] else ()
     status = {"failed": found.failed, "built": found.built} if table == "samples" else {}
-    # A name that stands for two columns of a table is told apart.
+    # A name that two columns of a table would have gets a prefix in one of them.
     taken = {*measured, *status} if table == "samples" else {}
     x = {(f"deviation {name}" if name in taken else name): unit for name, unit in zip(names.deviations, names.units)}
     y = {(f"measurement {name}" if name in status else name): "mm" for name in measured}

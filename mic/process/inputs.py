@@ -181,10 +181,10 @@ def _reason(model, name: str) -> str:
     if owner not in known:
         return ""
     if key in ("x", "y", "z"):
-        asked = any(label.startswith(f"{table}.{owner}.") for label in model.labels.get("position", []))
+        requested = any(label.startswith(f"{table}.{owner}.") for label in model.labels.get("position", []))
         return (
             f" (its sheet does not extend along {key} there)"
-            if asked
+            if requested
             else f' (give the scene positions = ["{table}.{owner}"] in [report])'
         )
     return f" (it has no {key})" if key in ("limit", "gun") else ""

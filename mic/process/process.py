@@ -68,7 +68,7 @@ def contact_solver(
         Law and others, as in :class:`mic.contact.ContactSolver`.
     """
     settings["semidefinite"] = True  # elimination of bilateral rows leaves a semidefinite compliance
-    settings["certify_each"] = False  # no result of a stage tells contacts of negligible force apart
+    settings["certify_each"] = False  # no result of a stage distinguishes contacts of negligible force
     stops = stops_of(contacts, step)
     S, friction = stops.compliance(S, diagonal), stops.friction(friction)
     excluded = contacts.excluded(step.nuggets, step.away)

@@ -20,7 +20,7 @@ from H only by rigid motions under balanced forces. On the pins of H(m), ``H(m) 
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, TypeVar
@@ -54,6 +54,7 @@ __all__ = [
 ]
 
 Model = TypeVar("Model", bound=Reduction)
+Shared = TypeVar("Shared")
 
 OMITTED = 0.1  # root mean square of the rotations of the sheets: share that sources without derivatives may have
 MAX_NAMES = 6  # longer lists of sources are shortened
@@ -129,20 +130,15 @@ def coefficients(
     samples to first order, also their derivatives (:attr:`InfluenceCoefficients.slopes`).
     """
     found, cached = influence_coefficients(assembly, cache, progress, comm)
-    first_rank = comm is None or comm.rank == 0
     if assembly.scene.stiffness == "auto":
-        choice = choose_stiffness(assembly, Reduction.build(assembly, found)) if first_rank else None
-        choice = choice if comm is None else comm.bcast(choice)
-        assert choice is not None  # sent by the first rank
+        choice = _shared(comm, lambda: choose_stiffness(assembly, Reduction.build(assembly, found)))
         if progress:
             progress(str(choice))
         scene = assembly.scene.model_copy(update={"stiffness": choice.stiffness})
         assembly = replace(assembly, scene=scene)
     if assembly.scene.stiffness == "nominal":
         return found, cached
-    shapes = select_shapes(assembly, Reduction.build(assembly, found)) if first_rank else None
-    shapes = shapes if comm is None else comm.bcast(shapes)
-    assert shapes is not None  # sent by the first rank
+    shapes = _shared(comm, lambda: select_shapes(assembly, Reduction.build(assembly, found)))
     parts, ends = shapes.parts(assembly)
     if progress and assembly.scene.stiffness == "first-order":
         progress(f"stiffness to first order in {shapes}")
@@ -153,7 +149,7 @@ def coefficients(
         for name, nominal in found.items()
         if name in shaped
     }
-    if first_rank and assembly.scene.stiffness == "first-order":
+    if (comm is None or comm.rank == 0) and assembly.scene.stiffness == "first-order":
         sigma = {item.name: item.sigma for item in assembly.scene.deviations}
         for part, one in both.items():
             slopes = {}
@@ -166,6 +162,11 @@ def coefficients(
         for part, pair in pairs.items():
             shaped_cached[part] = shaped_cached[part] and all(shaped_cached[end.name] for end in pair)
     return both, {name: cached[name] and shaped_cached[name] for name in cached}
+
+
+def _shared(comm: Any, compute: Callable[[], Shared]) -> Shared:
+    """A value that the first process computes, on all processes of a communicator."""
+    return compute() if comm is None else comm.bcast(compute() if comm.rank == 0 else None)
 
 
 def used_stiffness(scene: Scene, influence: Mapping[str, InfluenceCoefficients]) -> str:

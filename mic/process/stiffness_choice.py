@@ -1,6 +1,6 @@
 """Choice of the stiffness by the deviation of the parts over their thickness.
 
-Where sheets of thickness t differ by w from the shape whose stiffness they are given, the error of the key
+If sheets of thickness t differ by w from the shape whose stiffness they are given, the error of the key
 characteristics stays below about 0.4 w/t of the largest one (`verification/nominal_stiffness`). A tenth, which a gauge
 may be off, is reached at a quarter of the thickness. `stiffness = "auto"` uses the nominal stiffness up to there, and
 each sample's to first order beyond. That of the mean shape costs less, but leaves contact forces as wrong as the

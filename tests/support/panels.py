@@ -9,24 +9,28 @@ E, NU, T = 210000.0, 0.3, 1.2  # MPa, 1, mm
 PLACES = [[10.0, 10.0, 3.0], [45.0, 20.0, 8.0], [20.0, 40.0, 8.0]]
 
 
-def grid(nx, ny, shape, jitter=0.0, pattern="right"):
-    """Triangulated unit square (X, Y), nx × ny cells, carried into space by `shape`(X, Y) → (n, 3).
+def cells(nx, ny, pattern="cross"):
+    """Triangles of a grid of nx × ny cells, divided along one diagonal ("right") or in alternation ("cross")."""
+    i, j = (a.ravel() for a in np.meshgrid(np.arange(nx), np.arange(ny), indexing="ij"))
+    a = i * (ny + 1) + j
+    b, c, d = a + ny + 1, a + ny + 2, a + 1
+    other = ((pattern == "cross") & ((i + j) % 2 == 1))[:, None]
+    first = np.where(other, np.column_stack([a, b, d]), np.column_stack([a, b, c]))
+    second = np.where(other, np.column_stack([b, c, d]), np.column_stack([a, c, d]))
+    return np.concatenate([first, second])
 
-    Interior vertices move by up to `jitter` cells first (always in the same way). `pattern` "right" divides all cells
-    along the same diagonal, "cross" in alternation.
+
+def grid(nx, ny, shape, jitter=0.0, pattern="right"):
+    """Triangulated unit square (X, Y), nx × ny cells (:func:`cells`), carried into space by `shape`(X, Y) → (n, 3).
+
+    Interior vertices move by up to `jitter` cells first (always in the same way).
     """
     X, Y = (a.ravel() for a in np.meshgrid(np.linspace(0, 1, nx + 1), np.linspace(0, 1, ny + 1), indexing="ij"))
     random = np.random.default_rng(20)
     inside_x, inside_y = (X > 1e-9) & (X < 1 - 1e-9), (Y > 1e-9) & (Y < 1 - 1e-9)
     X = X + inside_x * jitter / nx * random.uniform(-1, 1, X.shape)
     Y = Y + inside_y * jitter / ny * random.uniform(-1, 1, Y.shape)
-    i, j = (a.ravel() for a in np.meshgrid(np.arange(nx), np.arange(ny), indexing="ij"))
-    a = i * (ny + 1) + j
-    b, c, d = a + ny + 1, a + ny + 2, a + 1
-    other = ((i + j) % 2 == 1) if pattern == "cross" else np.zeros(len(i), dtype=bool)
-    first = np.where(other[:, None], np.column_stack([a, b, d]), np.column_stack([a, b, c]))
-    second = np.where(other[:, None], np.column_stack([b, c, d]), np.column_stack([a, c, d]))
-    return Surface(shape(X, Y), np.concatenate([first, second]))
+    return Surface(shape(X, Y), cells(nx, ny, pattern))
 
 
 def plane(z=0.0, size=20.0, n=8, flip=False, tilt=0.0, x0=0.0):

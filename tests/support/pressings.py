@@ -3,6 +3,7 @@
 import numpy as np
 
 from mic.geometry.surface import Surface
+from support.panels import cells
 
 
 def profile(pieces):
@@ -28,16 +29,6 @@ def profile(pieces):
         return place, angle
 
     return at, ends
-
-
-def _triangles(rows, columns):
-    """Cells of a grid (rows + 1, columns + 1) along diagonals in alternation."""
-    i, j = (a.ravel() for a in np.meshgrid(np.arange(rows), np.arange(columns), indexing="ij"))
-    a = i * (columns + 1) + j
-    b, c, d = a + columns + 1, a + columns + 2, a + 1
-    odd = ((i + j) % 2 == 1)[:, None]
-    first = np.where(odd, np.column_stack([a, b, d]), np.column_stack([a, b, c]))
-    return np.concatenate([first, np.where(odd, np.column_stack([b, c, d]), np.column_stack([a, c, d]))])
 
 
 def swept(pieces, size, rows, length=120.0, radius=None, jitter=0.0, seed=0):
@@ -70,7 +61,7 @@ def swept(pieces, size, rows, length=120.0, radius=None, jitter=0.0, seed=0):
         turn = (X - length / 2) / radius
         points = np.column_stack([(radius + z) * np.sin(turn), y, (radius + z) * np.cos(turn) - radius])
         normals = np.column_stack([up * np.sin(turn), across, up * np.cos(turn)])
-    triangles = _triangles(len(x) - 1, len(s) - 1)
+    triangles = cells(len(x) - 1, len(s) - 1)
     return Surface(points, triangles), normals[triangles]
 
 
@@ -94,7 +85,7 @@ def box(size, rows, sides=(80.0, 56.0), depth=20.0, radius=8.0):
     normal = [np.column_stack([-np.sin(a) * outwards, np.full(len(around), np.cos(a))]) for a in tilt]
     m, n = len(around), len(tilt)
     ring = np.arange(m + 1) % m
-    triangles = _triangles(m, n - 1)
+    triangles = cells(m, n - 1)
     triangles = (triangles % n) * m + ring[triangles // n]
     nx, ny = (round(side / size) for side in sides)
     x, y = np.meshgrid(
@@ -102,7 +93,7 @@ def box(size, rows, sides=(80.0, 56.0), depth=20.0, radius=8.0):
     )
     floor = np.column_stack([x.ravel(), y.ravel(), 0 * x.ravel()])
     points, normals = np.concatenate([*rings, floor]), np.concatenate([*normal, np.tile([0, 0, 1.0], (len(floor), 1))])
-    triangles = np.concatenate([triangles[:, ::-1], _triangles(nx, ny) + m * n])
+    triangles = np.concatenate([triangles[:, ::-1], cells(nx, ny) + m * n])
     _, first, number = np.unique(points.round(6), axis=0, return_index=True, return_inverse=True)
     triangles = number.ravel()[triangles]
     points, normals = points[first], normals[first]
