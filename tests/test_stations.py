@@ -292,7 +292,7 @@ def resting(stiffness, press, gap=0.1, release=False):
 
 
 @pytest.mark.parametrize("law", ["coulomb", "frictionless"])
-@pytest.mark.parametrize("stiffness", [1000.0, 10.0, 1e-3])
+@pytest.mark.parametrize("stiffness", [1000.0, 1e-3])
 def test_a_soft_locator_shares_its_load_with_contact(stiffness, law):
     """b's face comes down by P c, c = 1/k + 1/2s, until it touches; then N = (P c − g)/(c + 1/k), all of P as s → 0."""
     c = 1 / STIFFNESS + 1 / (2 * stiffness)
