@@ -3,7 +3,7 @@
 import importlib
 import subprocess
 import sys
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
 
 import numpy as np
@@ -104,12 +104,41 @@ def test_a_sliding_contact_opens_as_its_law_says(law):
     np.testing.assert_allclose(solution.displacement, [p - 1.0, 1.0 - mu * p, 0.0], atol=1e-10)
 
 
+def complete_friction(m, rng):
+    """Friction of m contacts with values in every field."""
+    values = {
+        "coefficient": rng.uniform(0.1, 1.0, m),
+        "pressure": np.broadcast_to(table([(0.5, 0.6), (1.5, 0.4), (3.0, 0.5)]), (m, 4, 5)),
+        "compliance": rng.uniform(0.1, 1.0, m),
+    }
+    assert set(values) == {field.name for field in fields(Friction)}
+    return Friction(**values)
+
+
+def test_friction_of_a_subset_keeps_every_field():
+    friction = complete_friction(5, np.random.default_rng(2))
+    padded = friction.padded(2)
+    for copied, own in ((Friction.of(friction, 5), slice(None)), (padded.take(np.arange(4)), slice(4))):
+        for field in fields(Friction):
+            np.testing.assert_array_equal(getattr(copied, field.name), getattr(friction, field.name)[own])
+    for law in (law for law in LAWS.values() if law.frictional):
+        assert not law.coefficient(law.parameters(padded), np.linspace(0.1, 9.0, 7))[5:].any()
+
+
+@pytest.mark.parametrize("law", [law for law in LAWS.values() if law.reads], ids=lambda law: law.name)
+def test_a_law_uses_the_field_that_it_reads(law):
+    rng = np.random.default_rng(4)
+    problem, friction = slip_dominated(6, 1, rng), complete_friction(6, rng)
+    given = Friction(friction.coefficient, **{law.reads: getattr(friction, law.reads)})
+    force, coulombs = (solve(problem.S, problem.b, one, law).force for one in (given, friction.coefficient))
+    assert np.abs(force - coulombs).max() > 1e-2 * np.abs(problem.b).max()
+
+
 @FRICTIONAL
 def test_the_derivative_of_an_equation_is_that_of_its_values(law):
     rng = np.random.default_rng(1)
     m, step = 200, 1e-6
-    pieces = np.broadcast_to(table([(0.5, 0.6), (1.5, 0.4), (3.0, 0.5)]), (m, 4, 5))
-    friction = Friction(rng.uniform(0.1, 1.0, m), pieces, rng.uniform(0.1, 1.0, m))
+    friction = complete_friction(m, rng)
     d_n, d_t = rng.uniform(0.5, 2.0, (2, m))
     parameters = law.scaled(law.parameters(friction), d_n, d_t)
     y, w = rng.standard_normal(3 * m), rng.standard_normal(3 * m)

@@ -10,6 +10,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from mic.errors import ArgumentError
+
 __all__ = ["ContactFriction", "friction_of"]
 
 
@@ -70,6 +72,11 @@ def friction_of(assembly, law, stage: str) -> ContactFriction:
     assembly : mic.model.assembly.Assembly
     law : mic.contact.laws.Law
     stage : str
+
+    Raises
+    ------
+    ArgumentError
+        For a law with a parameter that has no equation here.
     """
     contacts, zones = assembly.contacts, assembly.scene.zones
     m = len(contacts)
@@ -78,8 +85,10 @@ def friction_of(assembly, law, stage: str) -> ContactFriction:
     coefficient = contacts.friction_in(stage).coefficient
     if law.reads == "compliance":
         return ContactFriction(coefficient, (), contacts.compliance)
-    if law.reads != "pressure":
+    if not law.reads:
         return ContactFriction.constant(coefficient)
+    if law.reads != "pressure":
+        raise ArgumentError(f"law: the full solve knows no friction that depends on the {law.reads} of a contact")
     bounds = []
     for i, zone in enumerate(zones):
         members = np.flatnonzero(contacts.zone == i)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
@@ -46,18 +47,26 @@ class Friction:
             pressure = np.asarray(pressure, dtype=float)
             if pressure.ndim != 3 or pressure.shape[::2] != (contacts, 5) or not pressure.shape[1]:
                 raise ValueError(f"pressure must have the shape ({contacts}, pieces, 5); got {pressure.shape}")
-        return cls(coefficient, pressure, compliance)
+        return replace(value, coefficient=coefficient, pressure=pressure, compliance=compliance)
 
     def __len__(self):
         return len(self.coefficient)
 
     def take(self, own: np.ndarray) -> Friction:
         """Friction of a subset of the contacts, given as a mask or as indices."""
-        return Friction(
-            self.coefficient[own],
-            None if self.pressure is None else self.pressure[own],
-            None if self.compliance is None else self.compliance[own],
-        )
+        return self._mapped(lambda values: values[own])
+
+    def padded(self, count: int) -> Friction:
+        """Friction of the contacts, followed by `count` contacts without friction."""
+        padded = self._mapped(lambda values: np.concatenate([values, np.zeros((count, *values.shape[1:]))]))
+        if padded.pressure is not None:
+            padded.pressure[len(self) :, 1:, 0] = np.inf  # one piece, μ = 0, at any force
+        return padded
+
+    def _mapped(self, function: Callable[[np.ndarray], np.ndarray]) -> Friction:
+        """A copy with ``function(values)`` in place of the values of each field that has any."""
+        values = {field.name: getattr(self, field.name) for field in fields(self)}
+        return replace(self, **{name: function(value) for name, value in values.items() if value is not None})
 
 
 def finite(name: str, value) -> np.ndarray:

@@ -71,15 +71,7 @@ class Stops:
 
     def friction(self, friction: Friction) -> Friction:
         """Friction of the contacts and stops, from that of the contacts."""
-        if not self.count:
-            return friction
-        pad, pressure, compliance = (0, self.count), friction.pressure, friction.compliance
-        if pressure is not None:
-            constant = np.zeros((self.count, *pressure.shape[1:]))
-            constant[:, 1:, 0] = np.inf
-            pressure = np.concatenate([pressure, constant])
-        compliance = None if compliance is None else np.pad(compliance, pad)
-        return Friction(np.pad(friction.coefficient, pad), pressure, compliance)
+        return friction.padded(self.count) if self.count else friction
 
     def split(self, solution: PathSolution) -> tuple[PathSolution, np.ndarray]:
         """The contacts' part of a solution, and the forces (n, s) of the stops."""

@@ -18,6 +18,7 @@ from threadpoolctl import threadpool_info
 import mic
 from mic.contact import laws
 from mic.process.model import ReducedModel
+from mic.scene.checks import LAW_KEYS
 from mic.scene.zone import PressurePower
 from mic.statistics.draw import draw
 from verification.scenes import with_stated_pairs
@@ -79,6 +80,9 @@ def platform() -> str:
 
 
 def main(add: bool) -> None:
+    for law in laws.LAWS.values():
+        if law.reads and not FRICTION.keys() & set(LAW_KEYS[law.reads]):
+            raise SystemExit(f"FRICTION states none of {LAW_KEYS[law.reads]}, which the law {law.name} needs")
     for name in SCENES:
         file = FOLDER / f"{name}.npz"
         arrays = {"platform": np.array(platform()), "deviations": drawn(name)}
