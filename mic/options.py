@@ -57,6 +57,23 @@ _READING = [
     Parameter("also_read", Parameter.KEYWORD_ONLY, default=None, annotation=list[Path] | None),
     Parameter("no_scripts", Parameter.KEYWORD_ONLY, default=False, annotation=bool),
 ]
+
+
+def _prediction(
+    *,
+    adjust: list[str] | None = None,
+    shim: float | None = None,
+    force: float | None = None,
+    objective: Objective | None = None,
+    step: float | None = None,
+    most: int | None = None,
+    error: float = 0.0,
+    exact: bool = False,
+    law: Law | None = None,
+): ...
+
+
+_PREDICTION = [*signature(_prediction, eval_str=True).parameters.values()]  # options of `mic predict` and `mic serve`
 _OPTIONS = tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))
 _LISTS = {
     "laws": " ".join(f"`{law.name}`: {law.title}" for law in LAWS.values()),
@@ -83,7 +100,8 @@ def _command(module: str, first: str = "") -> Callable[[Callable[..., None]], Ca
                 Console().print(plain(first.format(**values)), highlight=False, soft_wrap=True)
             getattr(import_module(f"mic.commands.{module}"), name)(**values)  # numerics and tables take a second
 
-        every = [*own.parameters.values(), *reads]
+        stated = [one for one in own.parameters.values() if one.kind is not Parameter.VAR_KEYWORD]
+        every = [*stated, *(_PREDICTION if "prediction" in own.parameters else []), *reads]
         parameters = [one.replace(default=_parameter(one, **declared[one.name])) for one in every]
         command.__signature__ = own.replace(parameters=parameters)  # type: ignore[attr-defined]
         return app.command()(command)
@@ -203,15 +221,7 @@ def predict(
     scan: Path | None = None,
     watch: Path | None = None,
     log: Path = Path("predictions.csv"),
-    adjust: list[str] | None = None,
-    shim: float | None = None,
-    force: float | None = None,
-    objective: Objective | None = None,
-    step: float | None = None,
-    most: int | None = None,
-    error: float = 0.0,
-    exact: bool = False,
-    law: Law | None = None,
+    **prediction: Any,
 ):
     """Predict individual assemblies from their measured parts: accepted or rejected, and what to adjust.
 
@@ -231,15 +241,7 @@ def serve(
     seconds: float = 30.0,
     engine: str | None = None,
     scans: Path | None = None,
-    adjust: list[str] | None = None,
-    shim: float | None = None,
-    force: float | None = None,
-    objective: Objective | None = None,
-    step: float | None = None,
-    most: int | None = None,
-    error: float = 0.0,
-    exact: bool = False,
-    law: Law | None = None,
+    **prediction: Any,
 ):
     """Serve predictions of individual assemblies over HTTP, for a production line.
 
