@@ -22,8 +22,6 @@ def kinked(z):
 POPULATIONS = {
     "normal": (lambda rng, size: rng.standard_normal(size), 0.0, 1.0),
     "uniform": (lambda rng, size: rng.uniform(-1, 1, size), 0.0, 3**-0.5),
-    "skewed": (lambda rng, size: rng.gamma(4.0, size=size), 4.0, 2.0),
-    "skewed away": (lambda rng, size: -rng.gamma(4.0, size=size), -4.0, 2.0),
     "long tail": (lambda rng, size: rng.exponential(size=size), 1.0, 1.0),
     "long tail away": (lambda rng, size: -rng.exponential(size=size), -1.0, 1.0),
     "contact": (
@@ -46,7 +44,7 @@ def verdicts(x, upper):
     return [decide(*ends, TARGET, len(x)).verdict for ends in zip(cpk.value, cpk.low, cpk.high)]
 
 
-@pytest.mark.parametrize("samples", [10, 30, 100, 300])
+@pytest.mark.parametrize("samples", [10, 100, 300])
 @pytest.mark.parametrize("population", POPULATIONS)
 def test_at_the_required_capability_either_verdict_is_given_as_rarely_as_claimed(population, samples):
     """The worst case: a hair below the requirement "capable" is wrong, a hair above it "not capable"."""
@@ -129,5 +127,5 @@ def test_only_normal_samples_are_extrapolated():
     normal = looks_normal(drawn("normal", 100)[:, :, 0]).all()
     share = np.mean([looks_normal(one) for one in drawn("normal", 100)[:, :, 0].T])
     assert share > 1 - WRONG - MARGIN and (normal or share < 1)
-    assert np.mean([looks_normal(one) for one in drawn("skewed", 300)[:, :, 0].T]) < 0.01
+    assert np.mean([looks_normal(one) for one in drawn("long tail", 300)[:, :, 0].T]) < 0.01
     assert not looks_normal(drawn("normal", 49)[:, 0, 0])

@@ -39,9 +39,8 @@ def hinge_moments(start: float = 0.5) -> tuple[float, float]:
     return mean, np.sqrt(variance)
 
 
-@pytest.mark.parametrize("n", [LEAST_ALONE, 300])
-def test_linear_outputs_are_exact(n):
-    x = normal(np.random.default_rng(1), n)
+def test_linear_outputs_are_exact():
+    x = normal(np.random.default_rng(1), LEAST_ALONE)
     found = surrogate_estimates(x, 2.0 + x @ np.array([[1.0], [2.0], [2.0]]), population(4096))
     assert found.mean().value == pytest.approx([2.0], abs=2e-3)
     assert found.sigma().value == pytest.approx([3.0], rel=2e-3)
@@ -63,48 +62,36 @@ def test_inputs_that_determine_each_other_count_once():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("cheap", "times"), [(0, 150), (160, 40)], ids=["samples alone", "with a cheap model"])
-def test_intervals_cover_a_kink(cheap, times):
-    """Of 95 % intervals, at least 93 % hold the closed form; and they are far narrower than those of the samples."""
+@pytest.mark.parametrize("cheap", [0, 160], ids=["samples alone", "with a cheap model"])
+def test_estimates_of_a_kink_are_unbiased_and_their_intervals_cover_it(cheap):
+    """Of 40 intervals of 95 %, at least 93 % hold the closed form; they are far narrower than those of the samples."""
     mean, sigma = hinge_moments()
-    cpk = (3.0 - mean) / (3 * sigma)
-    points, rng, covered, widths = population(), np.random.default_rng(5), [], []
+    limit, points, rng, covered, widths, errors = np.array([3.0]), population(), np.random.default_rng(5), [], [], []
     n = LEAST if cheap else LEAST_ALONE
-    for _ in range(times):
+    for _ in range(40):
         x = normal(rng, n + cheap)
         y, o = hinge(x[:n]), hinge(x, 0.6, 0.8)
         found = surrogate_estimates(x[:n], y, points, (x, o) if cheap else None)
-        estimates = found.mean(), found.sigma(), found.centred_capability(-INFINITE, np.array([3.0]))
-        covered.append([e.low[0] <= truth <= e.high[0] for e, truth in zip(estimates, (mean, sigma, cpk))])
-        widths.append(np.log(found.sigma().high[0] / found.sigma().low[0]))
+        estimates = found.mean(), found.sigma(), found.centred_capability(-INFINITE, limit)
+        truths = mean, sigma, (3.0 - mean) / (3 * sigma)
+        covered.append([e.low[0] <= truth <= e.high[0] for e, truth in zip(estimates, truths)])
+        widths.append(np.log(estimates[1].high[0] / estimates[1].low[0]))
+        errors.append([estimates[0].value[0] - mean, estimates[1].value[0] ** 2 - sigma**2])
     assert (np.mean(covered, axis=0) >= 0.93).all()
-    plain = 2 * 1.96 / np.sqrt(2 * n)
-    assert np.median(widths) < 0.4 * plain
-
-
-@pytest.mark.slow
-def test_estimates_are_unbiased():
-    """A surrogate that is far off is corrected: the mean of many estimates has an error within its own scatter."""
-    mean, sigma = hinge_moments(1.0)
-    points, rng, found = population(), np.random.default_rng(7), []
-    for _ in range(200):
-        x = normal(rng, LEAST_ALONE)
-        estimates = surrogate_estimates(x, hinge(x, 1.0), points)
-        found.append([estimates.mean().value[0] - mean, estimates.sigma().value[0] ** 2 - sigma**2])
-    scatter = np.std(found, axis=0) / np.sqrt(len(found))
-    assert (np.abs(np.mean(found, axis=0)) < 4 * scatter).all()
+    assert np.median(widths) < 0.4 * 2 * 1.96 / np.sqrt(2 * n)
+    assert (np.abs(np.mean(errors, axis=0)) < 4 * np.std(errors, axis=0) / np.sqrt(40)).all()
 
 
 def test_rare_jumps_of_the_cheap_model_widen_the_interval():
-    """A jump in 1 of 100 that no followed sample shows: the samples in one step show it, and the interval holds σ."""
+    """A jump in 1 of 100 that no followed sample shows: those in one step show half of it, and the interval holds σ."""
     rng = np.random.default_rng(0)
-    x = normal(rng, 450)
+    x = normal(rng, 1000)
     jump = (x[:, 1] > ndtri(0.99)).astype(float)
     jump[:50], x[:50, 1] = 0.0, np.minimum(x[:50, 1], 2.0)
-    y, points = (x[:, 0] + 3.0 * jump)[:, None], population(2048)
-    with_cheap = surrogate_estimates(x[:50], y[:50], points, (x, 0.9 * y)).sigma()
-    truth = np.sqrt(1 + 9 * 0.01 * 0.99)
-    without = surrogate_estimates(x[:50], y[:50], points, (x[:50], 0.9 * y[:50])).sigma()
+    (y, o), points = (np.column_stack([x[:, 0] + height * jump]) for height in (6.0, 3.0)), population(2048)
+    with_cheap = surrogate_estimates(x[:50], y[:50], points, (x, o)).sigma()
+    truth = np.sqrt(1 + 36 * 0.01 * 0.99)
+    without = surrogate_estimates(x[:50], y[:50], points, (x[:50], o[:50])).sigma()
     assert without.high[0] < truth  # nothing can tell
     assert with_cheap.low[0] < truth < with_cheap.high[0]
 

@@ -174,16 +174,10 @@ def test_slopes_of_distributions_are_those_of_their_quantiles(model):
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ("", "not a table"),
-        ("measurement,value,gauge\n", "no row below the header"),
         ("measurement,value,sigma\nM,1,1\n", "M, column gauge: no standard deviation of the gauge; give mm"),
-        ("measurement,gauge\nM,1\n", "column 'value' is missing; add it"),
         ("measurement,value\nM,1\n", "no standard deviation of the gauge; give mm, in the file or by --gauge"),
         ("measurement,value,gauge\nM,1,0\n", "M, column gauge: 0, not a number above 0"),
         ("measurement,value,gauge\nM,a,1\n", "row 2, column value: 'a' is not a finite number"),
-        ("measurement,value,gauge\nM,1,1\nM,2,1\n", "row 3: 'M' is given twice"),
-        ("measurement,value,gauge\n,1,1\n", "row 2, column measurement: is empty"),
-        ("measurement,value,value\nM,1,1\n", "column 'value' is given twice"),
     ],
 )
 def test_an_invalid_file_is_refused_in_one_sentence(model, text, said, tmp_path):

@@ -79,6 +79,8 @@ def test_names_that_differ_in_punctuation_only_are_told_apart(tmp_path):
 @pytest.mark.parametrize(
     ("text", "said"),
     [
+        ("", "not a table"),
+        ("M1,M1\n1,1\n", "column 'M1' is given twice"),
         ("Q,R\n1,2\n", "there is no key characteristic 'Q' in this scene; known: M1, M2, flush-1"),
         ("measurement,value\nM9,1\n", "there is no key characteristic 'M9' in this scene"),
         ("measurement,value\nM1,1\nM1,2\n", "row 3: 'M1' is given twice; delete one row, or add a column serial"),

@@ -69,30 +69,30 @@ def test_the_shapes_are_those_of_the_full_solve(found):
 def test_shapes_are_drawn_on_their_parts(found):
     assembly, shapes = found
     surfaces = {part.name: part.surface for part in assembly.parts}
-    picture = draw_shapes(surfaces, shapes)
+    assert "Shown are" not in draw_shapes(surfaces, shapes[:1]).caption
+    picture = draw_shapes(surfaces, 3 * shapes)
+    assert f"Shown are the first {MOST} of 15" in picture.caption
     colours = Image.open(io.BytesIO(picture.data)).convert("RGB").getcolors(1 << 24) or []
     red = sum(count for count, (r, g, b) in colours if r > b + 60)
     blue = sum(count for count, (r, g, b) in colours if b > r + 60)
     assert red > 500 and blue > 500
-    assert f"Shown are the first {MOST} of 15" in draw_shapes(surfaces, 3 * shapes).caption
-    assert "Shown are" not in picture.caption
 
 
-def test_check_shows_shapes_once_coefficients_are_cached(table, found, cache, tmp_path, monkeypatch):
+@pytest.mark.usefixtures("lap_model")  # with the same coefficients
+def test_check_shows_shapes_once_coefficients_are_cached(cache, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    text = (LAP / "scene.toml").read_text().replace("friction = 0.27", "friction = 0.27\npairs = 6")
-    (tmp_path / "scene.toml").write_text(text.replace('size = "medium"', 'size = "coarse"'))
+    text = (LAP / "scene.toml").read_text().replace("friction = 0.27", "friction = 0.27\npairs = 24")
+    (tmp_path / "scene.toml").write_text(text)
     (tmp_path / "geometry.py").write_text((LAP / "geometry.py").read_text())
 
-    def checked():
-        done = CliRunner().invoke(app, ["check", "."], env={"MIC_CACHE": str(tmp_path / "cache"), "COLUMNS": "200"})
+    def checked(folder):
+        done = CliRunner().invoke(app, ["check", "."], env={"MIC_CACHE": str(folder), "COLUMNS": "200"})
         assert done.exit_code == 0, done.output
         return done.output, (tmp_path / "results" / "lap-joint" / "check.html").read_text()
 
-    output, page = checked()
+    output, page = checked(tmp_path / "empty")
     assert "available once the influence coefficients are computed" in output and "Shapes of the sources" not in page
-    mic.reduce(mic.load_scene(tmp_path), tmp_path / "cache")
-    output, page = checked()
+    output, page = checked(cache)
     row = re.search(r"F1 +│ force +│ N +│ -5 +│ 1.5 +│ ([\d.]+) mm, upper at", output)
     assert row and float(row[1]) > 0.01
     assert "Shapes of the sources" in page and "data:image/png;base64,iVBOR" in page and f"{float(row[1]):.3g}" in page

@@ -38,7 +38,8 @@ def tables_beside_the_scene(tmp_path, monkeypatch):
 
 def of(scene, folder, text="samples.csv", **keys):
     asked = mic.scene.schema.MonteCarlo(table=str(folder / text), **keys)
-    return scene.model_copy(update={"monte_carlo": asked})
+    report = scene.report.model_copy(update={"laws": ["coulomb"], "fields": False})
+    return scene.model_copy(update={"monte_carlo": asked, "report": report})
 
 
 @pytest.mark.parametrize("kind", ["comma", "semicolon", "parquet", "reordered"])

@@ -3,12 +3,13 @@
 import json
 import shutil
 from dataclasses import replace
-from pathlib import Path
+from functools import partial
 
 import numpy as np
 import pandas as pd
 import pytest
-from support.runs import fail, skip_pictures
+from support.runs import fail
+from support.springs import dragged
 from typer.testing import CliRunner
 
 from mic.commands import run as run_command
@@ -23,7 +24,6 @@ from mic.results.statistic_tables import whole_yield
 from mic.runs import run
 
 SAMPLES = 30
-LAP = Path(__file__).resolve().parents[1] / "meshes" / "lap_joint"
 
 
 @pytest.fixture(scope="module")
@@ -194,12 +194,10 @@ def test_the_verdict_shows_a_computed_rare_miss(copied):
     said = verdict(read_outcome(copied)).sentences
     assert "Expected assemblies outside a limit: 25 ppm (10 to 60), by subset simulation." in said
     assert not any("first-order estimate" in each for each in said)
-    for target, opening in (
-        (1e-4, "Capable: the share outside limits is 25 ppm"),
-        (1e-6, "Not capable: "),
-        (3e-5, "Not"),
-    ):
-        found = verdict(read_outcome(copied, required(read_outcome(copied), target_outside=target))).sentences[0]
+    outcome = read_outcome(copied)
+    openings = {1e-4: "Capable: the share outside limits is 25 ppm", 1e-6: "Not capable: ", 3e-5: "Not"}
+    for target, opening in openings.items():
+        found = verdict(read_outcome(copied, required(outcome, target_outside=target))).sentences[0]
         assert found.startswith(opening) and ("`mic rare` with more samples" in found) == (target == 3e-5)
     RARE.write(copied, pd.DataFrame([row | {"first_order": 2e-6, "agrees": False}]))
     said = verdict(read_outcome(copied)).sentences
@@ -216,18 +214,20 @@ def test_the_verdict_shows_only_a_remedy_that_suffices(copied):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("cheap, computed", [(1e6, True), (0.0, False)])
-def test_a_run_computes_contributors_where_they_are_cheap(cheap, computed, tmp_path, cache, monkeypatch):
-    skip_pictures(monkeypatch.setattr)
-    monkeypatch.setattr(run_command, "CHEAP", cheap)
-    arguments = ["run", str(LAP), "--samples", "10", "--law", "coulomb", "--out", str(tmp_path / "run")]
-    done = CliRunner().invoke(app, arguments, env={"MIC_CACHE": str(cache), "COLUMNS": "200"})
-    assert done.exit_code == 0, done.output
-    assert (CONTRIBUTORS.read(tmp_path / "run", "") is not None) == computed
-    assert ("Main contributors of " in done.output) == computed != ("Run `mic contributors " in done.output)
+def test_a_run_computes_contributors_where_they_are_cheap(lap_scene, tmp_path, cache, monkeypatch):
+    study = run_command.contributor_study
+    monkeypatch.setattr(run_command, "load_scene", lambda source: lap_scene)
+    monkeypatch.setattr(study, "contributors", partial(study.contributors, samples=4))
+    arguments = ["run", "scene", "--samples", "10", "--law", "frictionless", "--no-report", "--out", str(tmp_path)]
+    for cheap in (0.0, 1e6):
+        monkeypatch.setattr(run_command, "CHEAP", cheap)
+        done = CliRunner().invoke(app, arguments, env={"MIC_CACHE": str(cache), "COLUMNS": "200"})
+        assert done.exit_code == 0, done.output
+        assert (CONTRIBUTORS.read(tmp_path, "") is not None) == bool(cheap)
+        assert ("Main contributors of " in done.output) == bool(cheap) != ("Run `mic contributors " in done.output)
 
 
-def test_a_folder_with_the_model_of_another_run_is_refused(copied, hat_model):
-    hat_model.save(copied / "model.npz")
+def test_a_folder_with_the_model_of_another_run_is_refused(copied):
+    dragged().save(copied / "model.npz")
     done = CliRunner().invoke(app, ["contributors", str(copied)])
     assert done.exit_code != 0 and "belongs to another run" in str(done.exception)

@@ -28,14 +28,11 @@ class Surrogate(NamedTuple):
     ----------
     kind : list of str
         By output: ``"plain"`` (the mean), ``"linear"``, ``"quadratic"`` or ``"spline"``.
-    mean_square : (k,) array
-        Mean square of the leave-one-out errors.
     predict : callable
         Takes inputs (m, p), returns outputs (m, k).
     """
 
     kind: list[str]
-    mean_square: np.ndarray
     predict: Callable[[np.ndarray], np.ndarray]
 
 
@@ -57,17 +54,16 @@ def best_surrogate(x: np.ndarray, y: np.ndarray) -> Surrogate:
     if n >= SHARE * (1 + p + p * (p + 1) // 2):
         candidates["quadratic"] = _least_squares(_quadratic, x, y)
     names = list(candidates)
-    squares = np.array([candidates[name][0] for name in names])
-    chosen = squares.argmin(axis=0)
+    chosen = np.argmin([candidates[name][0] for name in names], axis=0).tolist()
     least, most = y.min(axis=0), y.max(axis=0)
     reach = most - least
 
     def predict(x: np.ndarray) -> np.ndarray:
-        values = {i: candidates[names[i]][1](x) for i in set(chosen.tolist())}
-        y = np.column_stack([values[i][:, k] for k, i in enumerate(chosen.tolist())])
+        values = {i: candidates[names[i]][1](x) for i in set(chosen)}
+        y = np.column_stack([values[i][:, k] for k, i in enumerate(chosen)])
         return np.clip(y, least - reach, most + reach)
 
-    return Surrogate([names[i] for i in chosen], squares.min(axis=0), predict)
+    return Surrogate([names[i] for i in chosen], predict)
 
 
 def linear_functions(x: np.ndarray) -> np.ndarray:

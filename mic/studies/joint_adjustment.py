@@ -83,8 +83,8 @@ class ProposedAdjustment:
         Evaluated key characteristics without and with the changes, mm.
     merit_before, merit : float
         Objective without and with the changes; less is better.
-    excess_before, excess : float
-        Largest excess of an interval over its limits without and with the changes, mm; negative within.
+    excess : float
+        Largest excess of an interval over its limits with the changes, mm; negative within.
     residual : float
         Largest residual of the contact solutions with the changes (:class:`mic.process.evaluation.Resolution`).
     evaluations : int
@@ -102,7 +102,6 @@ class ProposedAdjustment:
     after: np.ndarray
     merit_before: float
     merit: float
-    excess_before: float
     excess: float
     residual: float
     evaluations: int
@@ -326,7 +325,6 @@ class JointAdjustment:
             after,
             merit_before,
             float(goal.merit(after[None, None], changes[None])[0]),
-            float(bounded.excess(before[None]).max()),
             float(bounded.excess(after[None]).max()),
             search.residual(),
             search.evaluations,

@@ -216,15 +216,11 @@ class Predictor:
         with np.errstate(divide="ignore", invalid="ignore"):
             return np.where(difference > 0, difference / self._sigma, 0.0)
 
-    def _covers(self, x: np.ndarray) -> bool:
-        """Whether an assembly lies within the range of the training."""
-        return self.emulator is not None and self.emulator.covers(x)
-
     def _key_characteristics(self, x: np.ndarray, half: np.ndarray) -> tuple[np.ndarray | None, np.ndarray, str]:
         """Key characteristics (k,) of an assembly, or None if they cannot be computed; their errors (k,) in addition to
         the known half widths; ``learnt`` or ``evaluated``."""
         emulator, self.evaluation = self.emulator, None
-        if emulator is not None and self._covers(x):
+        if emulator is not None and emulator.covers(x):
             y, error = (array[0] for array in emulator(x[None]))
             if (self._verdicts(y - error, half) == self._verdicts(y + error, half)).all():
                 return y, error, "learnt"
