@@ -260,15 +260,26 @@ class SurrogateEstimates:
 
     def _distribution(self, limit) -> np.ndarray:
         """(k,) share of the predicted distribution below limits (k,)."""
-        return self._below(limit).sum(axis=(1, 2))
+        return self._shares_below(limit, self._merged).sum(axis=(1, 2))
 
     def _below(self, limit) -> np.ndarray:
         """The same share as a sum over folds and halves of the population, (k, F, 2)."""
+        return self._shares_below(limit, self._sorted)
+
+    def _shares_below(self, limit, points: np.ndarray) -> np.ndarray:
+        """(k, F, h) share below limits (k,) of the points (k, F, h, N / h) of each fold, with the errors there."""
         limits = self._limits(np.asarray(limit, dtype=float))
-        below = np.empty(self._sorted.shape[:3])
-        for k, f, half in np.ndindex(below.shape):
-            below[k, f, half] = np.searchsorted(self._sorted[k, f, half], limits[self._fold == f, k]).sum()
-        return below / (2 * self._sorted.shape[3] * len(limits))
+        by_fold = [limits[self._fold == f].T.copy() for f in range(FOLDS)]
+        below = np.empty(points.shape[:3])
+        for k, f, part in np.ndindex(below.shape):
+            below[k, f, part] = points[k, f, part].searchsorted(by_fold[f][k]).sum()
+        return below / (points[0, 0].size * len(limits))
+
+    @cached_property
+    def _merged(self) -> np.ndarray:
+        """(k, F, 1, N) the points of each fold, sorted."""
+        k, F = self._sorted.shape[:2]
+        return np.sort(self._sorted.reshape(k, F, 1, -1), axis=3, kind="stable")
 
     def _halves_error(self, shares: np.ndarray, level: float) -> np.ndarray:
         """(k,) sampling error of a sum of shares (k, F, 2), from the differences of the halves; at least one point."""
