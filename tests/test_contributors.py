@@ -252,8 +252,8 @@ def test_samples_that_cannot_be_drawn_or_read_are_refused_in_one_sentence(closin
             contributors(with_scene(model, **change), "frictionless", 8)
 
 
-@pytest.mark.slow
-def test_a_nearly_constant_characteristic_has_no_shares(closing):
+def test_a_nearly_constant_characteristic_has_no_shares(closing, monkeypatch):
+    monkeypatch.setattr("mic.studies.contributors.DRAWS", 500)
     quiet = [each.model_copy(update={"sigma": 1e-5}) for each in closing[0].scene.deviations]
     found = contributors(with_scene(closing[0], deviations=quiet), "frictionless", 20)
     assert found.table[["first", "total", "regression", "tangent"]].isna().all(axis=None)
@@ -274,8 +274,8 @@ def test_the_joint_ranking_weighs_each_characteristic_by_how_much_of_its_toleran
     assert named(ranked, "total") == "B 73 %, A 27 %"
 
 
-@pytest.mark.slow
-def test_the_command_takes_a_saved_model_and_prints_its_results(closing, tmp_path):
+def test_the_command_takes_a_saved_model_and_prints_its_results(closing, tmp_path, monkeypatch):
+    monkeypatch.setattr("mic.studies.contributors.DRAWS", 500)
     model, _ = closing
     model.save(tmp_path / "model.npz")
     asked = ["contributors", str(tmp_path / "model.npz"), "--samples", "16", "--law", "frictionless"]

@@ -161,28 +161,23 @@ def test_the_sentence_names_each_change(model):
 
 @pytest.mark.slow
 def test_more_adjustments_never_leave_more_beyond_the_limits():
-    """No changes reach the limits of these assemblies; contact opens and closes within the ranges."""
+    """No changes reach the limits of this assembly; contact opens and closes within the ranges."""
     model = clamped(
         "bt",
         0.2,
         measurements=[at_face(part, name=name, lower=-0.01, upper=0.01) for part, name in (("t", "M"), ("b", "N"))],
         deviations=[{"name": "P", "kind": "locator", "target": "bl1", "mean": 0.4, "sigma": 0.15}],
     )
-    request = lambda names: JointAdjustment(model, "coulomb", Adjustable(names, 0.2, step=0.05))
-    single = [request([name]) for name in ("bl1", "bl2", "tl1")]
-    pair, every = request(["bl1", "bl2"]), request(["bl1", "bl2", "tl1"])
-    beyond = 0
-    for p in (0.3, 0.7):
-        x, none = np.array([p]), np.zeros(2)
-        alone = min(one.propose(x, none).excess for one in single)
-        two, found = pair.propose(x, none).excess, every.propose(x, none).excess
-        grid = np.array(list(product(np.round(np.arange(-4, 5) * 0.05, 9), repeat=2)))
-        extended = with_adjustments(model, pair.allowed.settings)[0].process("coulomb")
-        y = extended.evaluate(np.column_stack([np.full(81, p), grid])).measurements
-        beyond += found > 0
-        least = max(float((np.abs(y) - 0.01).max(axis=1).min()), 0.0)
-        assert max(two, 0.0) <= least + 1e-3 and max(found, 0.0) <= max(min(alone, two), 0.0) + 1e-3
-    assert beyond
+    pair, every = (
+        JointAdjustment(model, "coulomb", Adjustable(names, 0.2, step=0.05))
+        for names in (["bl1", "bl2"], ["bl1", "bl2", "tl1"])
+    )
+    x, none = np.array([0.7]), np.zeros(2)
+    two, three = pair.propose(x, none).excess, every.propose(x, none).excess
+    grid = np.array(list(product(np.round(np.arange(-4, 5) * 0.05, 9), repeat=2)))
+    extended = with_adjustments(model, pair.allowed.settings)[0].process("coulomb")
+    y = extended.evaluate(np.column_stack([np.full(81, 0.7), grid])).measurements
+    assert two <= (np.abs(y) - 0.01).max(axis=1).min() + 1e-3 and 0 < three <= two + 1e-3
 
 
 @pytest.mark.slow

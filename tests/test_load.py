@@ -1,7 +1,9 @@
 """Surfaces of parts from files and scripts: what is kept, and how a script's failure reads."""
 
 import os
+import runpy
 import signal
+import sys
 import time
 from importlib import import_module
 
@@ -10,6 +12,7 @@ import pytest
 from support.mesh_texts import ABAQUS
 
 from mic.errors import SceneError
+from mic.geometry import script as geometry_script
 from mic.geometry import script_dependencies
 from mic.geometry.load import load_fixture, load_part
 from mic.geometry.script import load_script, named_sizes
@@ -36,11 +39,25 @@ def script(tmp_path, text, size=2.0):
     return load_part(part(geometry="geometry.py", size=size), tmp_path, tmp_path / "cache").surface
 
 
+@pytest.fixture
+def forked(monkeypatch):
+    """Scripts run in a fork of this process, which starts faster than another one."""
+
+    def run(command, seconds, environment):
+        child = os.fork()
+        if not child:
+            sys.argv = command[-2:]
+            runpy.run_path(geometry_script.__file__, run_name="__main__")
+        return os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
+
+    monkeypatch.setattr(geometry_script, "run_program", run)
+
+
 def calls(tmp_path):
     return (tmp_path / "geometry.py.calls").read_text().splitlines()
 
 
-@pytest.mark.slow
+@pytest.mark.usefixtures("forked")
 def test_a_script_runs_once_and_its_mesh_is_cached_with_its_normals(tmp_path):
     leaning = STRIP.replace("[0, 2, 3]]", "[0, 2, 3]], np.full((2, 3, 3), [0.3, 0, 1.0])")
     for _ in range(2):
@@ -94,6 +111,7 @@ BAD = {
 }
 
 
+@pytest.mark.usefixtures("forked")
 @pytest.mark.parametrize("case", BAD)
 def test_a_script_that_fails_ends_in_one_sentence(tmp_path, case):
     text, words = BAD[case]
@@ -105,6 +123,7 @@ def test_a_script_that_fails_ends_in_one_sentence(tmp_path, case):
     assert not (tmp_path / "cache").exists()
 
 
+@pytest.mark.usefixtures("forked")
 def test_without_gmsh_the_message_names_the_extra(tmp_path):
     with pytest.raises(SceneError, match=r"needs the package gmsh; install it: pip install 'mic-contact\[mesh\]'"):
         script(tmp_path, "import sys\nsys.modules['gmsh'] = None\ndef build(part, size):\n    import gmsh")
@@ -199,7 +218,7 @@ def test_output_and_threads_of_a_script_do_no_harm(tmp_path, capfd):
     assert capfd.readouterr() == ("", "") and os.environ.get("HOME") == home
 
 
-@pytest.mark.slow
+@pytest.mark.usefixtures("forked")
 def test_named_sizes_are_read_and_an_unknown_size_is_refused(tmp_path):
     with pytest.raises(SceneError, match="no size called 'huge'; known: coarse"):
         script(tmp_path, STRIP, size="huge")

@@ -175,16 +175,16 @@ def _process_and_values(law, first, evaluation):
 
 @pytest.mark.slow
 def test_any_number_of_workers_gives_the_bits_of_one(lap_model, monkeypatch):
-    """Ten blocks, of which nine workers evaluate pieces; all samples are reported, and each block is taken here."""
+    """Eight blocks, of which nine workers evaluate pieces; all samples are reported, and each block is taken here."""
     monkeypatch.setattr(local, "WORTHWHILE", 1e-9)
 
     def found(engine):
         taken, heard = {}, []
         advance = lambda law, count: heard.append(count)
         take = lambda law, first, count, result: taken.setdefault((law, first, count), result)
-        monte_carlo(lap_model, LAWS, 5 * BLOCK, 4, _process_and_values, advance=advance, take=take, engine=engine)
-        assert sum(heard) == 2 * 5 * BLOCK
-        assert sorted(taken) == [(law, first, BLOCK) for law in LAWS for first in range(0, 5 * BLOCK, BLOCK)]
+        monte_carlo(lap_model, LAWS, 4 * BLOCK, 4, _process_and_values, advance=advance, take=take, engine=engine)
+        assert sum(heard) == 2 * 4 * BLOCK
+        assert sorted(taken) == [(law, first, BLOCK) for law in LAWS for first in range(0, 4 * BLOCK, BLOCK)]
         return taken
 
     one = found(None)
