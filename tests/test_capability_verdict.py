@@ -1,4 +1,4 @@
-"""The verdict is right as often as it claims: populations of known capability, drawn many times."""
+"""Error rates of the verdict on populations of known capability, drawn many times."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Before and after: differences of two assemblies on the same samples, with the interval that pairing leaves."""
+"""Differences of two assemblies on the same samples, with intervals from the pairs."""
 
 import dataclasses
 

@@ -1,4 +1,4 @@
-"""What drives the key characteristics: Sobol's indices, what a linear analysis makes of the same, where it misleads."""
+"""Contributors: Sobol indices against closed forms, and the warning where a linear analysis misleads."""
 
 from dataclasses import replace
 from types import SimpleNamespace
@@ -59,9 +59,9 @@ def test_indices_of_a_function_in_closed_form():
 
 @pytest.mark.slow
 def test_intervals_have_their_stated_coverage():
-    """Of 12 repetitions as many as 95 % allow, but for one time in a thousand.
+    """12 repetitions; the bound is the 0.1 % quantile of the hits of 95 % intervals.
 
-    On a quarter of the samples the most skewed of them, the first total index, is covered in 0.92 of the repetitions.
+    On a quarter of the samples, 92 % of the intervals of the first total index, the most skewed one, hold it.
     """
     inside = {"first": [], "total": []}
     for seed in range(12):
@@ -222,7 +222,7 @@ def test_many_small_contributors_count_as_one_and_their_bounds_hold():
 
 
 def test_bounds_hold_for_a_nonlinear_assembly(closing):
-    """Where the gap closes in a fifth of the samples."""
+    """The gap closes in a fifth of the samples."""
     model, found = closing
     bound = bounds(model, "frictionless", groups(model.scene), 400, seed=1)[:, 0]
     total = found.table.set_index("contributor")["total"]

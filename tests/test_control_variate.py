@@ -64,7 +64,7 @@ def test_inputs_that_determine_each_other_count_once():
 @pytest.mark.slow
 @pytest.mark.parametrize("cheap", [0, 160], ids=["samples alone", "with a cheap model"])
 def test_estimates_of_a_kink_are_unbiased_and_their_intervals_cover_it(cheap):
-    """Of 40 intervals of 95 %, at least 93 % hold the closed form; they are far narrower than those of the samples."""
+    """At least 93 % of 40 intervals of 95 % hold the closed form; they are far narrower than those of the samples."""
     mean, sigma = hinge_moments()
     limit, points, rng, covered, widths, errors = np.array([3.0]), population(), np.random.default_rng(5), [], [], []
     n = LEAST if cheap else LEAST_ALONE

@@ -373,14 +373,6 @@ def wait_for(condition, seconds=20.0):
         time.sleep(0.02)
 
 
-def test_another_file_is_not_taken_for_a_log(tmp_path):
-    path = tmp_path / "log.jsonl"
-    path.write_text("file,row\nparts.csv,2\n")
-    with pytest.raises(FormatError, match="this is no log of assemblies; give another file with --log"):
-        AssemblyLog(path, {})
-    assert path.read_text() == "file,row\nparts.csv,2\n"
-
-
 def test_the_command_does_not_touch_a_file_that_is_no_log(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     path = tmp_path / "model.npz"

@@ -1,4 +1,4 @@
-"""Tasks distributed by any engine: the same results, whatever becomes of a worker."""
+"""Tasks distributed by any engine: the same results, also if workers are killed."""
 
 import os
 import pickle
@@ -114,7 +114,7 @@ def test_workers_of_systems_without_fork_receive_the_work_pickled(monkeypatch):
 
 @pytest.fixture
 def interruptible():
-    """SIGINT raises, whatever the tests have made of it before."""
+    """SIGINT raises KeyboardInterrupt, also if another test changed its handler."""
     before = signal.signal(signal.SIGINT, signal.default_int_handler)
     yield
     signal.signal(signal.SIGINT, before)
@@ -139,7 +139,7 @@ def test_an_interrupt_ends_all_workers_at_once(capfd):
     assert capfd.readouterr().err == "" and not active_children()
 
 
-def test_a_pool_works_in_the_background_and_stops_when_told():
+def test_a_pool_works_in_the_background_and_can_be_stopped():
     with WorkerPool(number_and_process, range(6), 1) as pool:
         time.sleep(0.2)
         assert sorted(task for _, (task, _) in pool.completed()) == list(range(6))

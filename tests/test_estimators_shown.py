@@ -1,4 +1,4 @@
-"""What a user reads of a run with surrogates: report, verdict, summary and console."""
+"""Estimates of surrogates in report, verdict, summary and console."""
 
 from dataclasses import replace
 

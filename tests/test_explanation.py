@@ -1,4 +1,4 @@
-"""From what was measured back to its sources: closed forms, coverage, what cannot be told, what to measure next."""
+"""Sources of measured deviations: closed forms, coverage, indistinguishable sources, further measurements."""
 
 from dataclasses import replace
 
@@ -128,8 +128,8 @@ def test_the_credible_region_covers_the_truth_where_contacts_change_state():
 
 
 def test_the_proposed_further_point_reduces_the_uncertainty_most():
-    """Of two locators that lift b's face alike, L reads the one, R the other by a tenth, N neither. Each is measured in
-    turn: what is left of both is least where it was said to be."""
+    """Two locators lift b's face alike; L reads one of them, R a tenth of the other, N neither. Each is measured in
+    turn: the remaining uncertainty of both is least where it was predicted to be."""
     places = (("L", "b", [10, 0, 0]), ("R", "b", [5.5, 4.5, 0]), ("N", "t", [10, 0, 0]))
     further = [
         {"name": name, "part": part, "point": point, "direction": [0, 0, 1], "lower": -1, "upper": 1}
@@ -211,7 +211,6 @@ def test_one_of_several_assemblies_is_chosen_by_its_serial_number(model, tmp_pat
         ({"O": 1.0}, 0.1, "has no key characteristic 'O'; it has: M, N"),
         ({"M": np.inf}, 0.1, "measured: 'M' is inf; give a finite number"),
         ({"M": 1.0}, 0.0, "gauge is 0.0; give a finite number above 0"),
-        ({"M": 1.0}, {"M": 0.0}, "no positive standard deviation"),
         ({"M": 1.0}, {"N": 0.1}, "no positive standard deviation"),
     ],
 )

@@ -1,4 +1,4 @@
-"""What answers a move: by hand on springs, as the model evaluates it, and saved so that others read the same."""
+"""Exploration: moves by hand on springs, as evaluations of the model, and saved assemblies."""
 
 import re
 import tomllib

@@ -72,7 +72,7 @@ def test_an_assembly_comes_as_near_to_the_target_as_any_of_a_grid(model, objecti
 
 
 @pytest.mark.slow
-def test_steps_and_the_largest_number_of_adjustments_are_kept(model):
+def test_steps_and_the_largest_number_of_adjustments_are_obeyed(model):
     """The locator lowers M, the clamp moves N; both are far off."""
     x, numbers = np.array([1.05, PULL + 0.1]), []
     for most in (1, 2):

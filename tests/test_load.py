@@ -1,4 +1,4 @@
-"""Surfaces of parts from files and scripts: what is kept, and how a script's failure reads."""
+"""Surfaces of parts from files and scripts: cached meshes, and the messages of failed scripts."""
 
 import os
 import runpy
@@ -170,7 +170,7 @@ def test_a_script_that_never_ends_is_not_waited_for(tmp_path, case, monkeypatch)
 
 
 def gone(process):
-    """Whether a process has ended, or waits for nobody but the system to forget it."""
+    """Whether a process has ended or is a zombie."""
     try:
         os.kill(process, 0)
         with open(f"/proc/{process}/stat") as stat:

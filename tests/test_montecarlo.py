@@ -1,4 +1,4 @@
-"""Samples that depend on nothing but seed and number, and reach the sink once each."""
+"""Samples depend only on seed and number, and each reaches the sink once."""
 
 import os
 
@@ -19,7 +19,7 @@ LAWS = ["coulomb", "frictionless"]
 
 
 def collected(model, laws, samples, seed, **options):
-    """What a Monte Carlo hands over, in order, and what it says was done already."""
+    """The blocks that a Monte Carlo passes to its sink, in order, and the number of reused samples."""
     found = []
     reused = monte_carlo(model, laws, samples, seed, lambda *block: found.append(block), **options)
     return found, reused
@@ -116,7 +116,7 @@ def test_samples_of_a_design_do_not_depend_on_how_they_are_batched(lap_scene, de
     ],
 )
 def test_points_of_a_design_are_the_same_with_every_version_of_scipy(lap_scene, design, recorded):
-    """Those that ``scipy.stats.qmc`` 1.10 makes; later versions derive others from the same stream, or none."""
+    """The points of ``scipy.stats.qmc`` 1.10; later versions derive others from the same stream, or none."""
     scene = having(lap_scene, design=design, distribution="uniform", mean=0.0, sigma=1 / np.sqrt(3))
     point = draw(scene, 4, DESIGNS[design] + 5, 1)[0]  # of the second group
     assert (point + 1) / 2 == pytest.approx(recorded, abs=1e-14)
@@ -141,7 +141,7 @@ def output(values):
 @pytest.mark.slow
 @pytest.mark.parametrize("design", DESIGNS)
 def test_intervals_of_a_design_have_their_coverage_and_designs_reduce_the_error(lap_scene, design):
-    """Of mean and σ over 100 repetitions; designs of large groups have a dozen of them, the others a hundred."""
+    """Mean and σ over 100 repetitions; designs with large groups have a dozen groups, the others a hundred."""
     scene = having(lap_scene, design=design, mean=0.0, sigma=1.0)
     n = {"latin-hypercube": 600, "sobol": 640}.get(design, 200)
     group = np.arange(n) // DESIGNS[design] % 100

@@ -1,4 +1,4 @@
-"""Optima known by hand, by exhaustion and by brute force; what they are worth on fresh samples; what is refused."""
+"""Optimisation: optima by hand, exhaustion and brute force, their gain on fresh samples, refused requests."""
 
 import json
 import re
@@ -117,7 +117,7 @@ def test_the_cheaper_way_to_meet_a_constraint_is_used_as_far_as_needed():
 
 @pytest.mark.slow
 def test_a_constraint_violated_on_fresh_samples_is_tightened():
-    """Of seeds the first by whose twenty samples 0.33 mm are enough, where all take 0.4."""
+    """The first seed whose twenty samples need less than 0.33 mm; the population needs 0.4 mm."""
     model = pushed(CAPABLE | {"shims": [SHIM]})
     parts = (0.4 + draw(model.scene, seed, 0, 20)[:, 0] / 2 for seed in range(100))
     enough = [2 * (0.5 + 3 * own.std(ddof=1) - own.mean()) for own in parts]
@@ -143,7 +143,7 @@ def test_a_force_limit_is_met_and_an_infeasible_constraint_is_reported():
 
 
 def test_a_gain_on_the_samples_of_the_search_alone_is_no_gain():
-    """Centred but for the mean of the samples of the search: what is gained with these is lost with others."""
+    """The stated force centres all but the mean of the search samples, so their gain is lost on other samples."""
     clamp = at_face("b", name="C", force=47.5)
     found = optimise(pushed({"forces": [FORCE], "of": ["M"]}, clamps=[clamp]), "frictionless", samples=20, fresh=60)
     assert found.changes and found.trail["objective"].is_monotonic_increasing and len(found.trail) == 2
@@ -288,7 +288,7 @@ A3 = {"item": "locators.upper-A3", "points": [[120, 12.5, 1]]}
 @pytest.mark.fem
 @pytest.mark.slow
 def test_items_moved_by_the_search_equal_those_of_a_scene_at_that_place(cache, monkeypatch):
-    """At a fused nugget the elements of a part are divided: it is solved once for each of its places."""
+    """A fused nugget divides the elements of a part, which is therefore solved once for each place."""
     computed, find = [], sites_module.influence_coefficients
 
     def counted(assembly, *arguments):
@@ -363,7 +363,7 @@ def test_an_assignment_is_the_one_that_brute_force_finds(sizes):
 
 
 def test_three_kinds_are_assigned_until_nothing_improves():
-    """Of sums that are to be 0 three kinds of ±values have such a matching, and it is found from the file's order."""
+    """Three kinds of values ±x have a matching whose sums are all 0; it is found from the order of the files."""
     values = [np.array([1.0, -1.0, 2.0, -2.0]), np.array([2.0, 1.0, -1.0, -2.0]), np.zeros(4)]
     cost = lambda own: sum(value[own[:, t]] for t, value in enumerate(values)) ** 2
     found = assign_parts(kinds(4, 4, 4), cost)
@@ -422,7 +422,7 @@ def test_measured_parts_of_another_scene_are_refused(tmp_path, text, said):
     assert said in str(told.value)
 
 
-# ------------------------------------------------------------------------------------------- what is told and kept
+# ------------------------------------------------------------------------------------- search, budget and refusals
 
 
 def test_the_jackknife_of_a_mean_is_students_interval():

@@ -1,4 +1,4 @@
-"""What `mic check` says of a table [optimise]: in words, with numbers, before anything is computed."""
+"""Description of a table [optimise] by `mic check`, before anything is computed."""
 
 import re
 

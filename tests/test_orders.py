@@ -1,4 +1,4 @@
-"""How much hangs on the order of a process: which orders are compared, with the same samples, and what is doubted."""
+"""Effect of the process order: compared orders, changes on the same samples, and doubts about a scene."""
 
 from dataclasses import replace
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""One assembly at a time: forecasts by hand, verdicts, adjustments, and a log that survives."""
+"""Predictions of single assemblies: values by hand, verdicts, adjustments, and the log after a kill."""
 
 import csv
 import time
@@ -94,7 +94,7 @@ def touching(low, high):
 
 @pytest.mark.parametrize(("start", "low", "high"), [(0.05, 0.021, 1.0), (0.9, -1.0, 0.029)])
 def test_the_smallest_adjustment_is_found_where_contact_opens_or_closes_on_the_way(start, low, high):
-    """M stands still as long as the gap is open: its derivatives there say nothing, and too much where it closes."""
+    """M is constant while the gap is open: its derivatives are zero there, and too large where the gap closes."""
     model = touching(low, high)
     proposed = row(Predictor(model, adjust=["bl1"], shim=1.0, exact=True).predict({"P": start}), "")["said"]
     opened, names = with_adjustments(model, adjustments(model, 1.0, 2.0, ["bl1"]))
@@ -105,7 +105,7 @@ def test_the_smallest_adjustment_is_found_where_contact_opens_or_closes_on_the_w
 
 @pytest.mark.slow
 def test_the_emulator_agrees_with_the_evaluation_within_its_stated_error():
-    """Verdicts are the same, for where the spline may err by more than what is left to a limit it is not asked."""
+    """Verdicts are the same, since assemblies closer to a limit than the error of the spline are evaluated."""
     x = 0.4 + 0.15 * np.clip(np.random.default_rng(3).standard_normal(60), -3, 3)
     found = touching(-1.0, 1.0).process("coulomb").evaluate(x[:, None]).measurements[:, 0]
     limit = float(np.sort(found)[-8]) + 1e-5  # mm: close by one of them
@@ -126,8 +126,7 @@ def test_the_emulator_agrees_with_the_evaluation_within_its_stated_error():
 
 
 def test_the_stated_error_of_the_emulator_is_no_less_than_its_error():
-    """The kink of M lies between assemblies that were learnt from: left out of them, each is missed by as much as those
-    that are asked for later, or more."""
+    """The kink of M lies between training assemblies: their leave-one-out errors are at least those of others."""
     model = touching(-1.0, 1.0)
     known = train_emulator(model, "coulomb")
     assert 0 < known.error_bound[0] and len(known.x) >= 59
@@ -220,7 +219,7 @@ def test_the_command_predicts_each_row_once(model, tmp_path):
 
 
 def test_a_folder_is_watched_until_the_program_ends(model, tmp_path, monkeypatch):
-    """A file at fault is told, the next is judged all the same; what was judged stands in the log."""
+    """An invalid file is reported, and the next is predicted; the log has all predictions."""
     model.save(tmp_path / "model.npz")
     folder, looks = tmp_path / "in", []
     folder.mkdir()

@@ -1,4 +1,4 @@
-"""Rare misses: subset simulation against closed forms, and what it does where nothing is rare."""
+"""Rare limit violations: subset simulation and design points against closed forms."""
 
 from dataclasses import replace
 
@@ -30,7 +30,7 @@ def sphere(dimension, radius):
 
 @pytest.mark.parametrize("case, dimension, at", [(normal, 2, 3.5), (normal, 20, 4.5), (sphere, 5, 5.0)])
 def test_closed_forms_are_within_the_interval_as_often_as_it_claims(case, dimension, at):
-    """Of 40 repetitions at least as many as 95 % allow, but for one time in a thousand; the mean within its error."""
+    """40 repetitions: hits above the 0.1 % quantile of those of 95 % intervals; the mean within its error."""
     g, wanted = case(dimension, at)
     found = [subset_simulation(g, dimension, 500, seed) for seed in range(40)]
     inside = sum(one.low <= wanted <= one.high for one in found)
@@ -116,7 +116,7 @@ def test_a_limit_with_a_kink_where_no_gradient_points_to_the_origin_is_not_calle
 
 
 def test_the_probability_of_a_union_of_half_spaces():
-    """Of two at an angle, against the bivariate normal; of two that are one and the same, and of opposite ones."""
+    """Two at an angle, against the bivariate normal; two equal ones; two opposite ones."""
     r, beta = 0.6, np.array([2.5, 3.0])
     direction = np.array([[1.0, 0.0], [r, np.sqrt(1 - r**2)]])
     both = multivariate_normal([0, 0], [[1, r], [r, 1]]).cdf(-beta)

@@ -1,4 +1,4 @@
-"""What would mend it: remedies known by hand, through contact that changes, and what they do to all characteristics."""
+"""Remedies known by hand, also where contact changes, and their effects on all characteristics."""
 
 import tomllib
 from dataclasses import replace
@@ -133,11 +133,6 @@ def test_a_table_of_samples_is_judged_as_it_is():
     assert found.effects["fresh"].tolist() == [False] and found.found[0].reached
 
 
-def test_locators_in_use_at_measurement_change_only_on_request():
-    with pytest.raises(ValueError, match="nothing to adjust besides the datum of its measurements"):
-        remedies(faces(0.5, 1.5), "frictionless")
-
-
 def test_characteristics_within_limits_need_no_remedy():
     found = remedies(faces(-0.5, 0.5), "frictionless", names=["bl1"])
     assert found.worst == "" and found.found == [] and not len(found.table) and not len(found.effects)
@@ -184,11 +179,8 @@ def test_the_written_table_holds_the_evaluated_values():
         ([], "nothing to adjust besides the datum of its measurements"),
         (["--adjust", "bl1", "--shim", "nan"], "shim is nan; give a finite number above 0"),
         (["--adjust", "bl1", "--force", "0.5"], "factor is 0.5; give a finite number above 1"),
-        (["--adjust", "bl1", "--force", "inf"], "factor is inf; give a finite number above 1"),
         (["--adjust", "bl1", "--save", "mended.toml"], "--save writes a changed copy of a scene file"),
-        (["--adjust", "bl1", "--capability", "-1"], "Invalid value"),
         (["--adjust", "bl1", "--samples", "1"], "Invalid value"),
-        (["--adjust", "bl1", "--law", "sticky"], "Invalid value"),
     ],
 )
 def test_the_command_refuses_in_words(options, message, tmp_path):

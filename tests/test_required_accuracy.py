@@ -1,4 +1,4 @@
-"""Required accuracies of a scene, the best estimates of a run, and how far these are from the required accuracies."""
+"""Required accuracies of a scene, and their distance from the best estimates of a run."""
 
 import math
 import tomllib

@@ -1,4 +1,4 @@
-"""Samples that a scene gives in a file: they run as they are; what cannot be meant is refused or warned of."""
+"""Samples that a scene gives in a file: used unchanged, refused if invalid, warned of if implausible."""
 
 from __future__ import annotations
 
@@ -282,7 +282,7 @@ def test_a_singular_correlation_is_one():
 
 @pytest.mark.slow
 def test_a_run_of_a_design_gives_intervals_from_its_groups(lap_scene, cache, tmp_path, no_pictures):
-    """Those of key characteristics come from its groups; others, which would take independent samples, are left out."""
+    """Intervals of key characteristics come from the groups; others, which need independent samples, are omitted."""
     asked = lap_scene.monte_carlo.model_copy(update={"design": "antithetic", "samples": 24})
     laws = lap_scene.report.model_copy(update={"laws": ["coulomb"], "fields": False})
     outcome = run(lap_scene.model_copy(update={"monte_carlo": asked, "report": laws}), tmp_path / "out", cache)

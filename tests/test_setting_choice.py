@@ -1,4 +1,4 @@
-"""The setting auto: what it chooses from a few samples, and what it says."""
+"""The setting auto: its choice from a few samples, and its messages."""
 
 import json
 import tomllib

@@ -1,4 +1,4 @@
-"""6σ from few samples with derivatives: closed forms, coverage, more inputs than samples, and where it is no use."""
+"""6σ from few samples with derivatives: closed forms, coverage, more inputs than samples, refusals."""
 
 from types import SimpleNamespace
 

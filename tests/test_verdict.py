@@ -1,4 +1,4 @@
-"""The answer first: how many assemblies are good, what drives the worst, and whether the figures can be trusted."""
+"""The verdict of a run: yield, contributors of the worst characteristic, and estimated errors."""
 
 import json
 import shutil

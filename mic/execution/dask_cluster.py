@@ -25,8 +25,8 @@ class Dask:
     Parameters
     ----------
     address : str, optional
-        Of the scheduler, such as ``tcp://host:8786``; its workers must have this program and reach the results folder.
-        Default: a cluster of this machine's cores.
+        Address of the scheduler, such as ``tcp://host:8786``; its workers must have this program and reach the
+        results folder. Default: a cluster of this machine's cores.
 
     Raises
     ------

@@ -66,7 +66,7 @@ class _Sum(NamedTuple):
     ----------
     value : (k,) array
     upper, lower : (n, k), (M - n, k) array
-        What each sample contributes.
+        Contribution of each sample.
     halves : (F, k) array
         Half the difference between the halves of the population of each fold, times the weight of the fold.
     unseen : (k,) array

@@ -55,11 +55,11 @@ def decide(value, low, high, target: float, samples: int, freedom=np.inf, level:
         Estimates with their intervals; without spread ±∞ and NaN.
     target : float
     samples : int
-        That the estimates are from.
+        Number of samples that the estimates come from.
     freedom : float or (k,) array
         Degrees of freedom of Student's t in the intervals; infinite: normal.
     level : float
-        Of the intervals.
+        Confidence level of the intervals.
     """
     value, low, high = (np.atleast_1d(np.asarray(x, dtype=float)) for x in (value, low, high))
     α, k, t = 1 - level, len(value), lambda p: stdtrit(np.broadcast_to(np.minimum(freedom, 1e9), value.shape), p)

@@ -326,7 +326,7 @@ def density(x, points) -> np.ndarray:
     ----------
     x : (n,) array
     points : (p,) array
-        Where to evaluate.
+        Points at which it is evaluated.
 
     Returns
     -------
@@ -365,8 +365,8 @@ def confidence(n) -> np.ndarray:
 def rarest_event(n, shown: float = SHOWN) -> np.ndarray:
     """Share of the assemblies that must do something for the intervals of `n` samples to include it.
 
-    That which about fifteen of the samples show. Rarer jumps, and contacts that close more rarely, may show in too few
-    samples, or in none.
+    About fifteen of the samples show such an event. Rarer jumps, and contacts that close more rarely, may show in
+    too few samples, or in none.
 
     Parameters
     ----------

@@ -44,7 +44,7 @@ class RoughSamples:
     doubts : tuple of str
         Sentences of :func:`mic.studies.order.doubts`; none if the samples took longer than :data:`PATIENCE`.
     mean, six_sigma : (k,) array
-        Of the key characteristics, mm.
+        Mean and 6σ of the key characteristics, mm.
     forces : dict of str to float
         Largest force or reaction by stage, N.
     """

@@ -91,7 +91,7 @@ class ProposedAdjustment:
         Evaluations of the assembly.
     objective : str
     cost : float
-        Of sufficient changes, also if they are not worth it; with the objective ``cost`` in the unit of the scene.
+        Cost of sufficient changes, also if they are not worth it; with the objective ``cost`` in the unit of the scene.
     reject : float
         Cost of an assembly outside its limits, with this objective.
     """
@@ -415,7 +415,7 @@ class _Search:
     ----------
     evaluations : int
     merit : float
-        Of the best changes.
+        Merit of the best changes.
     best : tuple of (a,) and (k,) array
         The best changes, and their key characteristics.
     """

@@ -69,7 +69,7 @@ class Predictor:
     emulator : AssemblyEmulator or None
         The spline; None if every assembly is evaluated.
     evaluation : Evaluation or None
-        That of the last predicted assembly; None if its prediction comes from the spline.
+        Evaluation of the last predicted assembly; None if its prediction comes from the spline.
 
     Raises
     ------
@@ -132,7 +132,7 @@ class Predictor:
         values : mapping of str to float
             Deviations by name, N or mm; missing ones are unknown.
         covariance : (p, p) array, optional
-            Of the errors of all deviations, given their measurement; default: no errors.
+            Covariance of the errors of all deviations, given their measurement; default: no errors.
         unexplained : float
             Deviation that the scene's deviations do not describe, mm: a further error of each characteristic.
 
@@ -190,8 +190,8 @@ class Predictor:
         return table
 
     def _adjusting(self, verdict: np.ndarray, half: np.ndarray, measure: str) -> JointAdjustment | None:
-        """What adjusts an assembly; None if it needs nothing, or if its intervals exceed the tolerance because of what
-        is still to be measured."""
+        """The adjustment of an assembly; None if it needs none, or if missing measurements make its intervals exceed
+        the tolerance."""
         if self._adjustment is None or self._adjustment.always:
             return self._adjustment
         fits = bool((2 * half <= self._upper - self._lower).all())

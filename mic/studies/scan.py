@@ -70,7 +70,7 @@ class ScannedAssembly:
     values : dict of str to float
         Deviations by name, N, mm or a factor.
     covariance : (p, p) array
-        Of all deviations of the scene, given the scans.
+        Covariance of all deviations of the scene, given the scans.
     error : float
         Root mean square of the deviation that the scene's deviations do not describe, mm, of all scanned parts.
     registrations : DataFrame
@@ -111,7 +111,7 @@ class ScanReader:
     Attributes
     ----------
     model : ReducedModel
-        Of the scene and the forces of its parts that are taken as they are: predict with it.
+        Model of the scene, with forces on its parts that are taken as they are: predict with it.
     free : list of str
         Names of these parts.
 
@@ -177,7 +177,7 @@ class ScanReader:
         files : mapping of str to Path
             File of the scan by part: STL, PLY or another mesh file, whose points are used, or a table of points.
         serial : str
-            Of the assembly, for the table.
+            Serial number of the assembly, for the table.
 
         Raises
         ------

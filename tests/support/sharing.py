@@ -1,5 +1,4 @@
-"""An array of 80 MB that the first of several processes makes and all share: what each of them gets, one line each;
-then a run of one process while the others wait: the number of samples and of processes.
+"""Share an array of 80 MB between processes, one line of output for each; then run a scene on one of them.
 
 ``python -m support.sharing FOLDER SCENE CACHE``
 """
@@ -34,7 +33,7 @@ def main() -> None:
     total = found["array"].sum()
     wait(world)
     if world.rank == 0:
-        found["array"][7] = -1.0  # what no program does: to see that there is one array
+        found["array"][7] = -1.0  # shows that all processes share one array
     wait(world)
     right = total == SIZE * (SIZE - 1) / 2 and found["words"] == ["as", "they", "are"] and found["few"].sum() == 3
     said = f"{world.rank} made {made} right {right} one {found['array'][7] == -1.0} grew {private() - before:.0f}\n"
