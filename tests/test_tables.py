@@ -2,7 +2,9 @@
 
 import csv
 import re
+import tomllib
 from io import StringIO
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,9 +15,7 @@ from support.workbooks import workbook
 from mic.errors import SceneError
 from mic.geometry.readers import READERS
 from mic.scene.excel_file import read_workbook
-from mic.scene.fixture import Clamp, Locator
 from mic.scene.load import load_scene
-from mic.scene.measurement import Measurement
 from mic.scene.part import CAD
 from mic.scene.part_names import PartNames, other_names
 from mic.scene.schema import TABLES
@@ -35,281 +35,60 @@ def rows_of(folder, content, kind, name="table.csv", **keys):
     return [row for _, row in rows], said
 
 
-WELD = {"name": "W1", "point": [1250.5, -30.25, 0.5], "parts": ["rail", "plate"]}
-POINT = {"name": "M1", "part": "rail", "point": [1250.5, -30.25, 0.5], "lower": -0.3, "upper": 0.5}
-INCH = [25.4 * 10.5, 25.4 * -2.0, 25.4 * 0.125]
-#: Each as a table, the kind of its items, and its first item.
-TABLES_OF_PEOPLE = {
-    "weld list of a CAD system": (
-        "Weld ID,X,Y,Z,Part 1,Part 2,Type,Status\nW1,1250.5,-30.25,0.5,RAIL,PLATE,Spot,Released\n",
-        Weld,
-        WELD,
-    ),
-    "German Excel export": (
-        "Schweißpunkt;X [mm];Y [mm];Z [mm];Bauteil 1;Bauteil 2;Bemerkung\r\n"
-        "W1;1.250,5;-30,25;0,5;Rail;Plate;\r\nW2;1.300,0;-30,25;0,5;Rail;Plate;geprüft\r\n".encode("cp1252"),
-        Weld,
-        WELD,
-    ),
-    "unicode text of Excel": (
-        "\ufeffID\tX Coord\tY Coord\tZ Coord\tPanels\r\nW1\t1250.5\t-30.25\t0.5\trail, plate\r\n".encode("utf-16-le"),
-        Weld,
-        WELD,
-    ),
-    "title, comments, blank lines, total": (
-        "Weld list of line 4;;;;;\n\n# exported 3 May\nNo.;x;y;z;from;to\n\nW1;1250.5;-30.25;0.5;rail.inp;plate.bdf\n"
-        "# W2;0;0;0;rail;plate\n",
-        Weld,
-        WELD,
-    ),
-    "properties, fixed width": (
-        "Name    X        Y       Z     PID A   PID B\nW1    1250.5   -30.25   0.5    1      PID_2\n",
-        Weld,
-        WELD,
-    ),
-    "diameters": (
-        "spot_id,x_mm,y_mm,z_mm,parts,nugget_diameter_mm\nW1,1250.5,-30.25,0.5,rail plate,5\n",
-        Weld,
-        WELD | {"radius": 2.5},
-    ),
-    "coordinates in one cell": ("Name;Location;Parts\nW1;(1250.5, -30.25, 0.5);RAIL/PLATE\n", Weld, WELD),
-    "points with tolerances": (
-        "Point;Part;Nominal X;Nominal Y;Nominal Z;Tol-;Tol+;Comment\nM1;Rail;1250.5;-30.25;0.5;-0.3;0.5;\n",
-        Measurement,
-        POINT,
-    ),
-    "limits LSL and USL about a nominal value": (
-        "Characteristic,Panel,X,Y,Z,Nominal,LSL,USL\nM1,RAIL,1250.5,-30.25,0.5,3.0,2.75,3.5\n",
-        Measurement,
-        POINT | {"lower": -0.25},
-    ),
-    "magnitudes of tolerances": (
-        "Feature,Part,X,Y,Z,Upper Tol,Lower Tol\nM1,rail,1250.5,-30.25,0.5,0.5,0.5\n",
-        Measurement,
-        POINT | {"lower": -0.5},
-    ),
-    "one tolerance": (
-        "KC | Part | X | Y | Z | Tol ± | I | J | K\nM1 | rail | 1250.5 | -30.25 | 0.5 | 0.5 | 0 | 0 | -1\n",
-        Measurement,
-        POINT | {"lower": -0.5, "direction": [0.0, 0.0, -1.0]},
-    ),
-    "tolerance as text": (
-        "Messpunkt;Teil;X;Y;Z;Toleranz\nM1;rail;1250,5;-30,25;0,5;+0,5/-0,3\n",
-        Measurement,
-        POINT,
-    ),
-    "locators in inches": (
-        "RPS,Part,X [in],Y [in],Z [in],Direction\nA1,Rail,10.5,-2,0.125,Z\n",
-        Locator,
-        {"name": "A1", "part": "rail", "point": INCH, "direction": [0.0, 0.0, 1.0]},
-    ),
-    "row of units": (
-        "Locator\tComponent\tX\tY\tZ\tDir\n-\t-\tinch\tinch\tinch\t-\nA1\tRail\t10.5\t-2\t0.125\tnormal\n",
-        Locator,
-        {"name": "A1", "part": "rail", "point": INCH, "direction": "normal"},
-    ),
-    "units in cells": (
-        'Name,X,Y,Z,Normal,Part\nA1,10.5 in,-2in,0.125 inch,"0, 0, 1",Rail\n',
-        Locator,
-        {"name": "A1", "part": "rail", "point": INCH, "direction": [0.0, 0.0, 1.0]},
-    ),
-    "nodes beside coordinates": (
-        "Point;Node ID;X;Y;Z;Part;USL;LSL\nM1;1017;1250.5 mm;-30.25 mm;0.5 mm;rail;0.5;-0.3\n",
-        Measurement,
-        POINT,
-    ),
-    "quoted German export": (
-        '"Spot Name";"X (mm)";"Y (mm)";"Z (mm)";"Normal X";"Connected Parts"\n'
-        '"W1";"1250,50";"-30,25";"0,50";"0,00";"Rail,Plate"\n',
-        Weld,
-        WELD,
-    ),
-    "labels and layers": (
-        "$ exported\nWeld_Point_Label X Y Z LAYER1 LAYER2 LAYER3\nW1 1250.5 -30.25 0.5 1 PLATE cap.stl\n",
-        Weld,
-        WELD | {"parts": ["rail", "plate", "cap"]},
-    ),
-    "tolerance zone and unit vector": (
-        "Pt #,Part,X Nom,Y Nom,Z Nom,I Nom,J Nom,K Nom,Surface Profile\nM1,1,1250.5,-30.25,0.5,0,0,1,1.0\n",
-        Measurement,
-        POINT | {"lower": -0.5, "direction": [0.0, 0.0, 1.0]},
-    ),
-    "unit in a column": (
-        "Point;Part;X;Y;Z;LSL;USL;Unit\nM1;rail;10.5;-2.0;0.125;-1;1;inch\n",
-        Measurement,
-        {"name": "M1", "part": "rail", "point": INCH, "lower": -25.4, "upper": 25.4},
-    ),
-    "metres": (
-        "id,X [m],Y [m],Z [m],part a,part b\nW1,1.2505,-0.03025,0.0005,rail,plate\n",
-        Weld,
-        WELD,
-    ),
-    "markdown": (
-        "| id | x | y | z | part 1 | part 2 |\n|----|---|---|---|--------|--------|\n"
-        "| W1 | 1250.5 | -30.25 | 0.5 | rail | plate |\n",
-        Weld,
-        WELD,
-    ),
-    "header of two rows": (
-        "Measurement plan;;;;;;;;;\n;;Nominal;;;Actual;;;Tolerance;\nPos;Part;X;Y;Z;X;Y;Z;+;-\n"
-        "M1;Rail;1250.5;-30.25;0.5;;;;0.5;-0.3\nTotal: 1;;;;;;;;;\n",
-        Measurement,
-        POINT,
-    ),
-    "the same description in all rows": (
-        "Pos.;Bezeichnung;X;Y;Z;Part\nW1;Spot;1250.5;-30.25;0.5;rail+plate\nW2;Spot;1;2;3;rail+plate\n",
-        Weld,
-        WELD,
-    ),
-    "clamps": (
-        "Clamp ID;Part 1;Part 2;X;Y;Z;Clamping force [kN]\nC 1;rail;plate;1250,5;-30,25;0,5;1,5\n",
-        Clamp,
-        WELD | {"name": "C_1", "force": 1500.0},
-    ),
-}
+CASES = tomllib.loads((Path(__file__).parent / "data" / "tables.toml").read_text(encoding="utf-8"))
 
 
-@pytest.mark.parametrize("case", TABLES_OF_PEOPLE)
-def test_tables_as_people_have_them_are_read_unchanged(case, tmp_path):
-    content, kind, first = TABLES_OF_PEOPLE[case]
-    rows, said = rows_of(tmp_path, content, kind)
-    assert rows[0] == first
+def content_of(case):
+    """Bytes of a table of ``tables.toml``."""
+    return case["table"].replace("\n", case.get("line_end", "\n")).encode(case.get("encoding", "utf-8"))
+
+
+def first_item(case):
+    """The first item of such a table."""
+    return CASES["items"][case["kind"]] | case.get("first", {})
+
+
+@pytest.mark.parametrize("name", CASES["read"])
+def test_tables_as_people_have_them_are_read_unchanged(name, tmp_path):
+    case = CASES["read"][name]
+    rows, said = rows_of(tmp_path, content_of(case), TABLES[case["kind"]])
+    assert rows[0] == first_item(case)
     assert said.startswith("columns read: ")
 
 
-#: Cases whose numbers in a workbook went through another unit and back.
-ROUNDED = ("locators in inches", "row of units", "clamps", "units in cells", "unit in a column", "metres")
-
-
-@pytest.mark.parametrize("case", TABLES_OF_PEOPLE)
-def test_the_same_tables_in_a_workbook_give_the_same(case, tmp_path):
+@pytest.mark.parametrize("name", CASES["read"])
+def test_the_same_tables_in_a_workbook_give_the_same(name, tmp_path):
     """Numbers are cells of numbers; texts such as ±0.5 or (1, 2, 3) stay texts."""
-    content, kind, first = TABLES_OF_PEOPLE[case]
-    (tmp_path / "a.csv").write_bytes(content if isinstance(content, bytes) else content.encode())
+    case = CASES["read"][name]
+    kind, first = TABLES[case["kind"]], first_item(case)
+    (tmp_path / "a.csv").write_bytes(content_of(case))
     keys = ["x", "y", "z", "force", "diameter", "lower", "upper", "plus_minus", "nominal", "i", "j", "k"]
-    table = open_table(
-        tmp_path / "a.csv", Columns.of_file([*keys, *kind.model_fields, "part1", "part2", "coordinates", "tolerance"])
-    )
+    others = [*kind.model_fields, "part1", "part2", "coordinates", "tolerance"]
+    table = open_table(tmp_path / "a.csv", Columns.of_file([*keys, *others]))
     cells = [list(row) for _, row in table.rows]
     for key in set(keys) & table.key_of.keys():
         for row, value in zip(cells, table.numbers(key)):
             row[table.key_of[key]] = float(value / table.factor(key))
     book = workbook({"Table": [["a title"], [], list(table.header.headers), *cells], "Notes": [["nothing"]]})
-    units = {"unit": "in"} if case == "row of units" else {}
+    units = {"unit": "in"} if name == "row of units" else {}
     found = rows_of(tmp_path, book, kind, "table.xlsx", **units)[0][0]
     assert found.keys() == first.keys()
     for key, value in first.items():
-        if key in ("point", "force") and case in ("locators in inches", "row of units", "clamps"):
+        if key in ("point", "force"):  # which may have gone through another unit and back
             np.testing.assert_allclose(found[key], value, rtol=1e-15)
         else:
             assert found[key] == value
 
 
-#: Tables that may be read in several ways: the kind, words of the question, and the line that answers it.
-QUESTIONS = {
-    "thousands or decimals": (
-        "name;x;y;z\nW1;1,250;2,500;3,750\n",
-        Weld,
-        r"'1,250' is 1.25 or 1250, .* decimal = \",\" or",
-        {"decimal": ","},
-        {"point": [1.25, 2.5, 3.75]},
-    ),
-    "the same, thousands": (
-        "name;x;y;z\nW1;1,250;2,500;3,750\n",
-        Weld,
-        "decimal",
-        {"decimal": "."},
-        {"point": [1250.0, 2500.0, 3750.0]},
-    ),
-    "points beside commas": (
-        "name;x;y;z\nW1;1.250;0,5;3\n",
-        Weld,
-        r"'1.250' is 1.25 or 1250",
-        {"decimal": ","},
-        {"point": [1250.0, 0.5, 3.0]},
-    ),
-    "points between semicolons": (
-        "name;x;y;z\nW1;1.250;2.500;3.750\n",
-        Weld,
-        r"'1.250' is 1.25 or 1250",
-        {"decimal": "."},
-        {"point": [1.25, 2.5, 3.75]},
-    ),
-    "points between tabs": (
-        "name\tx\ty\tz\nW1\t1.250\t2.500\t3.750\n",
-        Weld,
-        r"'1.250' is 1.25 or 1250",
-        {"decimal": ","},
-        {"point": [1250.0, 2500.0, 3750.0]},
-    ),
-    "quoted": ('name,x,y,z\nW1,"1,250",0.5,3\n', Weld, r"1.25 or 1250", {"decimal": "."}, {"point": [1250.0, 0.5, 3]}),
-    "two sets of coordinates": (
-        "name;x;Nominal X;y;z\nW1;1;2;3;4\n",
-        Weld,
-        r"x may be 'x' or 'Nominal X': .* columns = { x = ",
-        {"columns": {"x": "Nominal X"}},
-        {"point": [2.0, 3.0, 4.0]},
-    ),
-    "units of some": (
-        "name;x [in];y [in];z [in];lower;upper\nM;1;2;3;-0.5;0.5\n",
-        Measurement,
-        'names no unit.* unit = "mm" or',
-        {"unit": "mm"},
-        {"lower": -0.5},
-    ),
-    "a title with a unit": (
-        "All dimensions in inch\nname;x;y;z\nW1;1;2;3\n",
-        Weld,
-        "row 1 says .* unit = ",
-        {"unit": "in"},
-        {"point": [25.4, 50.8, 3 * 25.4]},
-    ),
-    "a tolerance": (
-        "name;x;y;z;Tolerance\nM;1;2;3;0.5\n",
-        Measurement,
-        "may be ± or the whole width",
-        {"columns": {"width": "Tolerance"}},
-        {"lower": -0.25, "upper": 0.25},
-    ),
-    "a magnitude": (
-        "name;x;y;z;Tol-;Tol+\nM;1;2;3;0.3;0.5\n",
-        Measurement,
-        "may be the limit or its magnitude",
-        {"columns": {"minus": "Tol-"}},
-        {"lower": -0.3, "upper": 0.5},
-    ),
-    "absolute limits": (
-        "name;x;y;z;LSL;USL\nM;1;2;3;2.5;3.5\n",
-        Measurement,
-        "do not enclose 0",
-        {"columns": {"lower": "LSL"}},
-        {"lower": 2.5, "upper": 3.5},
-    ),
-    "no header": (
-        "W1;1;2;3\n",
-        Weld,
-        "there is no known column among",
-        {"columns": ["name", "x", "y", "z"]},
-        {"name": "W1", "point": [1.0, 2.0, 3.0]},
-    ),
-    "misspelt": (
-        "name;x;y;z;raduis\nW;1;2;3;4\n",
-        Weld,
-        "there is no column 'raduis'; did you mean 'radius'",
-        {"columns": {"radius": "raduis"}},
-        {"radius": 4.0},
-    ),
-}
-
-
-@pytest.mark.parametrize("case", QUESTIONS)
-def test_what_may_be_read_in_two_ways_is_asked_and_one_line_answers(case, tmp_path):
-    content, kind, question, answer, expected = QUESTIONS[case]
-    with pytest.raises(SceneError, match=question) as asked:
+@pytest.mark.parametrize("name", CASES["asked"])
+def test_what_may_be_read_in_two_ways_is_asked_and_one_line_answers(name, tmp_path):
+    case = CASES["asked"][name]
+    kind, content = TABLES[case["kind"]], content_of(case)
+    with pytest.raises(SceneError, match=case["question"]) as asked:
         rows_of(tmp_path, content, kind)
     assert "\n" not in str(asked.value)
-    row = rows_of(tmp_path, content, kind, **answer)[0][0]
-    assert {key: row[key] for key in expected} == expected
+    row = rows_of(tmp_path, content, kind, **case["answer"])[0][0]
+    assert {key: row[key] for key in case["first"]} == case["first"]
 
 
 REFUSED = {
@@ -347,11 +126,7 @@ bounded = st.floats(-1e300, 1e300)
 
 def european(value: float) -> str:
     """A number with thousands grouped by points and a decimal comma, as German Excel shows it."""
-    text = repr(value)
-    if "e" in text or "." not in text:
-        return text.replace(".", ",")
-    whole, _, fraction = text.partition(".")
-    return f"{int(whole):,}".replace(",", ".").replace("0", "0") + "," + fraction if whole != "-0" else f"-0,{fraction}"
+    return american(value).translate(str.maketrans(",.", ".,"))
 
 
 def american(value: float) -> str:
@@ -360,19 +135,27 @@ def american(value: float) -> str:
     return text if "e" in text or whole == "-0" else f"{int(whole):,}.{fraction}"
 
 
+def with_comma(value: float) -> str:
+    return repr(value).replace(".", ",")
+
+
+#: Separator, number and quoting of each dialect.
+DIALECTS = {
+    "commas": (",", repr, csv.QUOTE_MINIMAL),
+    "quoted": (",", with_comma, csv.QUOTE_ALL),
+    "semicolons": (";", repr, csv.QUOTE_MINIMAL),
+    "decimal commas": (";", with_comma, csv.QUOTE_MINIMAL),
+    "tabs": ("\t", with_comma, csv.QUOTE_MINIMAL),
+    "european": (";", european, csv.QUOTE_MINIMAL),
+    "american": ("\t", american, csv.QUOTE_MINIMAL),
+    "bars": ("|", repr, csv.QUOTE_MINIMAL),
+    "blanks": (" ", with_comma, csv.QUOTE_MINIMAL),
+}
+
+
 def written(rows, dialect):
     """A table of numbers in a dialect."""
-    separator, number, quoting = {
-        "commas": (",", repr, csv.QUOTE_MINIMAL),
-        "quoted": (",", lambda value: repr(value).replace(".", ","), csv.QUOTE_ALL),
-        "semicolons": (";", repr, csv.QUOTE_MINIMAL),
-        "decimal commas": (";", lambda value: repr(value).replace(".", ","), csv.QUOTE_MINIMAL),
-        "tabs": ("\t", lambda value: repr(value).replace(".", ","), csv.QUOTE_MINIMAL),
-        "european": (";", european, csv.QUOTE_MINIMAL),
-        "american": ("\t", american, csv.QUOTE_MINIMAL),
-        "bars": ("|", repr, csv.QUOTE_MINIMAL),
-        "blanks": (" ", lambda value: repr(value).replace(".", ","), csv.QUOTE_MINIMAL),
-    }[dialect]
+    separator, number, quoting = DIALECTS[dialect]
     text = StringIO()
     writer = csv.writer(text, delimiter=separator, quoting=quoting, lineterminator="\r\n")
     writer.writerow(["x", "y", "z"])
@@ -380,12 +163,9 @@ def written(rows, dialect):
     return text.getvalue()
 
 
-DIALECTS = ["commas", "quoted", "semicolons", "decimal commas", "tabs", "european", "american", "bars", "blanks"]
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("dialect", DIALECTS)
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=25, deadline=None)
 @given(rows=st.lists(st.tuples(finite, finite, finite), min_size=1, max_size=6))
 @example(rows=[(1.25, 1.125, 1000.5)])
 @example(rows=[(1.125, 2.25, 0.0)])
@@ -415,14 +195,13 @@ def readings(cell):
     return values
 
 
+CELLS = ["1", "12", "1,5", "0,25", "1,250", "-3,5", "1.250", "7.5"]
+
+
 @pytest.mark.slow
 @settings(max_examples=60, deadline=None)
 @given(
-    rows=st.lists(
-        st.lists(st.sampled_from(["1", "12", "1,5", "0,25", "1,250", "-3,5", "1.250", "7.5"]), min_size=3, max_size=3),
-        min_size=1,
-        max_size=4,
-    ),
+    rows=st.lists(st.tuples(*3 * [st.sampled_from(CELLS)]), min_size=1, max_size=4),
     separator=st.sampled_from([",", ";", "\t", " "]),
 )
 def test_a_comma_is_never_taken_for_a_separator_nor_the_reverse(rows, separator, tmp_path_factory):
@@ -440,7 +219,7 @@ def test_a_comma_is_never_taken_for_a_separator_nor_the_reverse(rows, separator,
 
 
 @pytest.mark.slow
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=20, deadline=None)
 @given(rows=st.lists(st.tuples(bounded, bounded, bounded), min_size=1, max_size=6))
 def test_a_workbook_gives_the_bits_that_it_stores(rows, tmp_path_factory):
     path = tmp_path_factory.mktemp("table") / "a.xlsx"
@@ -456,18 +235,12 @@ def test_parts_are_found_by_name_file_property_and_set_in_any_case():
     for text in ("rail", "RAIL", "Rail.INP", "PID 1", "pid_1", "1", "PID1", "01"):
         assert PARTS.find(text) == "rail"
     assert PARTS.find("rial") is None and PARTS.find("3") is None
-    assert (
-        PARTS.split("RAIL/Plate")
-        == PARTS.split("1, 2")
-        == PARTS.split("rail plate")
-        == PARTS.split("rail + plate")
-        == ["rail", "plate"]
-    )
+    for text in ("RAIL/Plate", "1, 2", "rail plate", "rail + plate"):
+        assert PARTS.split(text) == ["rail", "plate"]
     assert PARTS.unknown("rial") == "there is no part called 'rial'; did you mean 'rail' (from rail.inp)?"
     same = PartNames({"a": ["both.inp"], "b": ["both.inp"]})
-    assert (
-        same.find("both.inp") is None and same.unknown("BOTH.inp") == "'BOTH.inp' may be 'a' or 'b'; name one of them"
-    )
+    assert same.find("both.inp") is None
+    assert same.unknown("BOTH.inp") == "'BOTH.inp' may be 'a' or 'b'; name one of them"
 
 
 @pytest.mark.parametrize("suffix", [*READERS, *CAD])
@@ -483,10 +256,8 @@ def scene_table(folder, **changes):
 
 def test_a_scene_calls_its_parts_by_any_of_their_names(tmp_path):
     (tmp_path / "w.csv").write_text("Weld;X;Y;Z;Part 1;Part 2\nW 1;1;2;3;RAIL.inp;7\n")
-    table = scene_table(
-        tmp_path, welds=[{"file": "w.csv", "radius": 3}], zones=[{"name": "Z", "parts": ["Rail", "pid_7"]}]
-    )
-    found = expand_tables(table, TABLES)
+    zones = [{"name": "Z", "parts": ["Rail", "pid_7"]}]
+    found = expand_tables(scene_table(tmp_path, welds=[{"file": "w.csv", "radius": 3}], zones=zones), TABLES)
     assert found["welds"] == [{"name": "W_1", "radius": 3, "parts": ["rail", "plate"], "point": [1.0, 2.0, 3.0]}]
     assert found["zones"][0]["parts"] == ["rail", "plate"]
     assert found["tables_read"] == [
@@ -532,17 +303,13 @@ def test_a_weld_of_three_parts_is_two_of_neighbours(tmp_path):
     table = scene_table(tmp_path, welds=[{"file": "w.csv"}])
     table["parts"].append({"name": "cap", "mesh": "cap.stl"})
     found = expand_tables(table, TABLES)["welds"]
-    assert [(one["name"], *one["parts"]) for one in found] == [
-        ("Wa", "rail", "plate"),
-        ("Wb", "plate", "cap"),
-        ("V", "rail", "plate"),
-    ]
+    welds = {one["name"]: one["parts"] for one in found}
+    assert welds == {"Wa": ["rail", "plate"], "Wb": ["plate", "cap"], "V": ["rail", "plate"]}
 
 
 def test_a_locator_of_several_axes_is_one_for_each(tmp_path):
-    (tmp_path / "l.csv").write_text(
-        "RPS;Part;X;Y;Z;Direction\nR1;rail;1;2;3;HxyFz\nR2;rail;4;2;3;XZ\nR3;rail;4;5;3;-Z\n"
-    )
+    table = "RPS;Part;X;Y;Z;Direction\nR1;rail;1;2;3;HxyFz\nR2;rail;4;2;3;XZ\nR3;rail;4;5;3;-Z\n"
+    (tmp_path / "l.csv").write_text(table)
     found = expand_tables(scene_table(tmp_path, locators=[{"file": "l.csv"}]), TABLES)["locators"]
     assert [(one["name"], one["direction"]) for one in found] == [
         ("R1-x", [1.0, 0.0, 0.0]),
@@ -566,13 +333,8 @@ def test_headers_differ_by_more_than_case_blanks_and_punctuation():
     assert squash("Tol (+)") == squash("tol+") == "tol+" and squash("Tol-") == squash("Tol. −") == "tol-"
     assert squash("Tol +/-") == squash("±Tol") == "tol±" and squash("Weld_ID") == squash("weld id") == "weldid"
     aliases = Columns.of_file(["x", "lower", "upper", "plus_minus"])
-    assert [aliases.key(head)[0] for head in ("Nom. X (mm)", "X, mm", "Tol-", "TOL [+]", "Tol. ±")] == [
-        "x",
-        "x",
-        "lower",
-        "upper",
-        "plus_minus",
-    ]
+    heads = ("Nom. X (mm)", "X, mm", "Tol-", "TOL [+]", "Tol. ±")
+    assert [aliases.key(head)[0] for head in heads] == ["x", "x", "lower", "upper", "plus_minus"]
     assert aliases.key("X [in]")[2] == 25.4 and aliases.key("colour") is None
 
 
