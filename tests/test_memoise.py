@@ -1,11 +1,12 @@
 """Memoised assemblies and warnings equal new ones bit for bit and are keyed by all their inputs."""
 
 import shutil
-from dataclasses import dataclass, fields, is_dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 import pytest
 from scipy.sparse import csr_matrix
+from support.contents import same
 
 from mic.model.assembly import assemble
 from mic.plausibility import find_warnings
@@ -30,23 +31,6 @@ CONTENT = {
     "matrix": csr_matrix([[0.0, 2.0, 0.0], [1.0, 0.0, 0.0]]),
     "endless": float("inf"),
 }
-
-
-def same(a, b):
-    """Whether two contents are of the same classes, kinds and bits."""
-    if type(a) is not type(b):
-        return False
-    if isinstance(a, np.ndarray):
-        return a.dtype == b.dtype and a.shape == b.shape and np.ascontiguousarray(a).tobytes() == b.tobytes()
-    if isinstance(a, csr_matrix):
-        return same([a.shape, a.data, a.indices, a.indptr], [b.shape, b.data, b.indices, b.indptr])
-    if isinstance(a, dict):
-        return list(a) == list(b) and all(same(a[name], b[name]) for name in a)
-    if isinstance(a, (tuple, list)):
-        return len(a) == len(b) and all(map(same, a, b))
-    if is_dataclass(a):
-        return all(same(getattr(a, one.name), getattr(b, one.name)) for one in fields(a))
-    return a == b
 
 
 def test_unpacked_content_equals_packed_content():

@@ -18,12 +18,12 @@ import shutil
 import socket
 import traceback
 import zipfile
-from dataclasses import fields, is_dataclass
+from contextlib import suppress
+from dataclasses import fields
 from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
-import pandas as pd
 from scipy.sparse import csr_matrix
 
 from mic.commands.predict import PredictionLog
@@ -45,7 +45,8 @@ from mic.studies.prediction import Predictor
 from mic.system.disk_cache import ABSENT, Cache
 from mic.system.files import DAMAGED, Format, arrays_header, load_arrays, load_json, save_arrays, save_json
 from mic.system.lock import LOCK, locked
-from mic.system.memoise import memoise
+from mic.system.memoise import memoise, pack
+from support.contents import same
 from support.springs import dragged
 
 __all__ = ["Stored", "attack", "attack_files", "attack_recovery", "make"]
@@ -78,9 +79,9 @@ def make(folder: Path) -> Path:
     _store_fields(run / "fields" / "fields.npz")
     (run / LOCK).write_text(json.dumps({"process": 1 << 22, "started": 1, "host": socket.gethostname(), "boot": "x"}))
     model.save(folder / "model.npz")
-    shapes = Shapes((PartShape("b", np.eye(3), np.arange(3)[None], np.ones((1, 3, 3), "f4"), np.ones((3, 3, 6)),
-                               np.zeros(1, int)),), "")  # fmt: skip
-    shapes.save(shapes_path(folder / "model.npz"), model)
+    basis, rigid = np.ones((1, 3, 3), "f4"), np.ones((3, 3, 6))
+    shape = PartShape("b", np.eye(3), np.arange(3)[None], basis, rigid, np.zeros(1, int))
+    Shapes((shape,), "").save(shapes_path(folder / "model.npz"), model)
     log = EvaluationLog(folder / "evaluations.jsonl", STAMP)
     for key in "pqrs":
         log.arrays(key, lambda: {"y": np.arange(6.0).reshape(3, 2) / 7, "unfit": np.zeros(3)})
@@ -91,7 +92,7 @@ def make(folder: Path) -> Path:
         predictions.add(predictor.predict(values), Path("parts.csv"), row, predictions.checksum(values))
     for section, identity in ENTRIES.items():
         Cache(folder / "cache", section, THING).store(identity, {"part": section}, {"H": np.arange(60.0)})
-    _memoised(folder, lambda: {"matrix": csr_matrix(np.eye(3)), "values": np.arange(5.0), "name": "content"})
+    _memoised(folder)
     return folder
 
 
@@ -105,17 +106,16 @@ def _parts(model) -> tuple[Part, ...]:
 
 def _store_fields(path: Path) -> None:
     """Put a field into the file of fields, which finite elements would compute."""
-    from mic.system.memoise import pack
-
-    header, _ = load_arrays(path, Format("set of displacement fields", arrays_header(path)["format"], ""))
+    kind = Format("set of displacement fields", arrays_header(path)["format"], "")
+    header, _ = load_arrays(path, kind)
     values = np.linspace(0.0, 1.0, 9).reshape(3, 3)
     content, arrays = pack([PartField("coulomb", "b", values, values, values[0], 2, SAMPLES, 0.0, 1e-9)], {})
-    kind = Format("set of displacement fields", arrays_header(path)["format"], "")
     save_arrays(path, kind, header | {"fields": content, "skipped": None}, arrays)
 
 
-def _memoised(folder: Path, compute):
-    return memoise(Cache(folder / "cache", "assemblies", THING), ["inputs"], {}, (), compute)[0]
+def _memoised(folder: Path) -> dict:
+    content = {"matrix": csr_matrix(np.eye(3)), "values": np.arange(5.0), "name": "content"}
+    return memoise(Cache(folder / "cache", "assemblies", THING), ["inputs"], {}, (), lambda: content)[0]
 
 
 # -------------------------------------------------------------------------------------------------------- their readers
@@ -147,18 +147,16 @@ def _forces(root: Path) -> dict:
 
 
 def _tables(root: Path) -> dict:
-    found = {}
-    for table in STATEMENTS:
-        frame = table.read(root / "run", "call `mic report` on the run folder")
-        if frame is not None:
-            found[table.name] = frame
-    return found
+    return _present(STATEMENTS, lambda table: table.read(root / "run", "call `mic report` on the run folder"))
 
 
 def _studies(root: Path) -> dict:
-    outcome = read_outcome(root / "run")
-    stored = {table.name: outcome.study(table) for table in schema.STUDIES}
-    return {name: frame for name, frame in stored.items() if frame is not None}
+    return _present(schema.STUDIES, read_outcome(root / "run").study)
+
+
+def _present(tables, read) -> dict:
+    """The tables that can be read, by name."""
+    return {table.name: frame for table in tables if (frame := read(table)) is not None}
 
 
 def _parts_of_run(root: Path) -> dict:
@@ -184,18 +182,13 @@ def _model(root: Path) -> dict:
 
 
 def _evaluations(root: Path) -> dict:
-    class Absent(Exception):
-        pass
-
     def absent():
-        raise Absent
+        raise LookupError
 
     log, found = EvaluationLog(root / "evaluations.jsonl", STAMP), {}
     for key in "pqrs":
-        try:
+        with suppress(LookupError):
             found[key] = log.arrays(key, absent)
-        except Absent:
-            continue
     return found
 
 
@@ -207,8 +200,7 @@ def _predictions(root: Path) -> dict:
 def _cache(root: Path) -> dict:
     loaded = {name: Cache(root / "cache", name, THING).load(identity) for name, identity in ENTRIES.items()}
     found = {name: content for name, content in loaded.items() if content is not None}
-    return found | {"memoised": _memoised(root, lambda: {"matrix": csr_matrix(np.eye(3)), "values": np.arange(5.0),
-                                                         "name": "content"})}  # fmt: skip
+    return found | {"memoised": _memoised(root)}
 
 
 #: Readers by the beginning of a file's path.
@@ -232,28 +224,8 @@ READERS = {
 
 
 def _content(model) -> list:
-    return [getattr(model, field.name) for field in fields(model) if field.name != "scene"] + [
-        model.scene.model_dump_json()
-    ]
-
-
-def same(a, b) -> bool:
-    """Whether two contents are equal to the last bit."""
-    if type(a) is not type(b):
-        return False
-    if isinstance(a, np.ndarray):
-        return a.dtype == b.dtype and a.shape == b.shape and (a.dtype.hasobject or a.tobytes() == b.tobytes())
-    if isinstance(a, csr_matrix):
-        return a.shape == b.shape and same([a.data, a.indices, a.indptr], [b.data, b.indices, b.indptr])
-    if isinstance(a, pd.DataFrame):
-        return bool(a.equals(b)) and list(a) == list(b)
-    if isinstance(a, dict):
-        return list(a) == list(b) and all(same(a[name], b[name]) for name in a)
-    if isinstance(a, (tuple, list)):
-        return len(a) == len(b) and all(map(same, a, b))
-    if is_dataclass(a):
-        return all(same(getattr(a, field.name), getattr(b, field.name)) for field in fields(a))
-    return bool(a == b)
+    others = [getattr(model, field.name) for field in fields(model) if field.name != "scene"]
+    return [*others, model.scene.model_dump_json()]
 
 
 # ---------------------------------------------------------------------------------------------------------- the attacks
@@ -298,8 +270,8 @@ ALTERATIONS = [_flip] * 8 + [_truncate, _insert, _zero]
 def _array_bytes(descr: str, shape: str, data: bytes = b"") -> bytes:
     text = f"{{'descr': {descr}, 'fortran_order': False, 'shape': {shape}, }}".encode()
     text += b" " * (-(11 + len(text)) % 64) + b"\n"
-    return b"\x93NUMPY" + (b"\x01\x00" + len(text).to_bytes(2, "little") if len(text) < 65536 else
-                           b"\x02\x00" + len(text).to_bytes(4, "little")) + text + data  # fmt: skip
+    version, size = (b"\x01\x00", 2) if len(text) < 65536 else (b"\x02\x00", 4)
+    return b"\x93NUMPY" + version + len(text).to_bytes(size, "little") + text + data
 
 
 def _archive(members, packing=zipfile.ZIP_STORED) -> bytes:
@@ -323,32 +295,34 @@ def _hostile_archive(rng, path: Path) -> bytes:
     honest = io.BytesIO()
     np.save(honest, header)
     own = ("header.npy", honest.getvalue())
-    text = lambda content: _array_bytes(f"'<U{len(content)}'", "()", content.encode("utf-32-le"))
+    text = lambda content: ("header.npy", _array_bytes(f"'<U{len(content)}'", "()", content.encode("utf-32-le")))
+    array = lambda *header: ("a.npy", _array_bytes(*header))
     number = int(rng.choice([10**9, 5 * 10**11, 2**63, 10**30]))
-    made = [
-        lambda: _archive([own, ("a.npy", _array_bytes("'<f8'", f"({number},)"))]),
-        lambda: _archive([own, ("a.npy", _array_bytes("'<U0'", f"({number},)"))]),
-        lambda: _archive([own, ("a.npy", _array_bytes("'<f8'", f"(0, {number})"))]),
-        lambda: _archive([own, ("a.npy", _array_bytes("[" * 30000 + "]" * 30000, "()"))]),
-        lambda: _archive([own, ("a.npy", _array_bytes("'<f8'", "(" * 50000 + ")" * 50000))]),
-        lambda: _archive([own, ("a.npy", _array_bytes("[('x', '<f8')]", "(1,)", bytes(8)))]),
-        lambda: _archive([own, ("a.npy", _array_bytes("'|O'", "(1,)", pickle.dumps([_Trap()])))]),
-        lambda: _archive([own, ("a.npy", _array_bytes("'<f8'", "-1,", bytes(8)))]),
-        lambda: _archive([("header.npy", text("[" * 100_000))]),
-        lambda: _archive([("header.npy", text('{"kind": ' * 20_000))]),
-        lambda: _archive([("header.npy", text('{"kind": 1' + "0" * 10_000 + "}"))]),
-        lambda: _archive([("header.npy", text("[" + "[]," * 1_000_000 + "1]"))]),
-        lambda: _archive([("header.npy", _array_bytes("'<f8'", "(3,)", bytes(24)))]),
-        lambda: _archive([("a.npy", own[1])]),
-        lambda: _archive([own, own]),
-        lambda: _archive([own, ("../a.npy", own[1]), ("a.txt", b"")]),
-        lambda: _archive(
-            [own, ("a.npy", _array_bytes("'<f8'", f"({10**7},)", bytes(8 * 10**7)))], zipfile.ZIP_DEFLATED
-        ),
-        lambda: _overlapping(own[1]),
-        lambda: _archive([]),
+    members = [
+        [own, array("'<f8'", f"({number},)")],
+        [own, array("'<U0'", f"({number},)")],
+        [own, array("'<f8'", f"(0, {number})")],
+        [own, array("[" * 30000 + "]" * 30000, "()")],
+        [own, array("'<f8'", "(" * 50000 + ")" * 50000)],
+        [own, array("[('x', '<f8')]", "(1,)", bytes(8))],
+        [own, array("'|O'", "(1,)", pickle.dumps([_Trap()]))],
+        [own, array("'<f8'", "-1,", bytes(8))],
+        [text("[" * 100_000)],
+        [text('{"kind": ' * 20_000)],
+        [text('{"kind": 1' + "0" * 10_000 + "}")],
+        [text("[" + "[]," * 1_000_000 + "1]")],
+        [("header.npy", _array_bytes("'<f8'", "(3,)", bytes(24)))],
+        [("a.npy", own[1])],
+        [own, own],
+        [own, ("../a.npy", own[1]), ("a.txt", b"")],
+        [],
     ]
-    return made[int(rng.integers(len(made)))]()
+    chosen = int(rng.integers(len(members) + 2))
+    if chosen == len(members):
+        return _overlapping(own[1])
+    if chosen > len(members):
+        return _archive([own, array("'<f8'", f"({10**7},)", bytes(8 * 10**7))], zipfile.ZIP_DEFLATED)
+    return _archive(members[chosen])
 
 
 def _overlapping(member: bytes) -> bytes:
@@ -497,8 +471,8 @@ class Stored:
         sample_into(other, dragged(report={"laws": LAWS, "contacts": 1, "fields": True}), LAWS, SAMPLES, SEED + 1)
         self.names = [str(path.relative_to(self.pristine)) for path in _files(self.pristine)]
         self.alike = _files(self.pristine) + _files(other)
-        self.truth = {reader: reader(self.pristine) for readers in READERS.values() for reader in readers if
-                      reader is not _lock}  # fmt: skip
+        readers = {reader for readers in READERS.values() for reader in readers} - {_lock}
+        self.truth = {reader: reader(self.pristine) for reader in readers}
         self.by_kind: dict[str, list[str]] = {}
         for name in self.names:
             self.by_kind.setdefault(_kind(name), []).append(name)
@@ -582,7 +556,7 @@ def _serve(stored: Stored, seeds, sending) -> None:
 
 
 def attack_recovery(stored: Stored, rng: np.random.Generator) -> str | None:
-    """Alter a file of a run; the same run again must say so, set it aside and give the same blocks."""
+    """Alter a file of a run; the same run again must set it aside and give the same blocks."""
     kinds = ("run/", "run/sums", "run/forces", "run/condensed", "run/run.json", "run/model.npz", "run/parts.npz")
     names = [name for kind in kinds for name in stored.by_kind[kind]]
     relative = names[int(rng.integers(len(names)))]
@@ -592,8 +566,7 @@ def attack_recovery(stored: Stored, rng: np.random.Generator) -> str | None:
     path.write_bytes(altered)
     try:
         model = ReducedModel.load(root / "model.npz")
-        sentences: list[str] = []
-        sample_into(root / "run", model, LAWS, SAMPLES, SEED, SimpleNamespace(**_progress(sentences)))
+        sample_into(root / "run", model, LAWS, SAMPLES, SEED)
         found, truth = _outcome(root), stored.truth[_outcome]
         wrong = [name for name in truth if name not in found or not same(found[name], truth[name])]
         if wrong:
@@ -606,14 +579,6 @@ def attack_recovery(stored: Stored, rng: np.random.Generator) -> str | None:
     finally:
         shutil.rmtree(root)
         shutil.copytree(stored.pristine, root)
-
-
-def _progress(sentences):
-    from mic.runs import Progress
-
-    own = Progress()
-    names = {name: getattr(own, name) for name in dir(own) if not name.startswith("_")}
-    return names | {"report": sentences.append}
 
 
 def attack(rng: np.random.Generator, folder: Path) -> list[str]:
