@@ -9,7 +9,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from mic.commands.output import CommandConsole
 from mic.errors import RunError, SceneError
-from mic.execution.ranks import communicator
+from mic.execution.ranks import alone, communicator
 from mic.model.assembly import assemble
 from mic.process.model import ReducedModel
 from mic.process.plan import plan_assembly
@@ -37,13 +37,14 @@ __all__ = [
 
 
 def first_rank_only(command):
-    """Decorator: under ``mpirun``, the command runs on the first process only."""
+    """Decorator: under ``mpirun``, the command runs on the first process only, which waits for no other meanwhile."""
 
     @wraps(command)
     def run(*args, **options):
         world = communicator()
         if world is None or world.rank == 0:
-            command(*args, **options)
+            with alone():
+                command(*args, **options)
 
     return run
 
