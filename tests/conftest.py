@@ -11,6 +11,7 @@ import pytest
 from support.runs import skip_pictures
 
 import mic
+from mic.runs import sample_into
 from verification.scenes import with_stated_pairs
 
 gc.set_threshold(20_000, *gc.get_threshold()[1:])  # with all test modules in memory, garbage took a tenth of the time
@@ -75,6 +76,14 @@ def lap_model(lap_scene, cache):
 @pytest.fixture(scope="session")
 def hat_model(cache):
     return mic.reduce(with_stated_pairs(mic.load_scene(ROOT / "meshes" / "hat_on_plate")), cache)
+
+
+@pytest.fixture(scope="session")
+def sixty(lap_model, tmp_path_factory):
+    """Results folder of 60 samples of the lap joint under Coulomb friction, in two blocks; tests change copies."""
+    folder = tmp_path_factory.mktemp("sixty")
+    sample_into(folder, lap_model, ["coulomb"], 60, 4)
+    return folder
 
 
 @pytest.fixture

@@ -46,7 +46,6 @@ def write_spring_explanation(path, model, text=""):
 @pytest.mark.slow
 @pytest.mark.parametrize("write", [write_spring_check, write_spring_comparison, write_spring_explanation])
 def test_hostile_texts_change_no_element_of_a_page(write, model, tmp_path, monkeypatch):
-    monkeypatch.setattr("plotly.offline.get_plotlyjs", str)
     plain = elements(write(tmp_path / "plain.html", model))
     assert elements(write(tmp_path / "given.html", model, HOSTILE)) == plain
     make_texts_hostile(monkeypatch)

@@ -142,7 +142,6 @@ def test_the_page_loads_nothing_and_escapes_the_text_of_the_scene(page):
 
 @pytest.mark.slow
 def test_hostile_texts_change_no_element_of_the_page(copied, given_pictures, monkeypatch):
-    monkeypatch.setattr("plotly.offline.get_plotlyjs", str)
     plain = elements(write_report(copied))
     make_texts_hostile(monkeypatch)
     assert elements(write_report(copied)) == plain

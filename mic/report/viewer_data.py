@@ -6,6 +6,7 @@ import base64
 import gzip
 import json
 from collections.abc import Callable, Mapping, Sequence
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -104,6 +105,7 @@ def point_group(
     return [group | more] if points else []
 
 
+@cache
 def plotly_script() -> str:
     """The library of the views, as :func:`packed`."""
     from plotly.offline import get_plotlyjs  # 5 MB, for pages with a view only
