@@ -44,7 +44,8 @@ def checked(tmp_path, cache, *edits, page=None, strict=False, error=None):
 
 @pytest.mark.slow
 def test_all_that_the_scene_places_is_drawn_with_its_name(tmp_path, cache):
-    html, data, output = checked(tmp_path, cache)
+    """Both sheets are 0.9 mm thick, and their mid-surfaces 1 mm apart."""
+    html, data, output = checked(tmp_path, cache, ("thickness = 1\nyoung", "thickness = 0.9\nyoung"))
     assert output.startswith("Reading ")  # before anything slow is imported
     assert "page: results/lap-joint/check.html" in output and "The scene is valid. </b>" not in html
     assert not (tmp_path / "scene" / "check.html").exists()
@@ -55,30 +56,27 @@ def test_all_that_the_scene_places_is_drawn_with_its_name(tmp_path, cache):
     assert arrows["corrective forces"] == ["force F1 on upper: -5 ± 1.5 N", "force F2 on lower: 2 ± 1 N"]
     points = {group["name"]: group for group in data["points"]}
     assert points["welds"]["labels"] == ["weld W1", "weld W2"] and len(points["measurements"]["points"]) == 2
-    assert len(points["lap: gap"]["points"]) == 6 and points["lap: gap"]["labels"][0] == "lap, pair 0: gap 0 mm"
+    assert len(points["lap: gap"]["points"]) == 6 and points["lap: gap"]["labels"][0] == "lap, pair 0: gap 0.1 mm"
+    gaps = points["lap: gap"]["values"], (data["map"]["low"], data["map"]["high"], data["map"]["scale"])
+    assert gaps == (pytest.approx([0.1] * 6), (0.0, pytest.approx(0.1), "viridis"))
     assert "warnings" not in points and "<b>The scene is valid.</b>" in html
     assert "clamps C1-upper and C1-lower close" in html
     assert not re.search(r"(src|href)=[\"'](?!#)(?!data:)", html.split("<script>")[0]), "it needs another file"
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    "thickness, gap, words, low, scale",
-    [(0.9, 0.1, "gap 0.1 mm", 0.0, "viridis"), (1.2, -0.2, "overlap 0.2 mm", -0.2, "RdBu_r")],
-)
-def test_gaps_are_a_map_in_mm_and_overlap_lies_below_zero(thickness, gap, words, low, scale, tmp_path, cache):
-    """Both sheets have this thickness, and their mid-surfaces are 1 mm apart."""
-    _, data, _ = checked(tmp_path, cache, ("thickness = 1\nyoung", f"thickness = {thickness}\nyoung"))
+def test_overlap_lies_below_zero_in_the_map_of_gaps(tmp_path, cache):
+    _, data, _ = checked(tmp_path, cache, ("thickness = 1\nyoung", "thickness = 1.2\nyoung"))
     (group,) = [group for group in data["points"] if "values" in group]
-    assert group["values"] == pytest.approx(np.full(6, gap)) and group["first"] and words in group["labels"][0]
-    assert data["map"]["low"] == pytest.approx(low) and data["map"]["high"] == pytest.approx(abs(gap))
-    assert data["map"]["scale"] == scale and data["map"]["title"].startswith("gap (mm)")
+    assert group["values"] == pytest.approx([-0.2] * 6) and group["first"] and "overlap 0.2 mm" in group["labels"][0]
+    assert data["map"]["low"] == pytest.approx(-0.2) and data["map"]["high"] == pytest.approx(0.2)
+    assert data["map"]["scale"] == "RdBu_r" and data["map"]["title"].startswith("gap (mm)")
 
 
 @pytest.mark.slow
-def test_warnings_stand_beside_the_view_and_are_numbered_in_it(tmp_path, cache):
+def test_warnings_stand_beside_the_view_and_end_a_strict_check(tmp_path, cache):
     edits = (("force = 60", "force = 60000"), ("young = 210000", "young = 210"))
-    html, data, output = checked(tmp_path, cache, *edits, page=tmp_path / "here.html")
+    html, data, output = checked(tmp_path / "a", cache, *edits, page=tmp_path / "here.html")
     verdict = "Implausible: 6 warnings, 2 of values that no assembly has."
     assert verdict in html and output.rstrip().endswith(verdict)
     assert output.index("implausible: part lower: young = 210 MPa") < output.index("Parts")
@@ -89,16 +87,21 @@ def test_warnings_stand_beside_the_view_and_are_numbered_in_it(tmp_path, cache):
     assert [re.sub("<.*?>", "", text) for text in group["numbers"]] == ["3, 4", "5", "6"]  # near ones: a ring
     assert group["labels"] == ["3. clamp C1-upper<br>4. clamp C1-lower", "5. deviation F1", "6. deviation F2"]
     assert group["points"] == [[72.0, 12.5, 1.0], [60.0, 25.0, 1.0], [100.0, 0.0, 0.0]]
+    error = "part lower: young = 210 MPa; usual is "
+    *_, output = checked(tmp_path / "b", cache, *edits, page=tmp_path / "strict.html", strict=True, error=error)
+    assert verdict not in output
 
 
 @pytest.mark.slow
-def test_a_scene_that_is_not_valid_is_drawn_as_far_as_it_can_be(tmp_path, cache):
-    moved = ("point = [88, 6, 0.5]", "point = [88, 60, 0.5]")
-    html, data, output = checked(tmp_path, cache, moved, error="welds[0].point (W1)")
-    assert "Not valid: 1 error, 0 warnings." in html and "welds[0].point (W1)" in html
+def test_a_scene_that_is_not_valid_is_drawn_as_far_as_it_can_be_after_its_warnings(tmp_path, cache):
+    """A warning may say why it is not valid."""
+    moved, soft = ("point = [88, 6, 0.5]", "point = [88, 60, 0.5]"), ("thickness = 1\n", "thickness = 10\n")
+    html, data, output = checked(tmp_path, cache, moved, soft, error="welds[0].point (W1)")
+    assert "Not valid: 1 error, 2 warnings" in html and "welds[0].point (W1)" in html
     assert "the nearest point on it is (88, 25, 0)" in html
     assert len(data["parts"]) == 2 and not [group for group in data["points"] if "values" in group]
     assert "page: results/lap-joint/check.html" in output
+    assert "warning: part lower: thickness = 10 mm; usual is 0.3 to 6 mm" in output
 
 
 PAD = """
@@ -135,21 +138,6 @@ def test_fixtures_are_drawn_unless_their_mesh_is_missing(tmp_path, cache, monkey
     assert "touches lower at (60, 12.5, -0.5), facing along (0, 0, 1)" in output
     html, data, _ = checked(tmp_path / "b", cache, edit, page=tmp_path / "b.html", error="there is no file")
     assert [part["name"] for part in data["parts"]] == ["lower", "upper"] and "there is no file" in html
-
-
-@pytest.mark.slow
-def test_a_strict_check_ends_in_its_warnings(tmp_path, cache):
-    young = ("thickness = 1\nyoung = 210000", "thickness = 1\nyoung = 210")
-    *_, output = checked(tmp_path, cache, young, strict=True, error="part lower: young = 210 MPa; usual is ")
-    assert "The scene is valid" not in output
-
-
-@pytest.mark.slow
-def test_a_check_that_ends_in_an_error_prints_warnings_first(tmp_path, cache):
-    """It may be why: a sheet of 40 mm reaches through its neighbour."""
-    thick = ("thickness = 1\n", "thickness = 40\n")
-    *_, output = checked(tmp_path, cache, thick, error=" coincide (")
-    assert "warning: part lower: thickness = 40 mm; usual is 0.3 to 6 mm" in output
 
 
 def test_a_page_without_any_part_has_a_message(tmp_path, cache):

@@ -8,7 +8,6 @@ import sys
 from pathlib import Path
 from typing import get_args, get_type_hints
 
-import pandas as pd
 import pytest
 from typer.testing import CliRunner
 
@@ -53,25 +52,22 @@ def output(call):
 @pytest.mark.slow
 @pytest.mark.fem
 def test_run_check_report(call, output, tmp_path, no_pictures):
-    scene = lap_with(tmp_path, ("friction = 0.27", "friction = 0.27\npairs = 12"))
+    scene = lap_with(tmp_path, ("friction = 0.27", "friction = 0.27\npairs = 12"), ('"associated", ', ""))
     first = output("run", scene, "--samples", 12)
     assert "report:" in first and "RMS slip under load" in first and "RMS tangential displacement" in first
     assert "coulomb: largest residual" in first and "with a tighter load path (12 samples)" in first
     folder = tmp_path / "results" / "lap-joint"
     summary = json.loads((folder / "summary.json").read_text())
-    assert summary["samples"] == 12 and set(summary["laws"]) == {"coulomb", "associated", "frictionless"}
-    zone = summary["laws"]["coulomb"]["zones"]["lap"]
-    slip = pd.read_parquet(folder / "slips" / "law=coulomb").query("stage == 'clamp' and zone == 'lap'")["rms_slip"]
-    assert zone["mean_rms_slip"] == pytest.approx(slip.mean())
-    assert zone["six_sigma_rms_slip"] == pytest.approx(6 * slip.std())
-    assert summary["laws"]["coulomb"]["worst_residual"] < 1e-8
-    assert summary["laws"]["coulomb"]["path"]["repeated"] == 12 and zone["six_sigma_rms_slip_path"] is not None
+    assert summary["samples"] == 12 and set(summary["laws"]) == {"coulomb", "frictionless"}
+    assert summary["laws"]["coulomb"]["path"]["repeated"] == 12
+    assert summary["laws"]["coulomb"]["zones"]["lap"]["six_sigma_rms_slip_path"] is not None
     assert (folder / "report.html").stat().st_size > 10_000
-    (folder / "report.html").unlink()
-    assert "reused" in output("run", scene, "--samples", 12)
-    assert (folder / "report.html").is_file()
-    assert "report:" not in output("run", scene, "--samples", 12, "--no-report")
+    again = output("run", scene, "--samples", 12, "--no-report")
+    assert "reused" in again and "report:" not in again
     assert not (folder / "report.html").exists() and (folder / "summary.json").is_file()
+    reported = output("report", folder, "--excel")
+    assert "report:" in reported and (folder / "report.html").is_file()
+    assert "tables.xlsx" in reported and (folder / "tables.xlsx").is_file()
     record = RunFolder(folder).record()
     save_json(folder / "run.json", Format("record of a run", 4, ""), record)
     assert "an older version" in str(call("report", folder).exception)

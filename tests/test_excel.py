@@ -8,10 +8,8 @@ import numpy as np
 import pandas as pd
 import pytest
 from support.runs import changed
-from typer.testing import CliRunner
 
 from mic.errors import RunError
-from mic.options import app
 from mic.results.excel import write_excel
 from mic.results.outcome import read_outcome
 from mic.results.schema import CONTRIBUTORS, MEASUREMENT_STATISTICS
@@ -47,7 +45,6 @@ def sheets(path):
 
 @pytest.mark.slow
 def test_every_table_is_a_sheet_with_its_units_and_numbers(folder, tmp_path):
-    pytest.importorskip("xlsxwriter")
     found = sheets(write_excel(folder, tmp_path / "tables.xlsx"))
     assert list(found) == ["columns", "zones", "contacts", "measurements"]
     names, units, first, _ = found["measurements"]
@@ -68,7 +65,6 @@ TEXTS = ("=1+1", "+1", "-1", "@SUM(A1)", "\t=1", "{=1}", "=HYPERLINK(1)", "https
 @pytest.mark.parametrize("text", [*TEXTS, "x" * 40_000])
 def test_a_text_stays_a_text(text, tmp_path):
     """Excel would take a cell that begins like these for a formula, a link or a number."""
-    pytest.importorskip("xlsxwriter")
     row = {column.name: 1.5 if column.dtype == "float64" else text for column in CONTRIBUTORS.columns}
     frame = pd.DataFrame([row, row]).astype({column.name: column.dtype for column in CONTRIBUTORS.columns})
     CONTRIBUTORS.write(tmp_path, frame)
@@ -81,20 +77,11 @@ def test_a_text_stays_a_text(text, tmp_path):
 
 
 def test_a_table_with_more_rows_than_a_sheet_is_refused(tmp_path, monkeypatch):
-    pytest.importorskip("xlsxwriter")
     monkeypatch.setattr("mic.results.excel.ROWS", 3)
     row = {column.name: 1.5 if column.dtype == "float64" else "a" for column in CONTRIBUTORS.columns}
     CONTRIBUTORS.write(tmp_path, pd.DataFrame([row, row]))
     with pytest.raises(RunError, match="contributors.csv: has 2 rows, Excel takes 1; read the CSV file instead"):
         write_excel(tmp_path, tmp_path / "tables.xlsx")
-
-
-@pytest.mark.slow
-def test_the_report_writes_it_into_the_results_folder(folder):
-    pytest.importorskip("xlsxwriter")
-    done = CliRunner().invoke(app, ["report", str(folder), "--excel"])
-    assert done.exit_code == 0, done.output
-    assert (folder / "tables.xlsx").is_file() and "tables.xlsx" in done.output.replace("\n", "")
 
 
 def test_a_missing_library_is_refused_with_the_command_to_install_it(folder, tmp_path, monkeypatch):
@@ -104,6 +91,5 @@ def test_a_missing_library_is_refused_with_the_command_to_install_it(folder, tmp
 
 
 def test_a_folder_without_tables_is_refused(tmp_path):
-    pytest.importorskip("xlsxwriter")
     with pytest.raises(RunError, match="holds no tables"):
         write_excel(tmp_path, tmp_path / "tables.xlsx")

@@ -34,8 +34,17 @@ from mic.report.viewer_data import packed
 from mic.results.fields import write_fields
 from mic.results.outcome import read_outcome
 from mic.results.run_folder import PUBLISHED, RunFolder
-from mic.results.schema import CONTRIBUTORS, FRICTION, LINEARITY, PATH, PATH_ERRORS, RESOLUTIONS, checksum_path
-from mic.runs import conclude, run
+from mic.results.schema import (
+    CONTRIBUTORS,
+    FRICTION,
+    LINEARITY,
+    PATH,
+    PATH_ERRORS,
+    RESOLUTIONS,
+    STUDIES,
+    checksum_path,
+)
+from mic.runs import run
 from mic.scene import Scene
 from mic.studies.contributors import Contributors, contributors
 
@@ -58,18 +67,23 @@ class _Page:
         self.words = " ".join(html.unescape(text).split())
 
 
-def _results(scene, cache, folder, samples, studies=False):
-    """What a run of a scene leaves behind, with all its studies if asked, and its page."""
+def _results(scene, cache, folder, samples):
+    """Run a scene into a folder; returns its model."""
     monte_carlo = scene.monte_carlo.model_copy(update={"samples": samples, "seed": 2})
     model = run(scene.model_copy(update={"monte_carlo": monte_carlo}), folder, cache).model
     write_fields(folder)
-    if studies:
-        found = contributors(model, samples=16)
-        CONTRIBUTORS.write(folder, found.table)
-        LINEARITY.write(folder, found.linearity)
-        for table, frame in left_by_studies(model.scene)[0].items():
-            table.write(folder, frame)
-    return _Page(write_report(folder))
+    return model
+
+
+def _store_studies(folder, model):
+    found = contributors(model, samples=16)
+    tables = {CONTRIBUTORS: found.table, LINEARITY: found.linearity} | left_by_studies(model.scene)[0]
+    for table, frame in tables.items():
+        table.write(folder, frame)
+
+
+def _files(folder):
+    return {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
 
 
 def _changed(scene, **changes):
@@ -82,9 +96,16 @@ def folder(tmp_path_factory):
     return tmp_path_factory.mktemp("run")
 
 
+def refuse(*_, **__):
+    raise AssertionError("drawing solves")
+
+
 @pytest.fixture(scope="module")
 def drawn(lap_scene, cache, folder):
-    """The page of a run under all laws, and all pictures that were drawn for it, by name."""
+    """The page of a run under all laws; its pictures by name; the files that it adds, and those that it changes.
+
+    Drawing that solves fails.
+    """
     ends = [item.point for item in lap_scene.measurements]
     tip = {"name": "tip", "kind": "profile", "part": "upper", "points": ends, "upper": 2.0}
     scene = _changed(
@@ -93,10 +114,17 @@ def drawn(lap_scene, cache, folder):
         measurements=[*lap_scene.model_dump()["measurements"], tip],
         report={"laws": ["coulomb", "associated", "frictionless"], "fields": True},
     )
-    pictures = {}
+    model, pictures = _results(scene, cache, folder, SAMPLES), {}
+    _store_studies(folder, model)
+    before = _files(folder)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("mic.report.page.draw_all", lambda *given: pictures.update(draw_all(*given)) or pictures)
-        return _results(scene, cache, folder, SAMPLES, studies=True), pictures
+        patch.setattr(ContactSolver, "solve", refuse)
+        for name in ("process", "evaluate"):
+            patch.setattr(type(model), name, refuse)
+        page = _Page(write_report(folder))
+    after = _files(folder)
+    return page, pictures, after.keys() - before.keys(), [path for path in before if before[path] != after[path]]
 
 
 @pytest.fixture(scope="module")
@@ -321,28 +349,25 @@ def test_laws_under_scaled_friction_are_drawn_from_the_stored_study(copied, cont
 
 
 @pytest.mark.slow
-def test_writing_a_report_solves_nothing_and_changes_no_other_file(copied, monkeypatch):
-    """Of a run whose first law failed throughout, all of whose pictures are drawn anew."""
+def test_writing_a_report_solves_nothing_and_changes_no_other_file(drawn, folder):
+    _, _, added, changed = drawn
+    assert {path.name for path in added} == {"report.html", "assembly.png"} and not changed
+    assert (folder / "assembly.png").read_bytes().startswith(b"\x89PNG")
 
-    def refuse(*_, **__):
-        raise AssertionError("drawing solves")
 
+@pytest.mark.slow
+def test_pictures_of_a_run_whose_first_law_failed_throughout(copied):
     all_fail(copied, "coulomb", SAMPLES)
-    conclude(copied)
-    summary = json.loads((copied / "summary.json").read_text())["laws"]["coulomb"]
+    _remove_studies(copied)
+    summary = read_outcome(copied).summary()["laws"]["coulomb"]
     assert summary["zones"]["lap"]["mean_rms_tangential"] is None and summary["worst_residual"] is None
-    for name in ("summary.json", "report.html", "assembly.png"):
-        (copied / name).unlink()
-    monkeypatch.setattr(ContactSolver, "solve", refuse)
-    for name in ("process", "evaluate"):
-        monkeypatch.setattr(type(read_outcome(copied).model), name, refuse)
-    before = {path: path.read_bytes() for path in copied.rglob("*") if path.is_file()}
-    words = _Page(write_report(copied)).words
-    after = {path: path.read_bytes() for path in copied.rglob("*") if path.is_file()}
-    assert {path.name for path in after.keys() - before.keys()} == {"report.html", "assembly.png"}
-    assert all(after[path] == content for path, content in before.items())
-    assert (copied / "assembly.png").read_bytes().startswith(b"\x89PNG")
-    assert f"coulomb: not converged ({SAMPLES})" in words
+    assert f"coulomb: not converged ({SAMPLES})" in _Page(write_report(copied)).words
+
+
+def _remove_studies(folder):
+    """Remove the tables of studies, whose pictures do not depend on the samples."""
+    for table in STUDIES:
+        table.remove(folder)
 
 
 @pytest.mark.slow
@@ -404,13 +429,13 @@ TWO_LAWS = {"report": {"laws": ["coulomb", "frictionless"]}}
     [
         (
             {"zones": []} | TWO_LAWS,
-            5,
+            3,
             {"table-1", "tangential-density", "states", "law-cost", "path-table"},
             {"assembly", "measurements"},
         ),
         (
             NORMALS_ONLY,
-            5,
+            3,
             {"table-1", "slip-force", "law-cost", "slip-table", "path-states", "friction-work", "path-table"}
             | {"field-view", "displacement-fields", "measurements", "measurement-table"},
             {"one-sample-f", "states", "fields"},
@@ -423,7 +448,8 @@ def test_reports_of_bare_scenes(changes, samples, absent, present, lap_scene, ca
     if samples == 1:
         stages = [stage.model_dump() for stage in lap_scene.stages if stage.kind != "release"]
         changes = changes | {"stages": stages, "deviations": []}
-    page = _results(_changed(lap_scene, **changes), cache, tmp_path, samples)
+    _results(_changed(lap_scene, **changes), cache, tmp_path, samples)
+    page = _Page(write_report(tmp_path))
     assert not page.ids & absent and page.ids >= present
     assert "nan" not in page.words.lower().split()
     assert "does not request them" in page.words
@@ -434,33 +460,21 @@ def test_reports_of_bare_scenes(changes, samples, absent, present, lap_scene, ca
 def test_report_of_a_run_with_no_finished_sample(copied):
     for path in copied.glob("samples/*/*"):
         path.unlink()
+    _remove_studies(copied)
     assert f"{SAMPLES} of {SAMPLES} samples are missing" in _Page(write_report(copied)).words
 
 
 @pytest.mark.parametrize(
     "shown, text",
     [
-        (number(0.012345), "0.0123"),
-        (number(-4.2), "−4.20"),
-        (number(123456), "1.23e+05"),
-        (number(0), "0"),
-        (number(float("nan")), "–"),
-        (number(None), "–"),
-        (number(float("inf")), "∞"),
-        (number(0.99996), "1.00"),
-        (change(0.0123, 0.031), "+12 µm (+3.1 %)"),
-        (change(-0.0042, -0.5), "−4.2 µm (−50.0 %)"),
-        (change(0.0009, 0.0009), "≤ 1 µm (+0.1 %)"),
-        (change(0.0009, float("nan")), "≤ 1 µm"),
-        (change(-1e-9, -1e-9), "≤ 1 µm (0.0 %)"),
-        (change(0.005, None), "+5.0 µm"),
-        (change(float("nan"), 0.1), "–"),
-        (change(None, None), "–"),
-        (percent(0.125, 1), "12.5 %"),
-        (percent(-0.05), "−5 %"),
-        (percent(-0.0004), "0 %"),
-        (percent(-0.0004, 2), "−0.04 %"),
-        (percent(float("nan")), "–"),
+        *((number(0.012345), "0.0123"), (number(-4.2), "−4.20"), (number(123456), "1.23e+05"), (number(0), "0")),
+        *((number(float("nan")), "–"), (number(None), "–"), (number(float("inf")), "∞"), (number(0.99996), "1.00")),
+        *((change(0.0123, 0.031), "+12 µm (+3.1 %)"), (change(-0.0042, -0.5), "−4.2 µm (−50.0 %)")),
+        *((change(0.0009, 0.0009), "≤ 1 µm (+0.1 %)"), (change(0.0009, float("nan")), "≤ 1 µm")),
+        *((change(-1e-9, -1e-9), "≤ 1 µm (0.0 %)"), (change(0.005, None), "+5.0 µm")),
+        *((change(float("nan"), 0.1), "–"), (change(None, None), "–")),
+        *((percent(0.125, 1), "12.5 %"), (percent(-0.05), "−5 %"), (percent(float("nan")), "–")),
+        *((percent(-0.0004), "0 %"), (percent(-0.0004, 2), "−0.04 %")),
     ],
 )
 def test_numbers_changes_and_shares_for_people(shown, text):

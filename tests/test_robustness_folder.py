@@ -9,7 +9,6 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
-import pandas as pd
 import pytest
 from typer.testing import CliRunner
 
@@ -17,7 +16,7 @@ import mic
 from mic.errors import RunError, StorageError
 from mic.model.assembly import assemble
 from mic.options import app
-from mic.results.cost_estimate import LARGEST, forecast
+from mic.results.cost_estimate import forecast
 from mic.results.outcome import read_outcome
 from mic.runs import conclude, sample_into
 from mic.system.console import plain
@@ -109,32 +108,21 @@ def test_one_process_may_hold_a_folder_more_than_once(tmp_path):
 # ---------------------------------------------- cut files
 
 
-@pytest.fixture(scope="module")
-def finished(lap_model, tmp_path_factory):
-    folder = tmp_path_factory.mktemp("finished")
-    sample_into(folder, lap_model, ["coulomb"], 60, 4)
-    return folder
-
-
-WHOLE = ("run.json", "model.npz")
-
-
 @pytest.mark.slow
-@pytest.mark.parametrize("name", [*WHOLE, "samples", "forces"])
-def test_files_truncated_at_many_lengths_are_set_aside_and_computed_again(lap_model, finished, tmp_path, name):
-    run = tmp_path / "run"
-    expected = read_outcome(finished).measured("coulomb", "M1")
-    path = Path(name) if name in WHOLE else sorted((finished / name).rglob("0*"))[0].relative_to(finished)
-    whole = (finished / path).read_bytes()
-    for length in (0, 4, len(whole) // 2, len(whole) - 2):
-        shutil.copytree(finished, run)
-        (run / path).write_bytes(whole[:length])
-        sample_into(run, lap_model, ["coulomb"], 60, 4)
-        np.testing.assert_array_equal(read_outcome(run).measured("coulomb", "M1"), expected)
-        aside = list((run / path).parent.glob(f"*{path.name}.damaged"))
-        assert [found.read_bytes() for found in aside] == [whole[:length]]
-        assert name in WHOLE or len(pd.read_parquet(run / "samples")) == 60  # nor does it stand in the reader's way
+@pytest.mark.parametrize("name", ["run.json", "model.npz"])
+def test_files_of_a_run_truncated_anywhere_are_set_aside_and_written_again(lap_model, sixty, tmp_path, name):
+    run, whole = tmp_path / "run", (sixty / name).read_bytes()
+    for length in (0, len(whole) // 2, len(whole) - 2):
+        shutil.copytree(sixty, run)
+        (run / name).write_bytes(whole[:length])
+        assert sample_into(run, lap_model, ["coulomb"], 60, 4) == {"coulomb": 60}
+        np.testing.assert_array_equal(measured(run), measured(sixty))
+        assert [path.read_bytes() for path in run.glob(f"*{name}.damaged")] == [whole[:length]]
         shutil.rmtree(run)
+
+
+def measured(folder):
+    return read_outcome(folder).measured("coulomb", "M1")
 
 
 def test_files_set_aside_never_replace_each_other(tmp_path):
@@ -174,16 +162,15 @@ for limit in map(int, sys.argv[3:]):
 
 
 @pytest.mark.slow
-def test_a_full_disk_gives_one_sentence_and_finished_samples_stay(lap_model, finished, tmp_path):
+def test_a_full_disk_gives_one_sentence_and_finished_samples_stay(lap_model, sixty, tmp_path):
     lap_model.save(tmp_path / "model.npz")
-    limits = (0, 5_000, 30_000)
+    limits = (0, 30_000)
     done = in_python(FULL, tmp_path / "model.npz", tmp_path / "run", *limits)
     assert done.returncode == 0 and not done.stderr, done.stderr
     told = done.stdout.splitlines()
     assert len(told) == len(limits) and all("file too large" in line for line in told), done.stdout
     sample_into(tmp_path / "run", lap_model, ["coulomb"], 60, 4)
-    expected = read_outcome(finished).measured("coulomb", "M1")
-    np.testing.assert_array_equal(read_outcome(tmp_path / "run").measured("coulomb", "M1"), expected)
+    np.testing.assert_array_equal(measured(tmp_path / "run"), measured(sixty))
     assert not [path for path in (tmp_path / "run").rglob("*") if PARTIAL in path.name]
 
 
@@ -221,35 +208,24 @@ def test_without_a_home_the_cache_must_be_named(monkeypatch):
 # ---------------------------------------------- what a user writes
 
 
-def checked(folder):
-    """Output and exit status of ``mic check``."""
-    arguments = ["check", str(folder), "--page", str(folder / "check.html")]
-    return CliRunner().invoke(app, arguments, env={"COLUMNS": "200"})
-
-
 @pytest.mark.slow
-def test_text_of_a_user_reaches_the_terminal_as_text(tmp_path, cache, monkeypatch):
+def test_text_of_a_user_reaches_the_terminal_as_text_and_a_script_is_announced(tmp_path, cache, monkeypatch):
     monkeypatch.setenv("MIC_CACHE", str(cache))
     shutil.copy(LAP / "geometry.py", tmp_path)
     hostile = r"Gap [mm] [/red] [link=x] \u001b[2J \u0007 end"
     text = (LAP / "scene.toml").read_text().replace("Two flat strips, clamped and welded in their overlap.", hostile)
+    text = text.replace("medium", "coarse").replace("friction = 0.27", "friction = 0.27\npairs = 6")
     (tmp_path / "scene.toml").write_text(text)
-    found = checked(tmp_path)
+    arguments = ["check", str(tmp_path), "--page", str(tmp_path / "check.html")]
+    found = CliRunner().invoke(app, arguments, env={"COLUMNS": "200"})
     assert found.exit_code == 0 and "Gap [mm] [/red] [link=x]" in found.output
     assert "\x1b[2J" not in found.output and "\x07" not in found.output
+    announced = found.output.replace("\n", "").partition(" is executed to create its meshes")[0]
+    assert announced.endswith(str(tmp_path / "geometry.py")) and "reading meshes" not in announced
 
 
 def test_plain_text_keeps_lines_and_letters():
     assert plain("ä 6σ\n\t[mm]") == "ä 6σ\n\t\\[mm]" and plain("\x1b[31m\x9b2J") == "�[31m�2J"
-
-
-@pytest.mark.slow
-def test_a_scene_with_a_script_is_announced_as_a_program_before_it_runs(tmp_path, cache, monkeypatch):
-    monkeypatch.setenv("MIC_CACHE", str(cache))
-    shutil.copy(LAP / "scene.toml", tmp_path / "scene.toml")
-    (tmp_path / "geometry.py").write_text("raise SystemExit")
-    found = checked(tmp_path)
-    assert "is executed" in found.output and str(tmp_path / "geometry.py") in found.output.replace("\n", "")
 
 
 @pytest.mark.parametrize("name", ["..", "."])
@@ -289,7 +265,7 @@ def expected_cost(scene, cache, samples, increments=1):
     return forecast(assembly, ["coulomb"], samples, cores=2)
 
 
-@pytest.mark.parametrize("samples, increments", [(10**30, 1), (LARGEST + 1, 1), (500, 10**9)])
+@pytest.mark.parametrize("samples, increments", [(10**30, 1), (500, 10**9)])
 def test_a_run_that_would_never_end_is_refused_with_the_time_it_would_take(
     lap_scene, cache, tmp_path, samples, increments
 ):

@@ -14,7 +14,7 @@ pytestmark = pytest.mark.robustness
 def test_a_run_killed_at_any_file_operation_resumes_to_identical_bits(lap_model, tmp_path):
     lap_model.save(tmp_path / "model.npz")
     done = subprocess.run(
-        [sys.executable, "-m", "support.killed", str(tmp_path / "model.npz"), str(tmp_path), "23"],
+        [sys.executable, "-m", "support.killed", str(tmp_path / "model.npz"), str(tmp_path), "41"],
         capture_output=True,
         text=True,
         env=os.environ | {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"},

@@ -21,13 +21,11 @@ pytestmark = [pytest.mark.robustness, pytest.mark.slow]
 ROOT = Path(__file__).resolve().parents[1]
 
 
-def test_an_interrupted_run_keeps_finished_blocks_and_the_same_call_completes_it(
-    tmp_path, cache, monkeypatch, no_pictures
-):
+def test_an_interrupted_run_keeps_finished_blocks_and_the_same_call_completes_it(tmp_path, cache, monkeypatch):
     scene = shutil.copytree(ROOT / "meshes" / "lap_joint", tmp_path / "scene")
     text = (scene / "scene.toml").read_text().replace("fields = true", "").replace("medium", "coarse")
     (scene / "scene.toml").write_text(text.replace("friction = 0.27", "friction = 0.27\npairs = 6"))
-    arguments = ["run", str(scene), "--law", "coulomb", "--out", "run", "--samples", "200"]
+    arguments = ["run", str(scene), "--law", "coulomb", "--out", "run", "--samples", "200", "--no-report"]
     options = {"cwd": tmp_path, "text": True, "env": os.environ | {"MIC_CACHE": str(cache)}}
     options |= {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
     run = subprocess.Popen([sys.executable, "-m", "mic.cli", *arguments], **options)

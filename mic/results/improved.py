@@ -6,8 +6,9 @@ less than half of its variance, or if so many samples know better.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -22,6 +23,7 @@ __all__ = ["FURTHER", "Improved", "improve", "population"]
 POINTS, MOST_POINTS = 4096, 32768  # of the population of each fold, up to 200 samples and at most
 FURTHER = 8  # further samples in one step for each sample; each costs a twentieth to a hundredth of a followed one
 USEFUL = 0.5  # share of the variance that a surrogate explains, at least
+QUANTILES = {"low_quantile": 0.00135, "high_quantile": 0.99865}  # those of a normal population at 3 σ
 
 
 @dataclass(frozen=True)
@@ -36,16 +38,35 @@ class Improved:
         Of all outputs.
     better : (k,) bool array
         Whether they are better than those of the samples alone.
+    limits : dict of str to (float, float)
+        Of each key characteristic.
     """
 
     keys: tuple[Key, ...]
     estimates: SurrogateEstimates
     better: np.ndarray
+    limits: Mapping[str, tuple[float, float]]
 
     def index(self, key: Key) -> int | None:
         """Number of an output; None if the samples alone are better."""
         k = self.keys.index(key) if key in self.keys else None
         return k if k is not None and self.better[k] else None
+
+    @cached_property
+    def characteristics(self) -> dict[str, dict[str, Estimate]]:
+        """Better estimates of key characteristics by name and figure; cached, since quantiles take a bisection."""
+        better = {key[1]: k for k, key in enumerate(self.keys) if key[0] == "measurement" and self.better[k]}
+        if not better:
+            return {}
+        of = self.estimates.at(list(better.values()))
+        lower, upper = np.array([self.limits[name] for name in better]).T
+        found = {
+            "mean": of.mean(),
+            "six_sigma": of.six_sigma(),
+            "cpk": of.centred_capability(lower, upper),
+            "share_outside": of.share_outside(lower, upper),
+        } | {figure: of.quantile(probability) for figure, probability in QUANTILES.items()}
+        return {name: {figure: one.at(k) for figure, one in found.items()} for k, name in enumerate(better)}
 
 
 def population(scene, samples: int) -> np.ndarray:
@@ -100,7 +121,7 @@ def improve(
     if total > len(samples.y):
         shrink = np.sqrt(len(samples.y) / total)
         better &= _width(found.sigma()) < shrink * _width(estimates.sigma(Moments.of(samples.y)))
-    return Improved(samples.keys, found, better)
+    return Improved(samples.keys, found, better, {item.name: item.bounds for item in scene.measurements})
 
 
 def _width(estimate: Estimate) -> np.ndarray:

@@ -68,6 +68,7 @@ from mic.system import foreign_files
 from mic.system.files import (
     DAMAGED,
     Format,
+    Group,
     arrays_header,
     clean,
     fingerprint,
@@ -374,9 +375,7 @@ class RunFolder:
         """
         with together() as group:
             for table, content in (arrays or {}).items():
-                packed, stored = pack_forces(content) if table == FORCES else pack(content, {})
-                header = {"identity": block.stamp(identity), "content": packed}
-                save_arrays(self._path(table, block), _FORMATS[table], header, stored, group=group)
+                self._write_arrays(table, block, identity, content, group)
             written = [table for table in DATASETS if table is SAMPLES or len(tables.get(table.name, ()))]
             names = [table.name for table in written] + [CONTACTS.name] * (SUMS in (arrays or {}))
             for table in written:  # samples last: they mark the block as finished, and list the tables with rows
@@ -461,9 +460,14 @@ class RunFolder:
 
     def write_one_step(self, block: Block, identity: str, samples: OutputSamples) -> None:
         """Write a block of samples in one step."""
-        packed, arrays = pack(samples, {})
+        self._write_arrays(ONE_STEP, block, identity, samples)
+
+    def _write_arrays(
+        self, table: Table, block: Block, identity: str, content: Any, group: Group | None = None
+    ) -> None:
+        packed, arrays = pack_forces(content) if table == FORCES else pack(content, {})
         header = {"identity": block.stamp(identity), "content": packed}
-        save_arrays(self._path(ONE_STEP, block), _FORMATS[ONE_STEP], header, arrays)
+        save_arrays(self._path(table, block), _FORMATS[table], header, arrays, group=group)
 
     def one_step(self, law: str, identity: str) -> dict[Block, OutputSamples]:
         """The samples in one step of a law by block, in ascending order; blocks that cannot be read are left out."""

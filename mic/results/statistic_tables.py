@@ -11,7 +11,7 @@ import pandas as pd
 
 from mic.contact.laws import LAWS
 from mic.contact.states import STATES
-from mic.results.improved import Improved
+from mic.results.improved import QUANTILES, Improved
 from mic.results.output_samples import MOTIONS
 from mic.results.path_effect import UNKNOWN
 from mic.results.run_samples import RunSamples
@@ -38,8 +38,7 @@ __all__ = [
 
 GROUPS = 100  # groups of samples for the jackknife
 MEASURED = ("mean", "sigma", "six_sigma", "min", "max", "cp", "cpk", "share_outside")
-IMPROVED = ("mean", "six_sigma", "cpk", "share_outside", "low_quantile", "high_quantile")
-QUANTILES = (0.00135, 0.99865)  # low and high: those of a normal population at 3 σ
+IMPROVED = ("mean", "six_sigma", "cpk", "share_outside", *QUANTILES)
 FIGURES = ("mean", "six_sigma")  # that path effects are given for
 PRESSED = {"normal_force": "all", "normal_force_clear": "clear"}  # pairs whose forces are summed
 
@@ -154,39 +153,27 @@ def measurement_statistics(outcome: RunSamples) -> pd.DataFrame:
             }
             for name, estimate in zip(MEASURED, moments):
                 row |= _interval(name, estimate)
-            rows.append(row | _path_effects("", outcome, law, "measurement", item.name) | improved[k])
+            rows.append(row | _path_effects("", outcome, law, "measurement", item.name) | improved[item.name])
     return _frame(MEASUREMENT_STATISTICS, [pd.DataFrame(rows)])
 
 
-def _improved(outcome: RunSamples, law: str) -> list[dict[str, Any]]:
-    """Columns of the improved estimates of each key characteristic; NaN where the samples alone are better."""
-    items, improved = outcome.model.scene.measurements, outcome.improved(law)
-    columns = {
-        item.name: {"one_step_samples": 0, "improved": "plain", "explained": math.nan} | _unknown(*IMPROVED)
-        for item in items
-    }
-    known = [(item, improved.index(("measurement", item.name))) for item in items] if improved else []
-    chosen = [item for item, k in known if k is not None]
-    if improved is not None and chosen:
-        of = improved.estimates.at([k for _, k in known if k is not None])
-        lower, upper = np.array([item.bounds for item in chosen]).T
-        found = (
-            of.mean(),
-            of.six_sigma(),
-            of.centred_capability(lower, upper),
-            of.share_outside(lower, upper),
-            *(of.quantile(probability) for probability in QUANTILES),
-        )
-        for k, item in enumerate(chosen):
-            columns[item.name] |= {"improved": of.kind[k], "explained": float(of.explained[k])}
-            columns[item.name]["one_step_samples"] = of.cheap_samples
-            columns[item.name] |= {
-                "confidence": estimates.LEVEL,
-                "rarest_event": float(estimates.rarest_event(max(of.samples, of.cheap_samples), estimates.SEEN)),
-            }
-            for name, estimate in zip(IMPROVED, found):
-                columns[item.name] |= _interval(f"improved_{name}", estimate.at(k))
-    return list(columns.values())
+def _improved(outcome: RunSamples, law: str) -> dict[str, dict[str, Any]]:
+    """Columns of the improved estimates by key characteristic; NaN where the samples alone are better."""
+    improved = outcome.improved(law)
+    alone = {"one_step_samples": 0, "improved": "plain", "explained": math.nan} | _unknown(*IMPROVED)
+    columns: dict[str, dict[str, Any]] = {item.name: dict(alone) for item in outcome.model.scene.measurements}
+    for name, figures in improved.characteristics.items() if improved else ():
+        of, k = improved.estimates, improved.keys.index(("measurement", name))
+        columns[name] |= {
+            "one_step_samples": of.cheap_samples,
+            "improved": of.kind[k],
+            "explained": float(of.explained[k]),
+            "confidence": estimates.LEVEL,
+            "rarest_event": float(estimates.rarest_event(max(of.samples, of.cheap_samples), estimates.SEEN)),
+        }
+        for figure, estimate in figures.items():
+            columns[name] |= _interval(f"improved_{figure}", estimate)
+    return columns
 
 
 def _improved_zone(improved: Improved | None, stage: str, zone: str, motion: str) -> dict[str, Any]:

@@ -73,7 +73,7 @@ def make(folder: Path) -> Path:
     outcome = read_outcome(run)
     write_tables(outcome)
     write_summary(outcome)
-    found = contributors(model, samples=64, seed=SEED)
+    found = contributors(model, samples=16, seed=SEED)
     schema.CONTRIBUTORS.write(run, found.table)
     schema.LINEARITY.write(run, found.linearity)
     _store_fields(run / "fields" / "fields.npz")
