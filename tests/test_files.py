@@ -97,12 +97,18 @@ def test_no_content_is_ever_executed(path, tmp_path):
     assert not (tmp_path / "sprung").exists()
 
 
-def test_an_error_while_writing_keeps_the_old_file(path):
+@pytest.mark.parametrize(
+    "error, raised, words",
+    [
+        (RuntimeError("power cut"), RuntimeError, "power cut"),
+        (OSError(28, "No space left on device"), StorageError, "thing.npz: cannot be written .no space left"),
+    ],
+)
+def test_an_error_while_writing_keeps_the_old_file(path, error, raised, words):
     before = path.read_bytes()
-    with pytest.raises(RuntimeError, match="power cut"):
-        with files.replacing(path) as temporary:
-            temporary.write_bytes(b"half")
-            raise RuntimeError("power cut")
+    with pytest.raises(raised, match=words), files.replacing(path) as temporary:
+        temporary.write_bytes(b"half")
+        raise error
     assert path.read_bytes() == before
     assert [entry.name for entry in path.parent.iterdir()] == ["thing.npz"]
 

@@ -174,14 +174,6 @@ def test_a_full_disk_gives_one_sentence_and_finished_samples_stay(lap_model, six
     assert not [path for path in (tmp_path / "run").rglob("*") if PARTIAL in path.name]
 
 
-def test_a_disk_error_preserves_the_old_file(tmp_path):
-    (tmp_path / "a").write_text("old")
-    with pytest.raises(StorageError, match="a: cannot be written .no space left"), replacing(tmp_path / "a") as new:
-        new.write_text("half")
-        raise OSError(28, "No space left on device")
-    assert [path.name for path in tmp_path.iterdir()] == ["a"] and (tmp_path / "a").read_text() == "old"
-
-
 @pytest.mark.skipif(os.geteuid() == 0, reason="root may write everywhere")
 def test_a_folder_that_cannot_be_written_is_one_sentence(lap_model, tmp_path):
     tmp_path.chmod(0o500)

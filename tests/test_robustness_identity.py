@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from support.runs import Heard
+from support.runs import RecordedProgress
 
 import mic
 from mic.errors import RunError
@@ -192,9 +192,9 @@ def test_a_block_of_another_run_is_neither_used_nor_lost(lap_model, tmp_path):
         shutil.copy(path, mine / path.relative_to(other))
     outcome = read_run(mine)
     assert outcome.missing == {"frictionless": 10} and "another run" in outcome.damaged[0]
-    heard = Heard()
-    assert sample_into(mine, lap_model, law, 10, 4, heard) == {"frictionless": 0}
-    assert "belongs to another run" in heard.sentences[0]
+    progress = RecordedProgress()
+    assert sample_into(mine, lap_model, law, 10, 4, progress) == {"frictionless": 0}
+    assert "belongs to another run" in progress.sentences[0]
     np.testing.assert_array_equal(read_run(mine).measured(*law, "M1"), expected)
     (aside,), (block,) = mine.glob("samples/*/*.other-run"), other.glob("samples/*/*.parquet")
     assert aside.read_bytes() == block.read_bytes()

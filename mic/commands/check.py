@@ -80,9 +80,8 @@ def check(scene, law, accuracy, converge, normals, overlap, strict, page):
         _write_page(console, page, scene, lambda: _page(scene, surfaces, warnings, errors=errors))
         raise
     warnings = find_warnings(scene, assembly, cache_folder())
-    for warning in warnings:
-        if warning.impossible:
-            console.print(f"[bold red]implausible:[/] {plain(warning)}", highlight=False, soft_wrap=True)
+    for warning in (warning for warning in warnings if warning.impossible):
+        console.warn("implausible", warning, style="bold red")
     console.print(f"[bold]{plain(scene.name)}[/] {plain(scene.description)}")
     _print_parts(console, scene, assembly)
     _print_normals(console, assembly)
@@ -200,10 +199,9 @@ def _print_sources(console, assembly, results):
     if len(found) > MAX_SOURCES:
         console.print(f"… and {len(found) - MAX_SOURCES} more")
     if not results.solvable and any(one.rule in ("estimate", "stiffness") for one in found):
-        console.print(
+        console.say(
             "“About”: by a rough stiffness, within a factor of 3 for forces; the displacements by that of the finite "
-            "elements are available once the influence coefficients are computed (`mic run`).",
-            soft_wrap=True,
+            "elements are available once the influence coefficients are computed (`mic run`)."
         )
     return shapes, find_warnings_of_sources(found)
 
@@ -252,10 +250,10 @@ def _few_samples(console, assembly, results, order):
     """Print whether friction and placing matter, if a few samples are cheap, else the command `order` that tells it;
     return warnings of their results."""
     frictional = len(assembly.contacts) and any(LAWS[law].frictional for law in assembly.scene.report.laws)
-    unknown, advice = "Effect of the process order: not computed", f"Run `{plain(order)}`."
+    unknown, advice = "Effect of the process order: not computed", f"Run `{order}`."
     if not results.solvable:
         if frictional:
-            console.print(f"{unknown}. {advice}", highlight=False, soft_wrap=True)
+            console.say(f"{unknown}. {advice}")
         return ()
     samples = results.rough_samples()
     if not samples.solved:
@@ -264,11 +262,7 @@ def _few_samples(console, assembly, results, order):
         )
         return ()
     if frictional and samples.seconds > PATIENCE:
-        console.print(
-            f"{unknown}, since {samples.count} samples take {samples.seconds:.0f} s. {advice}",
-            highlight=False,
-            soft_wrap=True,
-        )
+        console.say(f"{unknown}, since {samples.count} samples take {samples.seconds:.0f} s. {advice}")
     for doubt in samples.doubts:
         console.warn("note", f"{doubt}; run `{order}` for numbers")
     extent = {part.name: part.surface.diameter for part in assembly.parts}

@@ -43,9 +43,9 @@ class CommandConsole(Console):
         """Print the name of a step that begins: ``influence coefficients of lower …``."""
         self.say(f"{step} …")
 
-    def warn(self, label: str, sentence: object) -> None:
-        """Print one line of text after a yellow label: ``warning: …``."""
-        self.print(f"[yellow]{label}:[/] {plain(sentence)}", highlight=False, soft_wrap=True)
+    def warn(self, label: str, sentence: object, style: str = "yellow") -> None:
+        """Print one line of text after a coloured label: ``warning: …``."""
+        self.print(f"[{style}]{label}:[/] {plain(sentence)}", highlight=False, soft_wrap=True)
 
     def say_files(self, **files: Path | str) -> None:
         """Print which files were written: ``report: …   tables: …``."""

@@ -287,7 +287,7 @@ def _say_prediction(console, found: pd.DataFrame, label: str, milliseconds: floa
             f"{row['measurement']} {row['value']:+.4g} → {row['adjusted']:+.4g} mm"
             for row in found.iloc[:-1].to_dict("records")
         ]
-        console.print(plain(f"    {', '.join(changes)}"), highlight=False, soft_wrap=True)
+        console.say(f"    {', '.join(changes)}")
 
 
 class PredictionLog:

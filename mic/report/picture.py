@@ -120,9 +120,9 @@ def _lay_out(fig: Figure, dpi: int) -> None:
     fig.set_dpi(dpi)
 
 
-def wide(height: float, rows: int = 1, columns: int = 1, **kwargs: Any) -> tuple[Figure, Any]:
+def wide(height: float, rows: int = 1, columns: int = 1, width: float = 10.5, **kwargs: Any) -> tuple[Figure, Any]:
     """A figure as wide as the page and `height` inches high, with what :meth:`Figure.subplots` returns."""
-    fig = Figure(figsize=(10.5, height), layout="constrained")
+    fig = Figure(figsize=(width, height), layout="constrained")
     return fig, fig.subplots(rows, columns, **kwargs)
 
 

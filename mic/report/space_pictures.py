@@ -194,9 +194,9 @@ def draw_assembly(surfaces: Mapping[str, Surface], scene: Scene, contacts: Conta
 
 def draw_normals(surfaces: Mapping[str, Surface]) -> Picture:
     """Origin of the normal at each corner of the triangles (`mic.geometry.normals.Rule`), by colour."""
-    fig = Figure(figsize=(6.5 * len(surfaces), 6.0), layout="constrained")
+    fig, axes = wide(6.0, 1, len(surfaces), 6.5 * len(surfaces), squeeze=False)
     colours = np.array([to_rgb(RULE_COLOURS[rule]) for rule in Rule])
-    for ax, (name, surface) in zip(fig.subplots(1, len(surfaces), squeeze=False)[0], surfaces.items()):
+    for ax, (name, surface) in zip(axes[0], surfaces.items()):
         apart = Surface(surface.corners.reshape(-1, 3), np.arange(3 * len(surface.triangles)).reshape(-1, 3))
         view = _View([apart], len(apart.points))
         view.draw(ax, [colours[surface.curvature.rule.ravel()]], 0.35)
@@ -220,8 +220,7 @@ def draw_normals(surfaces: Mapping[str, Surface]) -> Picture:
 
 def draw_overlap(surfaces: Mapping[str, Surface], contacts: Contacts) -> Picture:
     """Nominal overlap of the facing surfaces at each pair."""
-    fig = Figure(figsize=(9.5, 6.0), layout="constrained")
-    ax = fig.subplots()
+    fig, ax = wide(6.0, width=9.5)
     view = _View(surfaces.values())
     view.draw(ax, [np.array(to_rgb("#dfe3e8"))] * len(surfaces), 0.35)
     deep, clear = contacts.overlap > 0, contacts.overlap == 0
@@ -247,8 +246,7 @@ def overview_picture(outcome: Outcome, context: Context) -> Picture | None:
     spread = [np.nan_to_num(fields[part].six_sigma_magnitude) for part in surfaces]
     top = max(values.max() for values in spread)
     scale = Normalize(0.0, top or 1.0)
-    fig = Figure(figsize=(9.5, 5.6), layout="constrained")
-    ax = fig.subplots()
+    fig, ax = wide(5.6, width=9.5)
     view = _View(surfaces.values())
     view.draw(ax, [colormaps["YlOrRd"](scale(values))[:, :3] for values in spread], 0.35)
     handles = []

@@ -1,4 +1,6 @@
-"""Runs that are listened to, and results folders for tests: made by a run, then spoilt on purpose."""
+"""Progress of runs, recorded, and results folders of runs, altered."""
+
+from contextlib import contextmanager
 
 from mic.results.parquet import read_table, write_table
 from mic.results.schema import CONTACTS, MEASUREMENTS, RESOLUTIONS, SAMPLES, SLIPS
@@ -10,28 +12,23 @@ def changed(scene, **tables):
     return scene.model_copy(update={name: getattr(scene, name).model_copy(update=tables[name]) for name in tables})
 
 
-class Heard(Progress):
-    """Keeps what a run says, and may stop it after a number of blocks."""
+class RecordedProgress(Progress):
+    """Records the sentences of a run; may interrupt it after a number of blocks."""
 
     def __init__(self, stop_after=None):
-        self.sentences, self.left = [], stop_after
+        self.sentences, self.remaining = [], stop_after
 
     def report(self, sentence):
         self.sentences.append(sentence)
 
+    @contextmanager
     def sampling(self, laws, samples):
-        return self
-
-    def __enter__(self):
-        return self.advance
-
-    def __exit__(self, *_):
-        return False
+        yield self.advance
 
     def advance(self, law, count):
-        if self.left is not None:
-            self.left -= 1
-            if self.left == 0:
+        if self.remaining is not None:
+            self.remaining -= 1
+            if self.remaining == 0:
                 raise KeyboardInterrupt
 
 
