@@ -8,7 +8,7 @@ import shutil
 
 import numpy as np
 import pytest
-from support.attack_stored_files import READERS, SAMPLES, Stored, attack_files, attack_recovery
+from support.attack_stored_files import READERS, SAMPLES, Stored, attack_files
 
 from mic.errors import FormatError
 from mic.results import schema
@@ -36,11 +36,6 @@ def test_each_kind_of_file_is_attacked(stored):
 @pytest.mark.slow
 def test_an_altered_file_gives_its_content_or_one_sentence(stored):
     assert attack_files(stored, range(50)) == []
-
-
-@pytest.mark.slow
-def test_an_altered_file_of_a_run_is_set_aside_and_computed_again(stored):
-    assert [attack_recovery(stored, np.random.default_rng(seed)) for seed in range(3)] == [None] * 3
 
 
 @pytest.mark.slow

@@ -162,7 +162,9 @@ def _improved(outcome: RunSamples, law: str) -> dict[str, dict[str, Any]]:
     improved = outcome.improved(law)
     alone = {"one_step_samples": 0, "improved": "plain", "explained": math.nan} | _unknown(*IMPROVED)
     columns: dict[str, dict[str, Any]] = {item.name: dict(alone) for item in outcome.model.scene.measurements}
-    for name, figures in improved.characteristics.items() if improved else ():
+    if improved is None:
+        return columns
+    for name, figures in improved.characteristics.items():
         of, k = improved.estimates, improved.keys.index(("measurement", name))
         columns[name] |= {
             "one_step_samples": of.cheap_samples,

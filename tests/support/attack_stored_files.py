@@ -49,7 +49,7 @@ from mic.system.memoise import memoise, pack
 from support.contents import same
 from support.springs import dragged
 
-__all__ = ["Stored", "attack", "attack_files", "attack_recovery", "make"]
+__all__ = ["Stored", "attack", "attack_files", "make"]
 
 LAWS, SAMPLES, SEED = ["coulomb", "frictionless"], 100, 4
 MEMORY = 1 << 30  # bytes that a reader may allocate
@@ -555,35 +555,7 @@ def _serve(stored: Stored, seeds, sending) -> None:
         sending.send(stored.attack(np.random.default_rng(seed)))
 
 
-def attack_recovery(stored: Stored, rng: np.random.Generator) -> str | None:
-    """Alter a file of a run; the same run again must set it aside and give the same blocks."""
-    kinds = ("run/", "run/sums", "run/forces", "run/condensed", "run/run.json", "run/model.npz", "run/parts.npz")
-    names = [name for kind in kinds for name in stored.by_kind[kind]]
-    relative = names[int(rng.integers(len(names)))]
-    path, root = stored.root / relative, stored.root
-    content = path.read_bytes()
-    altered = ALTERATIONS[int(rng.integers(len(ALTERATIONS)))](rng, content)
-    path.write_bytes(altered)
-    try:
-        model = ReducedModel.load(root / "model.npz")
-        sample_into(root / "run", model, LAWS, SAMPLES, SEED)
-        found, truth = _outcome(root), stored.truth[_outcome]
-        wrong = [name for name in truth if name not in found or not same(found[name], truth[name])]
-        if wrong:
-            return f"{relative}: another run has other {wrong}"
-        if path.exists() and path.read_bytes() == altered != content and "parts" not in relative:
-            return None if same(_outcome(root), truth) else f"{relative}: the altered file is used"
-        return None
-    except MicError as problem:
-        return f"{relative}: refuses: {problem}"
-    finally:
-        shutil.rmtree(root)
-        shutil.copytree(stored.pristine, root)
-
-
 def attack(rng: np.random.Generator, folder: Path) -> list[str]:
     """A round of attacks."""
     stored = Stored(folder)
-    failures = attack_files(stored, rng.integers(2**40, size=400).tolist())
-    found = [attack_recovery(stored, rng) for _ in range(5)]
-    return failures + [problem for problem in found if problem]
+    return attack_files(stored, rng.integers(2**40, size=400).tolist())
