@@ -16,7 +16,7 @@ from mic.options import app
 from mic.process.model import ReducedModel
 from mic.report.style import signed_micrometres
 from mic.results.error_sources import error_budget
-from mic.results.mesh_error import accuracy_table, read_accuracy
+from mic.results.mesh_error import accuracy_table
 from mic.results.schema import ACCURACY, MESH_CHANGES
 
 pytestmark = pytest.mark.fem
@@ -180,7 +180,7 @@ def test_a_run_estimates_its_accuracy_on_request(wanted, coarse, tmp_path, cache
     keys = f"[monte_carlo]\nsamples = 3\n[report]\naccuracy = {str(wanted).lower()}\n"
     outcome = mic.run(curved_scene(tmp_path, size=10.0, keys=keys), tmp_path / "results", cache)
     page = write_report(tmp_path / "results", outcome).read_text()
-    found = read_accuracy(tmp_path / "results")
+    found = outcome.study(ACCURACY)
     assert ('id="accuracy"' in page) == (tmp_path / "results" / ACCURACY.place).exists() == wanted
     if wanted:
         pd.testing.assert_frame_equal(found, expected, rtol=1e-8)

@@ -9,12 +9,13 @@ from support.springs import dragged
 
 import verification.report
 from mic.geometry.surface import Surface
-from mic.report.check_page import write_check
+from mic.report.check_page import check_page
 from mic.report.comparison_page import write_comparison
 from mic.report.explanation_page import write_explanation
 from mic.report.template import backticks_to_code
 from mic.studies.comparison import compare
 from mic.studies.explanation import explain
+from mic.system.files import write_text
 
 
 @pytest.fixture(scope="module")
@@ -29,7 +30,8 @@ def surface(name):
 
 def write_spring_check(path, model, text=""):
     scene = model.scene.model_copy(update={"name": text or "springs", "description": text or "plain"})
-    return write_check(path, scene, {name: surface(name) for name in "bt"}, errors=[text or "wrong"])
+    write_text(path, check_page(scene, {name: surface(name) for name in "bt"}, errors=[text or "wrong"]))
+    return path
 
 
 def write_spring_comparison(path, model, text=""):

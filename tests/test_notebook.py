@@ -98,15 +98,8 @@ def test_the_picture_shows_each_item_once_under_its_name(which, request):
 
 def turned(items, turn):
     """Items at points that are stretched in their plane and turned in space."""
-    return [
-        one.model_copy(
-            update={
-                "point": tuple(turn @ ([20, 3, 1] * np.array(one.point))),
-                "direction": tuple(turn @ one.direction),
-            }
-        )
-        for one in items
-    ]
+    place = lambda one: {"point": tuple(turn @ ([20, 3, 1] * np.array(one.point))), "direction": turn @ one.direction}
+    return [one.model_copy(update=place(one)) for one in items]
 
 
 def test_the_picture_of_a_flat_assembly_is_the_same_in_any_orientation(model):

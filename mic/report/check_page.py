@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from os import PathLike
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -25,9 +23,8 @@ from mic.report.template import render
 from mic.report.viewer_data import arrow_group, packed, plotly_script, point_group, view
 from mic.scene import Scene
 from mic.scene.deviation import ClampDeviation, LocatorDeviation, targets
-from mic.system.files import write_text
 
-__all__ = ["check_page", "write_check"]
+__all__ = ["check_page"]
 
 RED = "#d00000"
 DRAWN = 0.01  # mm: smaller overlaps come from drawing and meshing, and are shown as touching
@@ -81,14 +78,6 @@ def check_page(
         viewer=packed(json.dumps(_view(bodies, scene, warnings, contacts if touching else None))) if bodies else None,
         plotly=plotly_script() if bodies else None,
     )
-
-
-def write_check(path: str | PathLike[str], *content: Any, **more: Any) -> Path:
-    """Write the page of :func:`check_page`, with its parameters; returns the path."""
-    path = Path(path)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    write_text(path, check_page(*content, **more))
-    return path
 
 
 def _view(bodies, scene: Scene, warnings, contacts: Contacts | None) -> dict[str, Any]:

@@ -18,7 +18,6 @@ from mic.report.template import render
 from mic.report.verdict import verdict
 from mic.report.viewer_data import plotly_script, viewer_data
 from mic.results import schema
-from mic.results.mesh_error import read_accuracy
 from mic.results.outcome import Outcome, read_outcome
 from mic.statistics.estimates import covered_share
 from mic.studies.contributors import joint_ranking
@@ -82,7 +81,7 @@ def write_report(
         estimators=estimator_sentences(outcome),
         claimed=claimed_confidence(outcome),
         covered=covered_share(outcome.record["samples"]),
-        accuracy=read_accuracy(outcome.folder),
+        accuracy=outcome.study(schema.ACCURACY),
         mesh_changes=outcome.study(schema.MESH_CHANGES),
         viewer=viewer,
         plotly=plotly_script() if viewer else None,

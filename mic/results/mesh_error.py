@@ -31,7 +31,7 @@ from mic.results.schema import ACCURACY, MESH_CHANGES
 from mic.statistics.paired_differences import jackknife
 from mic.system.cores import available_cores
 
-__all__ = ["FinerModel", "accuracy_table", "mesh_changes", "read_accuracy"]
+__all__ = ["FinerModel", "accuracy_table", "mesh_changes"]
 
 SAMPLES = 30  # first valid samples that are evaluated again
 
@@ -152,14 +152,3 @@ def accuracy_table(accuracies: Sequence[Accuracy]) -> pd.DataFrame:
 
 def _cost(mesh: Mesh, prefix: str = "") -> dict[str, float]:
     return {f"{prefix}{name}": getattr(mesh, name) for name in ("nodes", "seconds", "memory")}
-
-
-def read_accuracy(folder: Path) -> pd.DataFrame | None:
-    """The table of a run folder; None if the run wrote none.
-
-    Raises
-    ------
-    FormatError
-        If the file differs from :data:`mic.results.schema.ACCURACY`.
-    """
-    return ACCURACY.read(Path(folder), "run the scene again into this folder")
