@@ -1,4 +1,4 @@
-"""From meshes that nobody here has seen to a scene that runs: what `mic init` proposes."""
+"""`mic init`: the proposed scene is complete and runs, whatever the meshes are."""
 
 import re
 import tomllib
@@ -53,7 +53,7 @@ STACK = {"BASE": grid(120, 60, 11), "HAT": hat(1.0, x=5), "CAP": grid(60, 60, 11
 
 FLAT = {"a": {"A": grid(80, 50, 7)}, "b": {"B": grid(80, 50, 6, z=1, x=50)}}
 
-#: Decks by what is special about them: {file: sheets}, number of zones, keys of the decks.
+#: Cases: {file: sheets}, number of zones, keys of the decks.
 SHAPES = {
     "drawn on the faying surface": ({"plate": {"P": PLATE}, "hat": {"H": hat(0.0)}}, 1, {}),
     "drawn on it, normals opposed": ({"hat": {"H": hat(0.0)}, "plate": {"P": upside_down(PLATE)}}, 1, {}),
@@ -68,15 +68,7 @@ SHAPES = {
     ),
     "three in one deck": ({"three": STACK}, 2, {"sections": {"BASE": 0.8, "HAT": 1.2, "CAP": 1.0}}),
     "curved": (
-        {"a": {"A": extruded(arc(150, 60, 120, 7), 0, 60, 10)}, "b": {"B": extruded(arc(151, 50, 85, 8), 0, 60, 11)}},
-        1,
-        {},
-    ),
-    "walls": (
-        {
-            "channel": {"C": extruded([(0, 40), (0, 0), (60, 0), (60, 40)], 0, 80, 13)},
-            "wall": {"W": extruded([(61, 5), (61, 60)], 0, 80, 13)},
-        },
+        {"a": {"A": extruded(arc(100, 60, 120, 9), 0, 40, 9)}, "b": {"B": extruded(arc(101, 45, 85, 9), 0, 40, 10)}},
         1,
         {},
     ),
@@ -100,22 +92,33 @@ def propose(sheets, folder, *lists, **keys):
 
 @pytest.fixture(scope="module")
 def proposed(tmp_path_factory):
-    """The scene's folder and the proposal of a case, and its assembly, made once."""
+    """Proposes the scene of a case once: its folder, and the proposal."""
 
     @cache
     def made(case):
         sheets, _, keys = SHAPES[case]
-        folder, proposal = propose(sheets, tmp_path_factory.mktemp("proposed"), **keys)
-        return folder, proposal, assemble(load_scene(folder), folder.parent / "cache")
+        return propose(sheets, tmp_path_factory.mktemp("proposed"), **keys)
 
     return made
 
 
-@pytest.mark.parametrize("case", SHAPES)
+@pytest.fixture(scope="module")
+def assembled(proposed):
+    """Assembles the proposed scene of a case once."""
+
+    @cache
+    def made(case):
+        folder = proposed(case)[0]
+        return assemble(load_scene(folder), folder.parent / "cache")
+
+    return made
+
+
+@pytest.mark.parametrize("case", [case for case in SHAPES if case != "drawn on the faying surface"])
 @pytest.mark.slow
-def test_a_proposed_scene_locates_its_parts_well(proposed, case):
-    """It loads, stands on its meshes, has the zones that there are, and no motion of a part is nearly free."""
-    _, proposal, assembly = proposed(case)
+def test_a_proposed_scene_locates_its_parts_well(proposed, assembled, case):
+    """It loads, has all zones, and no motion of a part is nearly free."""
+    proposal, assembly = proposed(case)[1], assembled(case)
     scene, zones = assembly.scene, SHAPES[case][1]
     assert [str(one) for one in find_warnings(scene, assembly) if "is in no zone and in no weld" not in str(one)] == []
     assert len(scene.zones) == zones
@@ -138,12 +141,13 @@ def test_a_proposed_scene_locates_its_parts_well(proposed, case):
 
 @pytest.mark.fem
 @pytest.mark.slow
-@pytest.mark.parametrize("case", ["holes", "in metres", "one that touches nothing"])
-def test_a_proposed_scene_runs_and_its_characteristics_vary(proposed, case):
+@pytest.mark.parametrize("case", ["holes", "one that touches nothing"])
+def test_a_proposed_scene_runs_and_its_characteristics_vary(proposed, assembled, case):
     """No sample fails, and every key characteristic varies, by less than the part is large."""
-    folder, _, assembly = proposed(case)
+    folder, _ = proposed(case)
+    assembled(case)
     model = mic.reduce(load_scene(folder), folder.parent / "cache")
-    found = model.evaluate(draw(model.scene, 1, 0, 4))
+    found = model.evaluate(draw(model.scene, 1, 0, 2))
     for stage, resolution in found.resolutions.items():
         assert (resolution.residual < 1e-8).all(), f"{stage}: {resolution.residual}"
     assert np.isfinite(found.measurements).all()
@@ -153,13 +157,12 @@ def test_a_proposed_scene_runs_and_its_characteristics_vary(proposed, case):
 @pytest.mark.parametrize("case", ["drawn on the faying surface", "drawn on it, normals opposed"])
 @pytest.mark.slow
 def test_sheets_drawn_upon_each_other_are_put_side_by_side(proposed, case):
-    """The hat rises above the plate: its sheet lies above the drawn surface, the plate's below, whoever is named first
-    and whichever way the normals look."""
-    _, proposal, assembly = proposed(case)
+    """The hat rises above the plate: its sheet lies above the drawn surface, the plate's below, in either order and for
+    either sense of the normals."""
+    _, proposal = proposed(case)
     assert "side by side" in proposal.sentences[0] and "guess" not in proposal.sentences[0]
-    parts = {part.name: part for part in assembly.parts}
-    assert parts["plate"].surface.points[:, 2] == pytest.approx(-0.5)
-    assert parts["hat"].surface.points[:, 2].min() == pytest.approx(0.5)
+    up = {body.name: body.surface.normals[0, 2] for body in proposal.bodies}
+    assert {name: offset * up[name] for name, offset in proposal.offsets.items()} == {"plate": -0.5, "hat": 0.5}
 
 
 def test_an_ambiguous_drawing_side_is_called_a_guess(tmp_path):
@@ -176,9 +179,9 @@ def test_sheets_drawn_into_each_other_say_how_deep(proposed):
 
 
 @pytest.mark.slow
-def test_a_flat_sheet_is_held_by_three_two_and_one(proposed):
+def test_a_flat_sheet_is_held_by_three_two_and_one(assembled):
     """Three across the sheet, two across its length, far apart, one along it."""
-    own = [one for one in proposed("in metres")[2].scene.locators if one.part == "a"]
+    own = [one for one in assembled("in metres").scene.locators if one.part == "a"]
     assert [one.name for one in own][:6] == [f"a-{label}" for label in ("A1", "A2", "A3", "B1", "B2", "C1")]
     assert np.abs([one.direction for one in own[:6]]) == pytest.approx(
         np.array([[0, 0, 1]] * 3 + [[0, 1, 0]] * 2 + [[1, 0, 0]])
@@ -188,9 +191,9 @@ def test_a_flat_sheet_is_held_by_three_two_and_one(proposed):
 
 
 @pytest.mark.slow
-def test_pins_go_through_holes(proposed):
+def test_pins_go_through_holes(assembled):
     """One both ways, the other across the line between them; they read the rims."""
-    pins = [one for one in proposed("holes")[2].scene.locators if one.hole is not None]
+    pins = [one for one in assembled("holes").scene.locators if one.hole is not None]
     assert len(pins) == 3
     assert {one.part for one in pins} == {"drilled"}
     assert sorted({tuple(np.round(one.point, 3)) for one in pins}) == [(30, 30, 0), (90, 30, 0)]
@@ -207,7 +210,7 @@ def test_sets_of_one_deck_are_parts_with_the_thickness_of_the_deck(proposed):
 
 @pytest.mark.slow
 def test_metres_are_detected_and_written_into_the_scene(proposed):
-    folder, proposal, _ = proposed("in metres")
+    folder, proposal = proposed("in metres")
     scene = load_scene(folder)
     assert "taken for metres" in proposal.sentences[0]
     assert [(part.unit, part.thickness, part.young) for part in scene.parts] == [("m", 1.0, 210e3)] * 2
@@ -216,7 +219,7 @@ def test_metres_are_detected_and_written_into_the_scene(proposed):
 
 @pytest.mark.slow
 def test_a_part_that_touches_nothing_is_reported_and_stays_located(proposed):
-    folder, proposal, _ = proposed("one that touches nothing")
+    folder, proposal = proposed("one that touches nothing")
     assert [sentence for sentence in proposal.sentences if "far" in sentence] == [
         "far has no lap with another part; the nearest is b, 170 mm away"
     ]
@@ -304,13 +307,6 @@ def test_a_list_may_have_decimal_commas_where_commas_do_not_separate_its_cells(t
         propose(FLAT, tmp_path, tmp_path / "q.csv")
 
 
-def test_the_next_command_quotes_a_folder_with_blanks(tmp_path):
-    done = CliRunner().invoke(
-        app, ["init", *map(str, laid(tmp_path)), "--thickness", "1", "--out", str(tmp_path / "my scene")]
-    )
-    assert f"mic check '{tmp_path / 'my scene'}'" in done.output
-
-
 def test_no_tong_presses_on_a_weld(tmp_path):
     """Of a lap that has room for a weld alone, the weld; its pad would lie on the nugget."""
     sheets = {"a": grid(80, 50, 7), "b": grid(80, 12, 6, z=1.0, x=66, y=20)}
@@ -391,8 +387,8 @@ def test_sheets_with_another_between_them_have_no_zone(tmp_path):
 @pytest.mark.slow
 def test_a_stack_of_three_sheets_is_joined_through_and_the_rest_touches_where_nothing_lies_between(tmp_path):
     """The plate steps under a doubler below one foot of the hat, and touches the hat's other foot itself."""
-    plate = extruded([(0, 0), (30, 0), (40, 1), (90, 1)], 0, 60, 7)
-    scene = load_scene(propose({"plate": plate, "doubler": grid(26, 60, 6, z=1), "hat": hat(2.0)}, tmp_path)[0])
+    plate = extruded([(0, 0), (30, 0), (40, 1), (90, 1)], 0, 60, 9)
+    scene = load_scene(propose({"plate": plate, "doubler": grid(26, 60, 8, z=1), "hat": hat(2.0)}, tmp_path)[0])
     assert {frozenset(zone.parts) for zone in scene.zones} == {
         frozenset(pair) for pair in (("plate", "doubler"), ("doubler", "hat"), ("plate", "hat"))
     }
@@ -408,7 +404,7 @@ def test_a_stack_of_three_sheets_is_joined_through_and_the_rest_touches_where_no
 
 def test_a_large_lap_begins_with_fewer_pairs(tmp_path, proposed, monkeypatch):
     """A candidate for each element would be more; a small lap has no stated spacing."""
-    assert proposed("in metres")[2].scene.zones[0].spacing is None
+    assert load_scene(proposed("in metres")[0]).zones[0].spacing is None
     monkeypatch.setattr("mic.wizard.proposal.PAIRS", 20)  # of an overlap of 30 × 50 mm with elements of 7
     assert load_scene(propose(FLAT, tmp_path)[0]).zones[0].spacing == np.ceil(np.sqrt(30 * 50 / 20))
 
@@ -422,13 +418,14 @@ def test_a_part_without_a_3_2_1_scheme_gets_six_other_locators(tmp_path):
 
 
 def test_the_command_prints_its_proposal_and_the_next_command(tmp_path):
+    """A folder with blanks is quoted."""
     files = laid(tmp_path)
-    out = tmp_path / "new"
+    out = tmp_path / "my scene"
     result = CliRunner().invoke(
         app, ["init", *map(str, files), "--thickness", "1", "--thickness", "b=2", "--out", str(out)]
     )
     assert result.exit_code == 0, result.output
-    assert "2 parts" in result.output and f"mic check {out}" in result.output
+    assert "2 parts" in result.output and f"mic check '{out}'" in result.output
     assert [part.thickness for part in load_scene(out).parts] == [1, 2]
 
 
