@@ -141,8 +141,8 @@ def test_a_reader_that_hangs_is_stopped(tmp_path, monkeypatch):
         read_mesh(written(tmp_path, "", "a.new"))
 
 
-SYSTEM = "    -1\n  2420\n1\nname\n1 {} 8\ncs\n" + "0 0 1\n" * 4 + "    -1\n"
-#: Malformed decks: what was written in place of what, and the words of the one sentence.
+SYSTEM = "    -1\n  2420\n1\nname\n1 1 8\ncs\n" + "0 0 1\n" * 4 + "    -1\n"
+#: Malformed decks by suffix: a text of the deck, its replacement, and words of the message.
 MALFORMED = {
     "inp": (
         ABAQUS,
@@ -151,27 +151,23 @@ MALFORMED = {
             ("3, 1., 1., 0.", "2, 1., 1., 0.", r"line 1: node 2 is defined twice"),
             ("2, 2, 10, 3", "1, 2, 10, 3", "line 9: element 1 is defined twice"),
             ("1, 1, 2, 3, 4", "1, 1, 2, 3", "element 1: a S4R has 4 nodes, not 3"),
-            ("1, 1, 2, 3, 4", "1, 1, 2, 3, 4, 10", "element 1: a S4R has 4 nodes, not 5"),
             ("type=S3", "type=S7", "S7 is no known shell"),
             ("type=S4R", "type=SC8R", r"solid elements \(SC8R\)"),
             ("*Node\n", "*Node, system=Q\n", "SYSTEM=Q is unknown; use R, C or S"),
             ("*Node\n", "*Include, input=none.inp\n*Node\n", "line 1: it includes none.inp, and there is no file"),
             ("*Node\n", "*Include, input=a.inp\n*Node\n", "includes a.inp, which includes it in turn"),
             ("*Element, type=S3", "*Ngen\n1, 10\n*Element, type=S3", r"\*NGEN generates the mesh by a rule"),
-            ("*Element, type=S3", "*Elgen\n1, 10\n*Element, type=S3", r"\*ELGEN generates the mesh by a rule"),
             ("*Element, type=S3", "*Nset, nset=a, generate\n3, 1\n*Element, type=S3", "generates no numbers"),
             ("*Element, type=S3", "*Nset\n3, 1\n*Element, type=S3", r"this \*NSET has no name"),
             ("*Node\n", "*Assembly\n*Instance, name=i, part=q\n*End Instance\n*Node\n", "instance 'i' is missing"),
             ("*Node\n", "*System\n0,0,0,1,0,0\n2,0,0\n*Node\n", "are collinear"),
             ("*Element, type=S3", "*Shell section, elset=rib, offset=field\n1.\n*Element, type=S3", "OFFSET = FIELD"),
-            ("*Element, type=S3", "*Material, name=a\n*Elastic\nsoft, 0.3\n*Element, type=S3", r"\*ELASTIC is no num"),
             ("*Node\n", "1, 2, 3\n*Node\n", "data before the first keyword"),
         ],
     ),
     "bdf": (
         NASTRAN,
         [
-            ("GRID,2,,1.,0.", "GRID,2,,1.,zero", "line 3: a field of this GRID is no number"),
             ("GRID,3,", "GRID,2,", "line 4: grid point 2 is defined twice"),
             ("CTRIA3,2,", "CTRIA3,1,", "line 8: element 1 is defined twice"),
             ("CTRIA3,2,8,2,10,3", "CTRIA3,2,8,2,10", "line 8: a field of this CTRIA3 is no number, or is missing"),
@@ -197,16 +193,11 @@ MALFORMED = {
             ("       2       8", "       1       8", "element 1 is defined twice"),
             ("      10       3       3", "      11       3       3", "uses the node 11, which is not defined"),
             ("      10       3       3", "", "element 2 has fewer than three nodes"),
-            ("*PART\n", "*INCLUDE\nnone.k\n*PART\n", "it includes none.k, and there is no file"),
-            ("*PART\n", "*INCLUDE\na.k\n*PART\n", "includes a.k, which includes it in turn"),
             ("*PART\n", "*INCLUDE_TRANSFORM\na.k\n*PART\n", r"\*INCLUDE_TRANSFORM generates or moves the mesh"),
-            ("*PART\n", "*NODE_TRANSFORM\n1\n*PART\n", r"\*NODE_TRANSFORM generates or moves the mesh"),
             ("*KEYWORD\n", "*KEYWORD I10=Y\n", "fields of ten columns"),
             ("       0.8       0.8", "    &thick       0.8", "&thick is a parameter"),
-            ("210000.0", "    soft", r"of this \*MAT_ELASTIC_TITLE is no number"),
             ("*ELEMENT_SHELL\n", "*ELEMENT_SHELL_COMPOSITE\n", "layers by element are not supported"),
             ("*ELEMENT_MASS", "*ELEMENT_SOLID", r"solid elements \(SOLID\)"),
-            ("4         2\n       0.8", "4         2\n*MAT_NULL\n       0.8", "SECTION_SHELL is no number"),
         ],
     ),
     "cdb": (
@@ -217,16 +208,13 @@ MALFORMED = {
             ("ET,        1,181\n", "", "element 1 has the type 1, which no ET defines"),
             ("(3i9,6e21.13e3)", "3 and 6", "is not the format of a block"),
             ("(3i9,6e21.13e3)", "(3i9)", "has no coordinates"),
-            ("       2        0        0 1.0", "       2        0        0 one", "this NBLOCK is no number"),
             ("        3        0        0 1.0", "        2        0        0 1.5", "node 2 is defined twice"),
             ("      2      2     10", "      1      2     10", "element 1 is defined twice"),
             ("      2     10      3", "      2     11      3", "uses the node 11, which is not defined"),
             ("EBLOCK,19,SOLID", "EBLOCK,19,", "in the format SOLID"),
             ("SECOFFSET,TOP", "SECOFFSET,USER,0.3", "SECOFFSET USER is not supported"),
-            ("SECDATA, 0.8", "SECDATA, thin", "a field of this SECDATA is no number"),
             (ANSYS[ANSYS.index("       -1\nCMB") :], "", "this block has no end"),
             (ANSYS, "nothing\n", "there is no block of nodes"),
-            ("         1        -3", "         1         x", "a field of this CMBLOCK is no number"),
         ],
     ),
     "unv": (
@@ -243,8 +231,7 @@ MALFORMED = {
             ("         7         1         0         0\n    -1", "    -1", "fewer than its 3 members"),
             ("         7         1         0         0\n    -1", "", "this dataset has no end"),
             ("  2412", "   780", "elements of this former format are not supported"),
-            ("    -1\n  2412", SYSTEM.format(1) + "    -1\n  2412", "system 1, which is not the global"),
-            ("    -1\n  2412", SYSTEM.format(0) + "    -1\n  2412", "system 1, which is not the global"),
+            ("    -1\n  2412", SYSTEM + "    -1\n  2412", "system 1, which is not the global"),
             (UNIVERSAL, "no file\n", "no dataset between lines of -1"),
         ],
     ),

@@ -1,7 +1,8 @@
-"""The example with measured clouds: what was planted in them is found, and the page on it says what one does."""
+"""The example with measured point clouds: the planted shapes are found, and the commands of its page run."""
 
 from __future__ import annotations
 
+import json
 import re
 import runpy
 import tomllib
@@ -49,10 +50,9 @@ def model(cache):
 @pytest.mark.fem
 @pytest.mark.slow
 def test_the_planted_shape_is_found(model):
-    """At all contact pairs and measurements of the hat: the pieces' mean and their spread, to 5 %.
+    """Mean and spread of the pieces agree to 5 % at all contact pairs and measurements of the hat.
 
-    A part is measured from where it is set down, so of what is planted the rigid motion is taken that its datum rows
-    read.
+    A part is measured on its datum, so the rigid motion that its datum rows read is removed from the planted shapes.
     """
     assembly, reduced = model
     p = [part.name for part in assembly.parts].index("hat")
@@ -104,4 +104,6 @@ def test_the_commands_of_the_page_run(cache, tmp_path, monkeypatch, no_pictures)
         said += " ".join(done.output.split())
     assert "12 pieces at 156 points" in said and "The scene is valid" in said
     outcome = mic.read_run(tmp_path / "results" / "hat-measured")
-    assert outcome.record["samples"] == 50 and not outcome.failed["coulomb"]
+    assert outcome.record["samples"] == 50 and not outcome.failed["coulomb"] and not outcome.record["warnings"]
+    inputs = json.loads((tmp_path / "results" / "hat-measured" / "run.json").read_text())["inputs"]["files"]
+    assert sum(name.startswith("hat: hat-") for name in inputs) == 12

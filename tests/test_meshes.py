@@ -68,8 +68,7 @@ def test_the_usual_sizes_need_no_gmsh(monkeypatch):
 
 @pytest.mark.fem
 @pytest.mark.slow
-@pytest.mark.parametrize("size", ["coarse", "medium"])
-@pytest.mark.parametrize("part", wheelhouse.PARTS)
+@pytest.mark.parametrize("part, size", [("inner", "coarse"), ("outer", "medium")])
 def test_the_stored_meshes_are_those_of_gmsh(part, size, monkeypatch, tmp_path):
     with monkeypatch.context() as without:
         without.setitem(sys.modules, "gmsh", None)
@@ -93,12 +92,11 @@ def test_a_changed_shape_gets_no_stored_mesh(changed, monkeypatch):
 @pytest.mark.fem
 @pytest.mark.parametrize("case", CASES, ids="-".join)
 def test_normals_are_those_of_the_surface_at_the_corners(case):
-    """Against estimates from the mesh, which know the sheet's side and, on these meshes, nearly its normals.
+    """Against estimates from the mesh, which on these meshes nearly are the normals of the sheet.
 
-    What an error of normals costs goes with its square: astray at random by a root mean square of 0.2, 0.5, 1 and 2°
-    they move the wheelhouse's compliance by 0.02, 0.12, 0.5 and 1.9 % (`benchmarks/normals.py --astray`), where these
-    meshes are 0.4 to 0.9 % off. A median of 0.2° and a mean of 0.3° are a root mean square of 0.4° or so, and cost less
-    than 0.1 %; nowhere may a corner be so far astray that all of them together would cost 2 %.
+    The error of the compliance grows with the square of that of the normals: random errors with a root mean square of
+    0.2, 0.5, 1 and 2° change the wheelhouse's compliance by 0.02, 0.12, 0.5 and 1.9 % (`benchmarks/normals.py
+    --astray`). A median of 0.2° and a mean of 0.3° are a root mean square of about 0.4°: less than 0.1 %.
     """
     points, triangles, normals = built(*case, "medium")
     assert np.linalg.norm(normals, axis=2) == pytest.approx(1, abs=1e-12)
@@ -116,15 +114,6 @@ def test_unusable_arguments_are_refused(name):
 
 
 # --- wheelhouse ------------------------------------------------------------------------------------------
-
-
-@pytest.mark.fem
-@pytest.mark.parametrize("size, low, high", [("coarse", 3500, 5000), ("medium", 12000, 16500)])
-def test_wheelhouse_node_counts(size, low, high):
-    for part in wheelhouse.PARTS:
-        points, triangles, _ = built("wheelhouse", part, size)
-        assert low <= len(points) <= high
-        assert smallest_angles(points, triangles).min() > 25
 
 
 def test_flanges_are_one_thickness_apart():
@@ -162,21 +151,10 @@ def test_meshed_flanges_are_one_thickness_apart_and_resolve_a_contact_patch():
         assert sides.max() < 4.0  # a patch 12 mm across spans at least three elements
 
 
-@pytest.mark.fem
-def test_triangle_normals_agree_with_the_analytic_ones():
-    places = [("inner", region) for region in ("flange", "tread", "face", "hem")]
-    places += [("outer", region) for region in ("flange", "panel", "step", "brim", "wall")]
-    for part, region in places:
-        point, normal = (
-            a.reshape(-1, 3) for a in wheelhouse.surface_point(part, region, ARCH[1:-1], np.linspace(0.2, 0.8, 4))
-        )
-        surface = sheet("wheelhouse", part)
-        foot = surface.project(point)
-        assert foot.distance.max() < 0.1 * wheelhouse.SIZES["medium"]
-        assert (surface.normals[foot.triangle] * normal).sum(1).min() > 0.97
+def test_normals_look_away_from_the_wheel_on_the_outer_part_and_towards_it_on_the_inner_one():
     _, tread = wheelhouse.surface_point("inner", "tread", 0.0, 0.2)
     _, panel = wheelhouse.surface_point("outer", "panel", 0.0, 0.5)
-    assert tread[2] < -0.9 and panel[2] > 0.9  # towards the wheel, away from the wheel
+    assert tread[2] < -0.9 and panel[2] > 0.9
 
 
 @pytest.mark.fem

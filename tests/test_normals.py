@@ -42,19 +42,16 @@ def swept(profile, normals, jitter=0.0, cells=10, length=60.0, seed=0):
     """The profile's own corners swept along x, the diagonals in alternation, inner points moved along x; with the exact
     normals (k, 3, 3)."""
     m, random = len(profile), np.random.default_rng(seed)
-    i, j = (a.ravel() for a in np.meshgrid(np.arange(cells + 1), np.arange(m), indexing="ij"))
-    x = length / cells * (i + jitter * random.uniform(-1, 1, i.shape) * (i > 0) * (i < cells))
-    points = np.column_stack([x, profile[j]])
-    i, j = (a.ravel() for a in np.meshgrid(np.arange(cells), np.arange(m - 1), indexing="ij"))
-    a = i * m + j
-    b, c, d = a + m, a + m + 1, a + 1
-    odd = ((i + j) % 2 == 1)[:, None]
-    triangles = np.concatenate(
-        [
-            np.where(odd, np.column_stack([a, b, d]), np.column_stack([a, b, c])),
-            np.where(odd, np.column_stack([b, c, d]), np.column_stack([a, c, d])),
-        ]
+    move = jitter * random.uniform(-1, 1, (cells + 1, m))
+    move[[0, -1]] = 0.0
+    sheet = grid(
+        cells,
+        m - 1,
+        lambda X, Y: np.column_stack([length * X, profile[np.rint(Y * (m - 1)).astype(int)]]),
+        pattern="cross",
     )
+    points = sheet.points + np.column_stack([length / cells * move.ravel(), np.zeros((len(sheet.points), 2))])
+    triangles = sheet.triangles
     exact = np.column_stack([np.zeros(m), normals])[triangles % m]
     return Surface(points, triangles), exact
 
@@ -84,7 +81,7 @@ def test_normals_of_a_smooth_sheet_are_exact_up_to_the_border(shape):
 
 
 @pytest.mark.parametrize("jitter", [0.0, 0.3])
-@pytest.mark.parametrize("rows", [5, 8, 12])
+@pytest.mark.parametrize("rows", [5, 12])
 def test_only_the_bend_between_two_flats_is_curved(rows, jitter):
     surface, exact = swept(*bend(rows), jitter=jitter)
     found = surface.curvature
@@ -166,8 +163,7 @@ PROFILES = {
 }
 
 
-@pytest.mark.parametrize("jitter", [0.0, 0.25])
-@pytest.mark.parametrize("radius", [None, 250.0], ids=["straight", "arched"])
+@pytest.mark.parametrize("radius, jitter", [(None, 0.25), (250.0, 0.0)], ids=["straight", "arched"])
 @pytest.mark.parametrize("shape", PROFILES)
 def test_bends_of_two_rows_have_accurate_normals(shape, radius, jitter):
     surface, exact = pressings.swept(PROFILES[shape], 10.0, 2, radius=radius, jitter=jitter)

@@ -118,7 +118,7 @@ def test_offsets_move_parts_from_the_faying_surface_to_their_middle(tmp_path, ca
         assert found.contacts.point == pytest.approx(middle.contacts.point)
 
 
-@pytest.mark.parametrize("noise", [0.0, -1e-9, 1e-6, 0.1, -0.1])
+@pytest.mark.parametrize("noise", [0.0, -1e-9, 0.1])
 def test_coincident_sheets_are_refused_despite_rounding(tmp_path, cache, noise):
     with pytest.raises(SceneError, match=r"zones\[0\] \(lap\): lower and upper coincide .* offset = "):
         assemble(lap(tmp_path, (0.5, 0.5 + noise)), cache)

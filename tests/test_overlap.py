@@ -62,9 +62,9 @@ def test_a_weld_where_no_pair_lies_has_the_same_limit(cache):
 
 
 @pytest.mark.slow
-def test_check_reports_and_draws_the_overlap(tmp_path, monkeypatch):
+def test_check_reports_and_draws_the_overlap(tmp_path, cache, monkeypatch):
     monkeypatch.setenv("COLUMNS", "200")
-    monkeypatch.setenv("MIC_CACHE", str(tmp_path / "cache"))
+    monkeypatch.setenv("MIC_CACHE", str(cache))
     folder = tmp_path / "scene"
     mic.examples.copy("lap_joint", folder)
     text = (folder / "scene.toml").read_text()

@@ -1,4 +1,4 @@
-"""The tutorial that starts from two meshes does what it says."""
+"""The tutorial that starts from two meshes: its commands run, and give the numbers that it states."""
 
 import contextlib
 import io
@@ -25,7 +25,7 @@ pytestmark = [pytest.mark.fem, pytest.mark.slow]
 
 
 def run(command, folder, cache, alone):
-    """Exit code and output of a command, in this process unless `alone`: a start takes seconds."""
+    """Exit code and output of a command, in this process unless `alone`: to start another takes seconds."""
     words = command.split()
     environment = {"MIC_CACHE": str(cache), "COLUMNS": "200"}
     if words[0] == ".venv/bin/mic" and not alone:
@@ -42,7 +42,7 @@ def run(command, folder, cache, alone):
 
 
 def edit(scene, block):
-    """State in the scene what a table of the page states: of the table of that name, the other keys."""
+    """Replace keys in the table of the scene that has the name given in a block of the page."""
     wanted = dict(line.split(" = ") for line in block.strip().splitlines())
     text = scene.read_text()
     start = text.index(f"name = {wanted.pop('name')}")
@@ -62,7 +62,7 @@ def patched():
 
 @pytest.fixture(scope="module")
 def played(tmp_path_factory, patched):
-    """The page from top to bottom: what each block printed, and the folder."""
+    """Outputs of all blocks of the page, in order, and the folder."""
     folder, cache = tmp_path_factory.mktemp("own"), tmp_path_factory.mktemp("cache")
     scene = folder / "panel+channel" / "scene.toml"
     said = []
@@ -106,7 +106,7 @@ def test_no_sample_of_the_runs_fails(played):
 
 
 def test_the_first_run_leads_to_the_question_of_the_page(played):
-    """The corner that it names has the least capability, by the numbers that it gives, and by far."""
+    """The corner that it names has by far the least capability, with the stated numbers."""
     _, folder = played
     found = capability(folder, "panel+channel")
     name, six_sigma, cpk = re.search(r"`([\w-]+)`, a corner .*?6σ = (\d+\.\d+) mm.*?Cpk = (\d+\.\d+)", TEXT).groups()

@@ -103,8 +103,7 @@ def beside(pairs, bodies, angle, thickness, at_nodes=False):
 
 
 @pytest.mark.parametrize("shape, angle", [("V", 15.0), *((shape, 30.0) for shape in BENT if shape != "V")])
-@pytest.mark.parametrize("bent_first", [False, True])
-@pytest.mark.parametrize("find", [find_pairs, node_pairs])
+@pytest.mark.parametrize("find, bent_first", [(find_pairs, False), (find_pairs, True), (node_pairs, True)])
 def test_facing_points_lie_along_the_normal(find, shape, bent_first, angle):
     flat, bent = Side(plane(0, size=30.0, n=13), 1.0), Side(BENT[shape], 0.8)
     bodies = (bent, flat) if bent_first else (flat, bent)
@@ -229,10 +228,8 @@ def hem():
 @pytest.mark.parametrize(
     "find, keys, within_first",
     [
-        (find_pairs, dict(pairs=None, spacing=4.0), False),
         (find_pairs, dict(pairs=None, spacing=6.0, patch=2.0), True),
         (find_pairs, dict(pairs=12), False),
-        (node_pairs, {}, False),
         (node_pairs, {}, True),
     ],
 )
@@ -253,9 +250,8 @@ def test_each_side_of_a_sheet_within_a_hem_has_its_own_pairs(find, keys, within_
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("within_first", [False, True])
-def test_a_pad_on_a_hem_has_a_candidate_on_either_side_of_the_sheet(within_first):
-    bodies = hem()[::-1] if within_first else hem()
+def test_a_pad_on_a_hem_has_a_candidate_on_either_side_of_the_sheet():
+    bodies = hem()
     pads = [PressedPoint(np.array([8.0, 16.0, 1.0]), 3.0), PressedPoint(np.array([7.0, 11.0, 0.0]), 1.5, weld=5)]
     pairs = find_pairs(zone(pairs=None, spacing=5.0), *bodies, pressed=pads)
     for place in pads:
@@ -289,15 +285,23 @@ def test_a_sheet_within_a_rigid_slot_is_held_on_both_sides():
         assert all(pair.gap == pytest.approx(0.2) for pair in own)
 
 
+def inside(pairs, bodies, centre, radius):
+    """The pairs in a circle, which no patch crosses."""
+    found = []
+    for pair in pairs:
+        within = np.linalg.norm((read(pair, bodies) - centre)[:, :2], axis=1) <= radius + 1e-5
+        assert within.all() or not within.any()
+        found += [pair] * within.all()
+    return found
+
+
 def test_no_candidate_patch_crosses_the_rim_of_a_nugget():
     bodies = flats(16, 15)
     weld = PressedPoint(np.array([9.0, 10.5, 0.5]), 2.5, weld=3)
     pairs = find_pairs(zone(pairs=None, spacing=4.0), *bodies, pressed=[weld])
-    for pair in pairs:
-        x = read(pair, bodies)
-        inside = np.linalg.norm(x[:, :2] - weld.point[:2], axis=1) <= 2.5 + 1e-5
-        assert inside.all() if pair.nugget == 3 else not inside.any()
-    assert sum(pair.area for pair in pairs if pair.nugget == 3) == pytest.approx(np.pi * 2.5**2, rel=0.05)
+    own = inside(pairs, bodies, weld.point, 2.5)
+    assert own == [pair for pair in pairs if pair.nugget == 3]
+    assert total(own) == pytest.approx(np.pi * 2.5**2, rel=0.05)
     assert total(pairs) == pytest.approx(400)
 
 
@@ -308,15 +312,8 @@ def test_no_candidate_patch_crosses_the_rim_of_a_pad():
     centre = np.array([9.0, 10.5, 0.5])
     pads = [PressedPoint(centre, 5.0), PressedPoint(centre, 3.5), PressedPoint(np.array([-4.9, 10.0, 0.5]), 5.0)]
     pairs = find_pairs(zone(pairs=None, spacing=5.0), *bodies, pressed=pads)
-    inside = {radius: 0.0 for radius in (5.0, 3.5)}
-    for pair in pairs:
-        x = read(pair, bodies)
-        for radius in inside:
-            within = np.linalg.norm(x[:, :2] - centre[:2], axis=1) <= radius + 1e-5
-            assert within.all() or not within.any()
-            inside[radius] += pair.area * within.all()
-    for radius, area in inside.items():
-        assert area == pytest.approx(np.pi * radius**2, rel=0.05)
+    for radius in (5.0, 3.5):
+        assert total(inside(pairs, bodies, centre, radius)) == pytest.approx(np.pi * radius**2, rel=0.05)
     assert total(pairs) == pytest.approx(400)
     alone = find_pairs(zone(pairs=None, spacing=5.0), *bodies, pressed=pads[:2])
     assert len(alone) == len(pairs)
@@ -324,19 +321,13 @@ def test_no_candidate_patch_crosses_the_rim_of_a_pad():
 
 @pytest.mark.slow
 def test_a_rest_beneath_a_pad_bounds_patches_but_not_the_spacing():
-    """A small rest has as many candidates as its share of the pad; how near all others stand the clamp decides."""
+    """A small rest has as many candidates as its share of the pad; the clamp determines the spacing of all others."""
     bodies = flats(16, 15)
     centre = np.array([9.0, 10.5, 0.5])
     clamp, rest = PressedPoint(centre, 5.0), PressedPoint(centre, 3.5, backed_radius=5.0)
     pairs = find_pairs(zone(pairs=None), *bodies, pressed=[clamp, rest])
-    area = 0.0
-    for pair in pairs:
-        x = read(pair, bodies)
-        for radius in (3.5, 5.0):
-            within = np.linalg.norm(x[:, :2] - centre[:2], axis=1) <= radius + 1e-5
-            assert within.all() or not within.any()
-        area += pair.area * (radius == 5.0 and within.all())
-    assert area == pytest.approx(np.pi * 25, rel=0.05)
+    assert inside(pairs, bodies, centre, 3.5)
+    assert total(inside(pairs, bodies, centre, 5.0)) == pytest.approx(np.pi * 25, rel=0.05)
     assert min(pair.spacing for pair in pairs) == pytest.approx(10 / 3)
     tiny = replace(rest, radius=1.0)
     spacing = [candidate_spacing(zone(pairs=None), *bodies, pressed=[clamp, one]) for one in (rest, tiny)]
@@ -531,15 +522,6 @@ def test_distance_angle_and_region_limit_the_pairs():
     assert max(pair.point[0] for pair in boxed) < 5
     tube = find_pairs(zone(path=[(2, 0, 0), (2, 20, 0)], within=2.0), low, high)
     assert max(abs(pair.point[0] - 2) for pair in tube) < 2
-
-
-def test_a_rigid_pad_and_a_sheet_have_the_right_gap():
-    pad = Surface([[0, 0, -0.6], [20, 0, -0.6], [20, 20, -0.6], [0, 20, -0.6]], [[0, 1, 2], [0, 2, 3]])
-    for order in (1, -1):
-        bodies = [Side(pad, 0.0), Side(plane(0), 1.0)][::order]
-        for pair in find_pairs(zone(), *bodies):
-            assert pair.gap == pytest.approx(0.1)
-            assert pair.frame[2, 0] == pytest.approx(order)
 
 
 def test_a_patch_radius_bounds_patches_but_not_areas():

@@ -1,4 +1,6 @@
-"""Points by node, set and hole, directions in words, tongs: what a scene means once its parts are meshed."""
+"""Places by node, set and hole, directions in words, tongs and pads: how a scene is placed on its meshes."""
+
+import re
 
 import numpy as np
 import pytest
@@ -25,11 +27,10 @@ def folder(tmp_path_factory):
     return folder
 
 
-def located(part, z, **first):
+def located(part, z):
     rows = [([10, 20, z], [0, 0, 1]), ([50, 20, z], [0, 0, 1]), ([30, 50, z], [0, 0, 1])]
     rows += [([10, 20, z], [0, 1, 0]), ([50, 20, z], [0, 1, 0]), ([10, 20, z], [1, 0, 0])]
-    items = [{"name": f"{part}-{i}", "part": part, "point": p, "direction": d} for i, (p, d) in enumerate(rows)]
-    return items
+    return [{"name": f"{part}-{i}", "part": part, "point": p, "direction": d} for i, (p, d) in enumerate(rows)]
 
 
 def table(**changes):
@@ -50,10 +51,49 @@ def placed(folder, **changes):
     return assemble(Scene(**table(**changes), folder=folder), folder / "cache").scene
 
 
-def measured(folder, **keys):
-    """The measurement of a scene that says it so."""
-    item = {"name": "M", "part": "ring", "lower": -1, "upper": 1} | keys
-    return placed(folder, measurements=[item]).measurements[0]
+@pytest.fixture(scope="module")
+def everything(folder):
+    """The assembly of a scene with places and directions of every kind."""
+    ring = {"part": "ring", "lower": -1, "upper": 1}
+    measured = {
+        "pin": {"hole": [31, 29, 3], "direction": [1, 0, 0]},
+        "normal": {"point": PAD},
+        "turned": {"point": PAD, "direction": "-normal"},
+        "over hole": {"hole": RING},
+        "node": {"node": 1001},
+        "set": {"set": "LOC"},
+    }
+    plate, deck = read_mesh(folder / "plate.inp")
+    node = deck.nodes[deck.node_points == np.argmin(np.linalg.norm(plate.points - [25, 20, 0], axis=1))]
+    over_rim = {"part": "ring", "radius": RIM + 5, "normal": [0, 0, -1]}
+    pads = {
+        "below": {"point": [25, 20, 1.5], "normal": "-normal"},
+        "up": {"point": [25, 20, 1.5], "normal": [0, 0, 1]},
+        "normal": {"point": [25, 20, 0]},
+        "node": {"node": int(node[0]), "normal": [0, 0, 1]},
+        "set": over_rim | {"set": "LOC"},
+        "hole": over_rim | {"hole": [31, 29, 3]},
+    }
+    pads = {f"pad-{name}": {"part": "plate", "radius": 6} | keys for name, keys in pads.items()}
+    keep = [f"{part}-{i}" for part in ("plate", "ring") for i in range(6)]
+    turned = {"name": "R", "point": [48, 30, 1], "parts": ["ring", "plate"], "direction": [0, 0.3, -1]}
+    scene = table(
+        measurements=[ring | {"name": name.replace(" ", "-")} | keys for name, keys in measured.items()],
+        fixtures=[{"name": name} | keys for name, keys in pads.items()],
+        zones=[{"name": f"on-{name}", "parts": [name, keys["part"]]} for name, keys in pads.items()],
+        clamps=[TONG, TONG | turned],
+        deviations=[{"name": "D", "kind": "clamp", "target": "T", "sigma": 5}],
+    )
+    scene["stages"][1] = {"kind": "clamp", "order": [["R"], ["T"]]}
+    scene["stages"][3] = {"kind": "release", "keep": ["R", *keep]}
+    return assemble(Scene(**scene, folder=folder), folder / "cache")
+
+
+@pytest.fixture(scope="module")
+def item(everything):
+    """Finds a measurement or fixture of the placed scene by its name."""
+    scene = everything.scene
+    return {one.name: one for one in (*scene.measurements, *scene.fixtures)}.__getitem__
 
 
 def test_a_hole_is_where_the_sheet_lies_around_a_rim(folder):
@@ -74,29 +114,29 @@ def test_an_oblong_hole_has_length_and_width(tmp_path):
 
 
 @pytest.mark.slow
-def test_a_pin_reads_the_mean_of_the_rim(folder):
-    """Under any rigid motion it reads that of the hole's centre, though no sheet is there."""
-    told = measured(folder, hole=[31, 29, 3], direction=[1, 0, 0])
-    assert told.point == pytest.approx(RING)
-    scene = Scene(**table(measurements=[told.model_dump()]), folder=folder)
-    part = assemble(scene, folder / "cache").parts[1]
-    surface, functionals = part.surface, part.functionals
-    own = functionals.label.index("measurement M")
-    patch = functionals.patches[functionals.patch[own]]
+def test_a_pin_reads_the_mean_of_the_rim(everything, item):
+    """Under any rigid motion the mean of the rim is that of the hole's centre, where there is no sheet."""
+    assert item("pin").point == pytest.approx(RING)
+    part = everything.parts[1]
+    functionals = part.functionals
+    patch = functionals.patches[functionals.patch[functionals.label.index("measurement pin")]]
     turn = np.array([0.1, -0.2, 0.3])
-    at = surface.at(patch.triangle, patch.barycentric)
+    at = part.surface.at(patch.triangle, patch.barycentric)
     read = patch.weight @ np.cross(turn, at - np.array([5.0, 6.0, 7.0]))
     assert read == pytest.approx(np.cross(turn, np.array(RING) - [5.0, 6.0, 7.0]))
     assert np.linalg.norm(at - RING, axis=1).min() > 0.95 * RIM
 
 
-@pytest.mark.slow
-def test_normal_is_that_of_the_sheet_and_a_minus_turns_it(folder):
-    keys = {"point": PAD}, {"point": PAD, "direction": "-normal"}, {"hole": RING}
-    rows = [{"name": f"M{i}", "part": "ring", "lower": -1, "upper": 1} | one for i, one in enumerate(keys)]
-    n, turned, at_hole = (np.array(item.direction) for item in placed(folder, measurements=rows).measurements)
+def test_normal_is_that_of_the_sheet_and_a_minus_turns_it(item):
+    n, turned, at_hole = (np.array(item(name).direction) for name in ("normal", "turned", "over-hole"))
     assert n == pytest.approx([0, 0, n[2]]) and abs(n[2]) == pytest.approx(1)
     assert turned == pytest.approx(-n) and at_hole == pytest.approx(n)
+
+
+def test_a_node_and_the_middle_of_a_set_are_where_the_deck_has_them(item):
+    """1001 is the ring's first node: on the rim, along x."""
+    assert item("node").point == pytest.approx((RING[0] + RIM, RING[1], RING[2]))
+    assert np.linalg.norm(np.subtract(item("set").point, RING)) == pytest.approx(RIM, abs=0.2)
 
 
 def test_an_axis_is_laid_into_a_sheet_that_stands_askew(tmp_path):
@@ -123,30 +163,20 @@ def test_an_axis_is_laid_into_a_sheet_that_stands_askew(tmp_path):
     assert found.measurements[0].direction == pytest.approx([0.8, 0, 0.6])
 
 
-@pytest.mark.slow
-def test_a_tong_is_two_jaws_that_push_its_parts_together(folder):
-    scene = placed(folder, clamps=[TONG])
-    below, above = scene.clamps
+def test_a_tong_is_two_jaws_that_push_its_parts_together(everything):
+    below, above, turned, _ = everything.scene.clamps
     assert (below.name, below.part, below.direction) == ("T-plate", "plate", pytest.approx((0, 0, 1)))
     assert (above.name, above.part, above.direction) == ("T-ring", "ring", pytest.approx((0, 0, -1)))
-    turned = placed(folder, clamps=[TONG | {"parts": ["ring", "plate"], "direction": [0, 0.3, -1]}])
-    assert turned.clamps[0].direction == pytest.approx(np.array([0, 0.3, -1]) / np.hypot(0.3, 1))
-    assert turned.clamps[0].part == "ring"
+    assert turned.direction == pytest.approx(np.array([0, 0.3, -1]) / np.hypot(0.3, 1)) and turned.part == "ring"
 
 
-def test_order_keep_and_deviations_may_name_a_tong(folder):
-    stages = table()["stages"]
-    stages[1] = {"kind": "clamp", "order": [["B"], ["A"]]}
-    stages[3] = {"kind": "release", "keep": ["B", *(f"plate-{i}" for i in range(6)), *(f"ring-{i}" for i in range(6))]}
-    scene = placed(
-        folder,
-        clamps=[TONG | {"name": "A"}, TONG | {"name": "B", "point": [48, 30, 1]}],
-        stages=stages,
-        deviations=[{"name": "D", "kind": "clamp", "target": "A", "sigma": 5}],
-    )
-    assert scene.stages[1].order == [["B-plate", "B-ring"], ["A-plate", "A-ring"]]
-    assert scene.stages[3].keep[:2] == ["B-plate", "B-ring"]
-    assert scene.deviations[0].target == ["A-plate", "A-ring"]
+def test_order_keep_and_deviations_may_name_a_tong(everything):
+    scene = everything.scene
+    assert scene.stages[1].order == [["R-ring", "R-plate"], ["T-plate", "T-ring"]]
+    assert scene.stages[3].keep[:2] == ["R-ring", "R-plate"]
+    assert scene.deviations[0].target == ["T-plate", "T-ring"]
+    (source,) = sources(scene)
+    assert source.push(everything.labels) == {("clamp", 0): 1.0, ("clamp", 1): 1.0}
 
 
 @pytest.mark.slow
@@ -158,50 +188,44 @@ def test_the_dump_of_a_placed_scene_is_the_same_placed_scene(folder):
     assert assemble(again, folder / "cache").scene == again
 
 
-WRONG = {
-    "no hole there": (
-        {"measurements": [{"hole": [50, 50, 1]}]},
-        ["measurements[0] (X).hole", "near (50, 50, 1)", "16 mm across", "(30, 30, 1)"],
+#: Items that cannot be placed: table, keys, and words of the message.
+WRONG = [
+    ("measurements", {"hole": [50, 50, 1]}, [").hole", "near (50, 50, 1)", "16 mm across", "(30, 30, 1)"]),
+    ("measurements", {"part": "plate", "hole": [30, 30, 0]}, ["'plate' has no hole"]),
+    (
+        "measurements",
+        {"point": PAD, "direction": "in-plane z"},
+        [").direction", "z stands across the sheet", '"in-plane x" or "in-plane y"'],
     ),
-    "no hole at all": ({"measurements": [{"part": "plate", "hole": [30, 30, 0]}]}, ["'plate' has no hole"]),
-    "axis across the sheet": (
-        {"measurements": [{"point": PAD, "direction": "in-plane z"}]},
-        ["measurements[0] (X).direction", "z stands across the sheet", '"in-plane x" or "in-plane y"'],
+    ("measurements", {"node": 77}, [").node", "has no node 77 on its surface", "1001, at (38, 30, 1)"]),
+    ("measurements", {"set": "LCO"}, [").set", "no set of nodes 'LCO'", "nearest name is 'LOC'"]),
+    ("measurements", {"set": "RIMS"}, ["2 nodes of 'RIMS'", "7.93 mm away from part 'ring'", "(38, 30, 1)"]),
+    ("clamps", TONG | {"point": [3, 3, 0.5]}, [").point", "away from part 'ring'", "nearest point on it is"]),
+    (
+        "clamps",
+        TONG | {"direction": [0, 0, -1]},
+        [").direction", "does not push 'plate' towards 'ring'", "(0, 0, 1)"],
     ),
-    "tong where nothing faces": (
-        {"clamps": [TONG | {"point": [3, 3, 0.5]}]},
-        ["clamps[0] (X).point", "away from part 'ring'", "nearest point on it is"],
-    ),
-    "tong that pulls apart": (
-        {"clamps": [TONG | {"direction": [0, 0, -1]}]},
-        ["clamps[0] (X).direction", "does not push 'plate' towards 'ring'", "(0, 0, 1)"],
-    ),
-}
+]
 
 
-def wrong(changes):
-    blank = {"measurements": {"part": "ring", "lower": -1, "upper": 1}, "clamps": {}}
-    return {key: [blank[key] | item | {"name": "X"} for item in items] for key, items in changes.items()}
+def blank(kind):
+    """An item without place."""
+    return {"name": "X"} | ({"part": "ring", "lower": -1, "upper": 1} if kind == "measurements" else {})
 
 
-@pytest.mark.parametrize("case", WRONG)
-def test_an_item_that_cannot_be_placed_is_refused_with_the_nearest_place(folder, case):
-    changes, words = WRONG[case]
-    with pytest.raises(mic.SceneError) as told:
-        placed(folder, **wrong(changes))
-    for word in words:
-        assert word in str(told.value)
-
-
-def test_all_items_that_cannot_be_placed_are_reported_together(folder):
-    cases = [wrong(changes) for changes, _ in WRONG.values()]
-    changes = {key: [item for case in cases for item in case.get(key, [])] for key in ("measurements", "clamps")}
-    for items in changes.values():
-        for i, item in enumerate(items):
-            item["name"] = f"X{i}"
-    with pytest.raises(mic.SceneError) as told:
+def test_items_that_cannot_be_placed_are_reported_together_with_the_nearest_place(folder):
+    """RIMS are two nodes across the rim, and their middle lies in the hole."""
+    changes = {"measurements": [], "clamps": []}
+    for i, (kind, keys, _) in enumerate(WRONG):
+        changes[kind].append(blank(kind) | keys | {"name": f"X{i}"})
+    with pytest.raises(mic.SceneError) as caught:
         placed(folder, **changes)
-    assert len(str(told.value).splitlines()) == len(WRONG)
+    lines = str(caught.value).splitlines()
+    assert len(lines) == len(WRONG)
+    for i, (kind, _, words) in enumerate(WRONG):
+        (line,) = (line for line in lines if f"(X{i})" in line)
+        assert line.startswith(kind) and all(word in line for word in words)
 
 
 def test_locators_placed_by_words_must_hold_their_part(folder):
@@ -213,21 +237,30 @@ def test_locators_placed_by_words_must_hold_their_part(folder):
         placed(folder, locators=locators + located("ring", 1))
 
 
-REFUSED = {
-    "no place": ({"measurements": [{}]}, "give point = [x, y, z], or node or set or hole"),
-    "two places": ({"measurements": [{"point": PAD, "node": 3}]}, "point and node both give its place"),
-    "a word that is none": ({"measurements": [{"point": PAD, "direction": "up"}]}, "'up' is no direction"),
-    "a tong with a part": ({"clamps": [TONG | {"part": "ring"}]}, "give either part, which it pushes, or parts"),
-    "a tong of one part": ({"clamps": [TONG | {"parts": ["ring", "ring"]}]}, "name two different parts"),
-    "a tong with a word": ({"clamps": [TONG | {"direction": "-normal"}]}, "a tong presses its parts together"),
-}
+REFUSED = [
+    ("measurements", {}, "give point = [x, y, z], or node or set or hole"),
+    ("measurements", {"point": PAD, "node": 3}, "point and node both give its place"),
+    ("measurements", {"point": PAD, "direction": "up"}, "'up' is no direction"),
+    ("clamps", TONG | {"part": "ring"}, "give either part, which it pushes, or parts"),
+    ("clamps", TONG | {"parts": ["ring", "ring"]}, "name two different parts"),
+    ("clamps", TONG | {"direction": "-normal"}, "a tong presses its parts together"),
+    ("fixtures", {"node": 3, "normal": [0, 0, 1]}, "node needs a part: add part"),
+    ("fixtures", {"point": [0, 0, 0], "normal": "normal"}, "'normal' needs a part: add part"),
+    ("fixtures", {"point": [0, 0, 0]}, "point, normal and radius of a flat pad"),
+    ("fixtures", {"part": "plate", "node": 3, "set": "LOC"}, "node and set both give the place of the pad"),
+    ("fixtures", {"part": "plate"}, "the place of the pad on its part is missing"),
+    ("fixtures", {"part": "plate", "node": 3, "radius": None}, "a pad needs radius"),
+    ("fixtures", {"part": "plate", "node": 3, "normal": "in-plane x"}, "the normal of a pad on a part"),
+    ("fixtures", {"part": "plaet", "node": 3}, "fixtures[0].part (X): there is no part called 'plaet'; did you mean"),
+]
 
 
-@pytest.mark.parametrize("case", REFUSED)
-def test_a_place_that_makes_no_sense_is_refused_before_any_mesh_is_read(folder, case):
-    changes, words = REFUSED[case]
-    with pytest.raises(ValueError, match=words.replace("[", r"\[").replace("]", r"\]")):
-        Scene(**table(**wrong(changes)), folder=folder / "nowhere")
+@pytest.mark.parametrize("kind, keys, words", REFUSED)
+def test_a_place_that_makes_no_sense_is_refused_before_any_mesh_is_read(folder, kind, keys, words):
+    item = blank(kind) | ({"radius": 6} if kind == "fixtures" else {}) | keys | {"name": "X"}
+    item = {key: value for key, value in item.items() if value is not None}
+    with pytest.raises(ValueError, match=re.escape(words)):
+        Scene(**table(**{kind: [item]}), folder=folder / "nowhere")
 
 
 CSV = """name; x; y; z; parts; radius
@@ -313,101 +346,17 @@ def test_the_scene_file_is_named_in_every_line(tmp_path):
     assert len(lines) >= 2 and all(line.startswith(str(tmp_path / "scene.toml")) for line in lines)
 
 
-@pytest.mark.slow
-def test_a_node_and_the_middle_of_a_set_are_where_the_deck_has_them(folder):
-    """1001 is the ring's first: on the rim, along x. RIMS are two nodes across the rim, their middle in the hole."""
-    keys = {"node": 1001}, {"set": "LOC"}
-    rows = [{"name": f"M{i}", "part": "ring", "lower": -1, "upper": 1} | one for i, one in enumerate(keys)]
-    node, near = (item.point for item in placed(folder, measurements=rows).measurements)
-    assert node == pytest.approx((RING[0] + RIM, RING[1], RING[2]))
-    assert np.linalg.norm(np.subtract(near, RING)) == pytest.approx(RIM, abs=0.2)
-
-
-NOT_THERE = {
-    "node": ({"node": 77}, ["measurements[0] (M).node", "has no node 77 on its surface", "1001, at (38, 30, 1)"]),
-    "set": ({"set": "LCO"}, ["measurements[0] (M).set", "no set of nodes 'LCO'", "nearest name is 'LOC'"]),
-    "spread": ({"set": "RIMS"}, ["2 nodes of 'RIMS'", "7.93 mm away from part 'ring'", "(38, 30, 1)"]),
-}
-
-
-@pytest.mark.parametrize("case", NOT_THERE)
-def test_an_unknown_node_or_set_is_refused_with_the_nearest_name(folder, case):
-    keys, words = NOT_THERE[case]
-    with pytest.raises(mic.SceneError) as told:
-        measured(folder, **keys)
-    for word in words:
-        assert word in str(told.value)
-
-
-def test_a_deviation_of_a_tong_is_one_of_both_its_jaws(folder):
-    deviation = {"name": "D", "kind": "clamp", "target": "T", "sigma": 5}
-    scene = Scene(**table(clamps=[TONG], deviations=[deviation]), folder=folder)
-    assembly = assemble(scene, folder / "cache")
-    (source,) = sources(assembly.scene)
-    assert source.push(assembly.labels) == {("clamp", 0): 1.0, ("clamp", 1): 1.0}
-
-
-def pad(folder, **keys):
-    """The pad of a scene in which the plate lies on it."""
-    item = {"name": "pad", "part": "plate", "radius": 6} | keys
-    zones = [{"name": "Z", "parts": ["pad", "plate"]}]
-    found = assemble(Scene(**table(fixtures=[item], zones=zones), folder=folder), folder / "cache")
-    assert len(found.contacts) and found.contacts.gap == pytest.approx(0.0, abs=1e-9)  # it touches
-    (one,) = found.scene.fixtures
-    assert found.placed[0].startswith("fixtures[0] (pad)")
-    return one
-
-
-@pytest.mark.slow
-def test_a_pad_is_set_against_the_skin_that_it_looks_at(folder):
-    """The plate's middle lies at z = 0 and its skins at ±0.5; its node 1 + 13 · 4 + 5 stands at (25, 20)."""
-    nodes = read_mesh(folder / "plate.inp")
-    n = nodes[0].normals[0] @ [0, 0, 1]
+def test_a_pad_is_set_against_the_skin_that_it_looks_at(everything, item):
+    """The plate's mid-surface lies at z = 0 and its skins at ±0.5; the ring's upper skin lies at 1.5."""
+    n = everything.parts[0].surface.normals[0] @ [0, 0, 1]
     assert abs(n) == 1
-    for direction, sense in (("-normal", -n), ([0, 0, 1], 1.0)):
-        one = pad(folder, point=[25, 20, 1.5], normal=direction)
-        assert one.point == pytest.approx((25, 20, -0.5 * sense)) and one.normal == pytest.approx((0, 0, sense))
-    assert pad(folder, point=[25, 20, 0]).normal == pytest.approx((0, 0, n))
-    number = nodes[1].nodes[nodes[1].node_points == np.argmin(np.linalg.norm(nodes[0].points - [25, 20, 0], axis=1))]
-    assert pad(folder, node=int(number[0]), normal=[0, 0, 1]).point == pytest.approx((25, 20, -0.5))
-    # What it is once placed is a pad by coordinates, which a second placing leaves as it is.
-    assert one.part is None and one.node is None
-
-
-@pytest.mark.slow
-def test_a_pad_may_lie_over_a_hole_or_a_set_of_nodes(folder):
-    keys = {"part": "ring", "radius": RIM + 5, "normal": [0, 0, -1], "name": "pad"}
-    zones = [{"name": "Z", "parts": ["pad", "ring"]}]
-    for place in ({"set": "LOC"}, {"hole": [31, 29, 3]}):
-        found = assemble(Scene(**table(fixtures=[keys | place], zones=zones), folder=folder), folder / "cache")
-        assert found.scene.fixtures[0].point[2] == pytest.approx(1.5)
-        assert len(found.contacts) and found.contacts.gap == pytest.approx(0.0, abs=1e-9)
-    assert found.scene.fixtures[0].point[:2] == pytest.approx(RING[:2])
-    assert np.linalg.norm(found.contacts.point[:, :2] - RING[:2], axis=1).min() > 0.9 * RIM
-
-
-@pytest.mark.parametrize(
-    "keys, words",
-    [
-        ({"part": None, "node": 3, "normal": [0, 0, 1]}, "node needs a part: add part"),
-        ({"part": None, "point": [0, 0, 0], "normal": "normal"}, "'normal' needs a part: add part"),
-        ({"part": None, "point": [0, 0, 0]}, "point, normal and radius of a flat pad"),
-        ({"node": 3, "set": "LOC"}, "node and set both give the place of the pad"),
-        ({}, "the place of the pad on its part is missing"),
-        ({"node": 3, "radius": None}, "a pad needs radius"),
-        ({"node": 3, "normal": "in-plane x"}, "the normal of a pad on a part"),
-        ({"node": 3, "part": "plaet"}, r"fixtures\[0\].part \(pad\): there is no part called 'plaet'; did you mean"),
-        ({"node": 99999}, r"fixtures\[0\] \(pad\).node: part 'plate' has no node 99999 .* nearest number is"),
-        ({"set": "LOCC"}, r"fixtures\[0\] \(pad\).set: part 'plate' has no set"),
-        ({"hole": [1, 2, 0]}, r"fixtures\[0\] \(pad\).hole: part 'plate' has no hole"),
-        (
-            {"point": [30, 30, 9]},
-            r"\(pad\).point: \(30, 30, 9\) is 9 mm away from part 'plate' .* nearest .*\(30, 30, 0\)",
-        ),
-    ],
-)
-def test_a_pad_that_cannot_be_set_is_refused_by_its_name(folder, keys, words):
-    item = {"name": "pad", "part": "plate", "radius": 6} | keys
-    zones = [{"name": "Z", "parts": ["pad", "plate"]}]
-    with pytest.raises(ValueError, match=words):
-        placed(folder, fixtures=[{key: value for key, value in item.items() if value is not None}], zones=zones)
+    for name, sense in (("below", -n), ("up", 1.0), ("normal", n), ("node", 1.0)):
+        pad = item(f"pad-{name}")
+        assert pad.point == pytest.approx((25, 20, -0.5 * sense)) and pad.normal == pytest.approx((0, 0, sense))
+        assert pad.part is None and pad.node is None  # once placed, a pad is given by coordinates
+    assert item("pad-set").point[2] == item("pad-hole").point[2] == pytest.approx(1.5)
+    assert item("pad-hole").point[:2] == pytest.approx(RING[:2])
+    zone, point = everything.contacts.zone, everything.contacts.point
+    assert np.unique(zone).tolist() == list(range(6)) and everything.contacts.gap == pytest.approx(0.0, abs=1e-9)
+    assert np.linalg.norm(point[zone == 5, :2] - RING[:2], axis=1).min() > 0.9 * RIM
+    assert any(line.startswith("fixtures[0] (pad-below)") for line in everything.placed)

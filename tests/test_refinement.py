@@ -1,8 +1,9 @@
-"""A mesh divided on the curved surface that its normals tell of."""
+"""Refined meshes: new vertices lie on the curved surface that the normals describe."""
 
 import numpy as np
 import pytest
 from scipy.spatial import cKDTree
+from support.panels import grid
 
 from mic.geometry.refinement import divided, halved
 from mic.geometry.surface import Surface
@@ -10,15 +11,10 @@ from mic.geometry.surface import Surface
 R = 50.0
 
 
-def sheet(n, shape, normal, pattern=1):
-    """n × n cells of (u, v) in the unit square carried into space, and the exact normals at the corners."""
-    u, v = (a.ravel() for a in np.meshgrid(np.linspace(0, 1, n + 1), np.linspace(0, 1, n + 1), indexing="ij"))
-    i, j = (a.ravel() for a in np.meshgrid(np.arange(n), np.arange(n), indexing="ij"))
-    a = i * (n + 1) + j
-    triangles = np.concatenate(
-        [np.column_stack([a, a + n + 1, a + n + 2]), np.column_stack([a, a + n + 2, a + 1])][::pattern]
-    )
-    return shape(u, v), triangles, normal(u, v)[triangles]
+def sheet(n, shape, normal):
+    """n × n cells of (u, v) in the unit square mapped into space, and the exact normals at the corners."""
+    surface = grid(n, n, shape)
+    return surface.points, surface.triangles, normal(*np.indices((n + 1, n + 1)).reshape(2, -1) / n)[surface.triangles]
 
 
 def ball(u, v):

@@ -84,8 +84,8 @@ def strip():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("bend", [0.0, -0.6, 0.8])
-@pytest.mark.parametrize("noise", [0.0, 0.002, 0.01, 0.05])
+@pytest.mark.parametrize("bend", [0.0, -0.6])
+@pytest.mark.parametrize("noise", [0.0, 0.002, 0.05])
 def test_a_precise_scan_outweighs_the_distribution_wherever_it_lies(strip, noise, bend):
     for many, shift, outliers in ((1000, 0.0, 0.0), (300, 5.0, 0.05)):
         true = strip.fields[:, :, 0] * bend
@@ -131,7 +131,7 @@ def test_too_few_points_are_refused(shapes):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("separator", "decimal"), [(",", "."), (";", ","), (" ", ".")])
+@pytest.mark.parametrize(("separator", "decimal"), [(";", ","), (" ", ".")])
 def test_a_long_table_is_read_to_the_last_bit_and_its_faults_are_named(separator, decimal, tmp_path):
     points = np.random.default_rng(6).normal(0, 100, (20_000, 3))
     lines = [separator.join(("X [in]", "Y [in]", "Z [in]") if separator != " " else ("x", "y", "z"))]

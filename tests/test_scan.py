@@ -37,7 +37,7 @@ def lap(**changes):
 
 @pytest.fixture(scope="module")
 def true(cache):
-    """Surfaces of the parts, their shapes under FORCES by the full model, and measurements of the assembly."""
+    """By part, its surface and its shape under FORCES in the full model; and the measurements of the assembly."""
     assembly, model = assemble(lap(), cache), mic.reduce(lap(), cache)
     values = np.array([FORCES.get(name, 0.0) for name in model.parameters])
     shapes = FullModel(assembly).shape_fields(values)
@@ -87,8 +87,8 @@ def test_a_part_without_a_source_is_taken_as_scanned(files, true, cache):
     assert whole["verdict"] == "accepted" and whole["far"] < 6
 
 
-@pytest.mark.parametrize("noise", [0.002, 0.01])
-def test_precise_scans_of_nominal_parts_give_no_deviations(reader, true, noise, tmp_path):
+def test_precise_scans_of_nominal_parts_give_no_deviations(reader, true, tmp_path):
+    noise = 0.002
     files = {
         part: write_ply(tmp_path / f"{part}.ply", scanned(surface, 0 * shape, 1500, 4, noise, 0, 0, 1e-9, 0)[0])
         for part, (surface, shape) in true[0].items()
@@ -138,9 +138,8 @@ def test_the_sag_on_supports_is_removed(tmp_path, cache):
     q = DENSITY * 1e-12 * 9806.65 * 25 * THIN
     sag = np.outer(q * s * (L**3 - 2 * L * s**2 + s**3) / (24 * stiffness), [0, 0, -1])
     path = write_ply(tmp_path / "1.ply", scanned(surface, sag, 3000, 2, noise=0.01)[0])
-    left = reader.read({"upper": path}).registrations["deviation"][0]
-    found = ScanReader(strip(tmp_path), cache).read({"upper": path})
-    assert found.registrations["deviation"][0] > 0.05 and left < 0.2 * found.registrations["deviation"][0]
+    sag_size = np.sqrt(np.mean(sag[:, 2] ** 2))
+    assert sag_size > 0.05 and reader.read({"upper": path}).registrations["deviation"][0] < 0.2 * sag_size
 
     falls = strip(tmp_path, scans=[{"part": "upper", "supports": [[60, 0, 1], [60, 25, 1], [80, 12, 1]]}])
     with pytest.raises(SceneError, match="fall off"):

@@ -102,39 +102,32 @@ def test_the_proposed_scene_has_no_warning_and_its_welds_read_no_rigid_motion(pr
 @pytest.mark.slow
 def test_a_wall_on_a_rigid_base_bends_as_a_cantilever(tmp_path, cache):
     """A wall of 40 × 50 × 1 on a base of 8 mm: its tip moves by F L³/(3 E I) when a clamp pushes it."""
-    base, wall = grid(100, 60, 7), extruded([(50, 4.0), (50, 44.0)], 5, 55, 3)
-    for name, sheet in (("base", base), ("wall", wall)):
-        write_deck(tmp_path / f"{name}.inp", {"S": sheet}, sections={}, first=1)
+    write_deck(tmp_path / "base.inp", {"S": grid(100, 60, 7)}, first=1)
+    write_deck(tmp_path / "wall.inp", {"S": extruded([(50, 4.0), (50, 44.0)], 5, 55, 3)}, first=1)
+
+    def item(name, part, point, axis, **keys):
+        return {"name": name, "part": part, "point": point, "direction": np.eye(3)["xyz".index(axis)].tolist()} | keys
+
     supports = {
         "base": [(10, 10, "z"), (90, 10, "z"), (50, 50, "z"), (10, 30, "y"), (90, 30, "y"), (50, 30, "x")],
         "wall": [(10, 20, "x"), (50, 20, "x"), (30, 40, "x"), (10, 30, "z"), (50, 30, "z"), (30, 30, "y")],
     }
-    locators = []
-    for part, rows in supports.items():
-        for i, (a, b, axis) in enumerate(rows):
-            point, direction = ([a, b, 0] if part == "base" else [50, a, b]), np.eye(3)["xyz".index(axis)].tolist()
-            locators.append({"name": f"{part}{i}", "part": part, "point": point, "direction": direction, "radius": 0})
-    sheets = {"base": 8.0, "wall": 1.0}
-    force, line = 4.0, [10, 20, 30, 40, 50]
+    material = {"young": 210e3, "poisson": 0.0}
+    force = 4.0
     table = {
         "name": "tee",
         "parts": [
-            {"name": name, "mesh": f"{name}.inp", "thickness": t, "young": 210e3, "poisson": 0.0}
-            for name, t in sheets.items()
+            {"name": name, "mesh": f"{name}.inp", "thickness": t} | material for name, t in (("base", 8), ("wall", 1))
         ],
-        "locators": locators,
+        "locators": [
+            item(f"{part}{i}", part, [a, b, 0] if part == "base" else [50, a, b], axis, radius=0)
+            for part, rows in supports.items()
+            for i, (a, b, axis) in enumerate(rows)
+        ],
         "clamps": [
-            {
-                "name": f"C{y}",
-                "part": "wall",
-                "point": [50, y, 44],
-                "direction": [1, 0, 0],
-                "force": force / 5,
-                "radius": 3,
-                "stage": "load",
-            }
-            for y in line
-        ],  # fmt: skip
+            item(f"C{y}", "wall", [50, y, 44], "x", force=force / 5, radius=3, stage="load")
+            for y in (10, 20, 30, 40, 50)
+        ],
         "welds": [{"name": "W", "parts": ["base", "wall"], "points": [[50, y, 4] for y in range(8, 56, 4)]}],
         "stages": [
             {"kind": "locate"},
@@ -143,17 +136,7 @@ def test_a_wall_on_a_rigid_base_bends_as_a_cantilever(tmp_path, cache):
             {"kind": "clamp", "name": "load"},
             {"kind": "measure"},
         ],
-        "measurements": [
-            {
-                "name": "tip",
-                "part": "wall",
-                "point": [50, 30, 44],
-                "direction": [1, 0, 0],
-                "radius": 0,
-                "lower": -1,
-                "upper": 1,
-            }
-        ],
+        "measurements": [item("tip", "wall", [50, 30, 44], "x", radius=0, lower=-1, upper=1)],
         "deviations": [{"name": "D", "kind": "locator", "target": "base5", "sigma": 0.1}],
         "monte_carlo": {"samples": 1, "seed": 1},
     }

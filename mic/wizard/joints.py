@@ -82,7 +82,8 @@ def propose_joints(
             if np.linalg.norm(others - point, axis=1).min(initial=np.inf) >= CLEAR:
                 tongs = np.vstack([tongs, point])
     if listed is None:
-        welds[len(stack_welds) :] = _middle(lap, welds[len(stack_welds) :])
+        proposed = welds[len(stack_welds) :]
+        welds[len(stack_welds) :] = (proposed + lap.second.surface.project(proposed).point) / 2
     return Joints(welds, tongs, through)
 
 
@@ -135,11 +136,6 @@ def at_pitch(points: np.ndarray, pitch: float, given: np.ndarray = NO_POINTS) ->
     return chosen
 
 
-def _middle(lap: Faying, points: np.ndarray) -> np.ndarray:
-    foot = lap.second.surface.project(points)
-    return (points + foot.point) / 2
-
-
 def joined(point: np.ndarray, bodies: list[Body]) -> tuple[list[tuple[str, str]], list[tuple[str, float]]]:
     """The parts that a weld at a point joins, in pairs of neighbours in the stack.
 
@@ -163,10 +159,6 @@ def joined(point: np.ndarray, bodies: list[Body]) -> tuple[list[tuple[str, str]]
 
 def force(first: Body, second: Body) -> float:
     """Force of a tong, N: 100 N/mm² times the squared thickness of the thinner sheet, to one digit."""
-    return _one_digit(100.0 * min(first.thickness, second.thickness) ** 2)
-
-
-def _one_digit(value: float) -> float:
-    """A positive number rounded to its first digit."""
+    value = 100.0 * min(first.thickness, second.thickness) ** 2
     digit = 10.0 ** np.floor(np.log10(value))
     return float(round(value / digit) * digit)

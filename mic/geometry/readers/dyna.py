@@ -105,7 +105,7 @@ def _shells(gathered: Gathered, keyword: str, cards: list[str], wide: bool):
         if "_THICKNESS" in keyword and more:
             values = {_real(text) for text in _split(more[0], (16,) * 5)[: len(corners)] if text}
             thickness = Sheet(thickness=values.pop() if len(values) == 1 else None) if values - {0.0} else None
-            if "_THICKNESS" in keyword and len(midside):
+            if midside:
                 cards.pop(0)  # thicknesses at the midside nodes
         if "_OFFSET" in keyword:
             offset = _real(_split(more[-1], (16,))[0])

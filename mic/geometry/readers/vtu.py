@@ -7,11 +7,10 @@ from pathlib import Path
 
 import numpy as np
 
-from mic.errors import FormatError
 from mic.geometry.readers.raw_mesh import RawMesh, read_with_meshlane
 from mic.system.files import Group, replacing
 
-__all__ = ["read", "read_vtu", "write_vtu"]
+__all__ = ["read", "write_vtu"]
 
 
 def read(path: Path) -> RawMesh:
@@ -41,27 +40,7 @@ def write_vtu(
     """
     import meshlane  # see read_with_meshlane
 
-    # Not compressed: of places and fields that saves a tenth, and takes fifteen times as long.
+    # Not compressed: compression would save a tenth of the size, and take fifteen times as long.
     mesh = meshlane.Mesh(points, [("triangle", triangles.astype(np.int32))], point_data=dict(point_data or {}))
     with replacing(Path(path), durable=False, group=group) as temporary:
         meshlane.vtu.write(temporary, mesh, compression=None)
-
-
-def read_vtu(path: Path) -> dict[str, np.ndarray]:
-    """The fields at the vertices that :func:`write_vtu` wrote, by name.
-
-    Raises
-    ------
-    FileNotFoundError
-    FormatError
-        If the file is cut short, altered or of another kind.
-    """
-    if not Path(path).is_file():
-        raise FileNotFoundError(path)
-    import meshlane
-
-    try:
-        return dict(meshlane.vtu.read(path).point_data)
-    except Exception as problem:  # meshlane raises whatever its parsing trips over
-        remedy = "remove the file and compute them again"
-        raise FormatError(f"{path}: these fields are cut short or damaged; {remedy}") from problem
