@@ -95,14 +95,14 @@ def test_the_commands_of_the_page_run(cache, tmp_path, monkeypatch, no_pictures)
     monkeypatch.setenv("MIC_CACHE", str(cache))
     commands = re.findall(r"```sh\n(.*?)```", SECTION, re.S)[0].strip().splitlines()
     assert len(commands) == 3
-    said = ""
+    printed = ""
     for command in commands:
         words = command.split()
         assert words[0] == ".venv/bin/mic"
         done = CliRunner().invoke(app, words[1:], env={"COLUMNS": "200"})
         assert done.exit_code == 0, f"{command}: {done.output}{done.exception}"
-        said += " ".join(done.output.split())
-    assert "12 pieces at 156 points" in said and "The scene is valid" in said
+        printed += " ".join(done.output.split())
+    assert "12 pieces at 156 points" in printed and "The scene is valid" in printed
     outcome = mic.read_run(tmp_path / "results" / "hat-measured")
     assert outcome.record["samples"] == 50 and not outcome.failed["coulomb"] and not outcome.record["warnings"]
     inputs = json.loads((tmp_path / "results" / "hat-measured" / "run.json").read_text())["inputs"]["files"]

@@ -99,15 +99,15 @@ def test_a_deck_s_normals_are_those_of_the_corners(tmp_path, name):
     (tmp_path / name).write_text(text)
     surface, _ = read_mesh(tmp_path / name)
     triangle = int(np.flatnonzero((surface.triangles == 4).any(axis=1))[0])
-    told = surface.curvature.rule == Rule.GIVEN
+    given = surface.curvature.rule == Rule.GIVEN
     for corner, point in enumerate(surface.triangles[triangle]):
-        assert told[triangle, corner] == (point in normals)
+        assert given[triangle, corner] == (point in normals)
         if point in normals:
             assert surface.corner_normals[triangle, corner] == pytest.approx(normals[point])
     if name.endswith("inp"):  # one element's alone
-        assert told.sum() == 2
+        assert given.sum() == 2
     else:
-        assert told[surface.triangles == 2].all() and told.sum() == told[np.isin(surface.triangles, (1, 2))].sum()
+        assert given[surface.triangles == 2].all() and given.sum() == given[np.isin(surface.triangles, (1, 2))].sum()
 
 
 def test_normals_follow_instances_and_repair(tmp_path):
@@ -119,11 +119,11 @@ def test_normals_follow_instances_and_repair(tmp_path):
     (tmp_path / "a.inp").write_text(f"{part}*Assembly, name=A\n{instances}*End Assembly\n")
     surface, deck = read_mesh(tmp_path / "a.inp")
     assert deck.repair.pieces == 2 and deck.repair.triangles_turned == 2
-    told = surface.curvature.rule == Rule.GIVEN
+    given = surface.curvature.rule == Rule.GIVEN
     x = surface.points[surface.triangles]
-    assert told.sum() == np.sum((x[told][:, 0] == 2) | (x[told][:, 0] == 0))
+    assert given.sum() == np.sum((x[given][:, 0] == 2) | (x[given][:, 0] == 0))
     for place, normal in (((2, 0), (0, 0.6, 0.8)), ((0, 1), (0.6, 0, 0.8))):
-        here = told & (x[..., :2] == place).all(axis=2)
+        here = given & (x[..., :2] == place).all(axis=2)
         assert np.unique(x[here][:, 2]).tolist() == [0, 7] and surface.corner_normals[here] == pytest.approx(
             np.tile(normal, (here.sum(), 1))
         )

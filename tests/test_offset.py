@@ -126,7 +126,7 @@ def test_coincident_sheets_are_refused_despite_rounding(tmp_path, cache, noise):
 
 @pytest.mark.slow
 def test_the_proposed_offsets_separate_coincident_sheets(tmp_path, cache):
-    """A hat on a plate: where the hat leaves the plate tells on which side it lies."""
+    """A hat on a plate: the side on which the hat lies follows from where it rises off the plate."""
     plate = extrude([(-60, 0), (60, 0)], 0, 80, 5.0)
     hat = extrude([(-40, 0), (-20, 0), (-15, 20), (15, 20), (20, 0), (40, 0)], 0, 80, 5.0)
     scene = lap(tmp_path)

@@ -61,11 +61,11 @@ def patched():
 
 
 @pytest.fixture(scope="module")
-def played(tmp_path_factory, patched):
+def tutorial(tmp_path_factory, patched):
     """Outputs of all blocks of the page, in order, and the folder."""
     folder, cache = tmp_path_factory.mktemp("own"), tmp_path_factory.mktemp("cache")
     scene = folder / "panel+channel" / "scene.toml"
-    said = []
+    outputs = []
     skip_pictures(patched.setattr)
     for number, (kind, block) in enumerate(BLOCKS):
         following = BLOCKS[number + 1] if number + 1 < len(BLOCKS) else ("", "")
@@ -75,18 +75,18 @@ def played(tmp_path_factory, patched):
             assert (code != 0) == fails, printed
             if scene.exists():  # no test reads the fields
                 scene.write_text(scene.read_text().replace("fields = true", "fields = false"))
-            said.append(" ".join(printed.split()))
+            outputs.append(" ".join(printed.split()))
         elif kind == "python":
             printed = io.StringIO()
             with contextlib.chdir(folder), contextlib.redirect_stdout(printed):
                 exec(block, {})
-            said.append(printed.getvalue())
+            outputs.append(printed.getvalue())
         elif kind == "toml":
             edit(scene, block)
-            said.append("")
+            outputs.append("")
         else:
-            said.append(block.strip())
-    return said, folder
+            outputs.append(block.strip())
+    return outputs, folder
 
 
 def capability(folder, run):
@@ -94,20 +94,20 @@ def capability(folder, run):
     return summary["laws"]["coulomb"]["measurements"]
 
 
-def test_missing_data_are_reported_as_on_the_page(played):
-    said, _ = played
-    asked = next(number for number, (kind, _) in enumerate(BLOCKS) if kind == "text")
-    assert said[asked] in said[asked - 1]
+def test_missing_data_are_reported_as_on_the_page(tutorial):
+    outputs, _ = tutorial
+    quoted = next(number for number, (kind, _) in enumerate(BLOCKS) if kind == "text")
+    assert outputs[quoted] in outputs[quoted - 1]
 
 
-def test_no_sample_of_the_runs_fails(played):
-    said, _ = played
-    assert sum("0 samples failed" in text for text in said) == 2
+def test_no_sample_of_the_runs_fails(tutorial):
+    outputs, _ = tutorial
+    assert sum("0 samples failed" in text for text in outputs) == 2
 
 
-def test_the_first_run_leads_to_the_question_of_the_page(played):
+def test_the_first_run_leads_to_the_question_of_the_page(tutorial):
     """The corner that it names has by far the least capability, with the stated numbers."""
-    _, folder = played
+    _, folder = tutorial
     found = capability(folder, "panel+channel")
     name, six_sigma, cpk = re.search(r"`([\w-]+)`, a corner .*?6σ = (\d+\.\d+) mm.*?Cpk = (\d+\.\d+)", TEXT).groups()
     assert min(found, key=lambda one: found[one]["cpk"]) == name
@@ -116,16 +116,16 @@ def test_the_first_run_leads_to_the_question_of_the_page(played):
     assert all(one["cpk"] > float(cpk) + 0.3 for key, one in found.items() if key != name)
 
 
-def test_the_cause_is_the_one_that_the_page_names(played):
-    _, folder = played
+def test_the_cause_is_the_one_that_the_page_names(tutorial):
+    _, folder = tutorial
     name, cause, percent = re.search(r"contributor to `([\w-]+)` is `([\w-]+)`, with (\d+) %", TEXT).groups()
     table = pd.read_csv(folder / "results" / "panel+channel" / "tables" / "contributors.csv")
     shares = table[table["measurement"] == name].set_index("contributor")["total"]
     assert shares.idxmax() == cause and 100 * shares[cause] == pytest.approx(float(percent), abs=1.0)
 
 
-def test_the_decision_holds(played):
-    _, folder = played
+def test_the_decision_holds(tutorial):
+    _, folder = tutorial
     cpk = float(re.search(r"is now ([\d.]+):", TEXT)[1])
     assert capability(folder, "better")["panel-M2"]["cpk"] == pytest.approx(cpk, abs=0.01)
     assert capability(folder, "panel+channel")["panel-M2"]["cpk"] + 0.25 < cpk < 1.33

@@ -291,7 +291,8 @@ def inside(pairs, bodies, centre, radius):
     for pair in pairs:
         within = np.linalg.norm((read(pair, bodies) - centre)[:, :2], axis=1) <= radius + 1e-5
         assert within.all() or not within.any()
-        found += [pair] * within.all()
+        if within.all():
+            found.append(pair)
     return found
 
 
@@ -343,10 +344,10 @@ def test_a_spacing_factor_applies_under_pads_and_elsewhere():
     clamp = PressedPoint(np.array([9.0, 10.5, 0.5]), 5.0)
     apart, under = [], []
     for factor in (1.0, 0.5):
-        asked = zone(pairs=None, spacing_factor=factor)
-        pairs = find_pairs(asked, *bodies, pressed=[clamp])
+        own_zone = zone(pairs=None, spacing_factor=factor)
+        pairs = find_pairs(own_zone, *bodies, pressed=[clamp])
         own = [np.linalg.norm((pair.point - clamp.point)[:2]) < 4.9 for pair in pairs]
-        apart.append(candidate_spacing(asked, *bodies, pressed=[clamp]))
+        apart.append(candidate_spacing(own_zone, *bodies, pressed=[clamp]))
         under.append((sum(own), min(pair.spacing for pair in pairs)))
     assert apart[1] == pytest.approx(apart[0] / 2)
     assert under[0] == (7, pytest.approx(10 / 3)) and under[1] == (28, pytest.approx(5 / 3))

@@ -229,7 +229,7 @@ def test_items_that_cannot_be_placed_are_reported_together_with_the_nearest_plac
 
 
 def test_locators_placed_by_words_must_hold_their_part(folder):
-    """Six rows all along the normal hold three motions; that is told once the mesh is there."""
+    """Six rows all along the normal hold three motions, which is known once the mesh is read."""
     locators = located("plate", 0)
     for item in locators:
         item["direction"] = "normal"
@@ -308,13 +308,13 @@ def test_every_invalid_cell_is_reported_with_file_row_and_column(folder, tmp_pat
     rows = ["name,x,y,z,parts,radius,moment", "W1,12,30,0.5,plate ring,3,true", "W 2,12,thirty,0.5,plate ring,-3,true"]
     rows += ["", "W4,12,30,,plate rng,3,perhaps"]
     (tmp_path / "welds.csv").write_text("\n".join(rows))
-    with pytest.raises(ValueError) as told:
+    with pytest.raises(ValueError) as caught:
         Scene(**table(welds=[{"file": "welds.csv"}]), folder=tmp_path)
     where = f"{tmp_path / 'welds.csv'}: row "
     for place in ("3, column y", "3, column radius", "5, column z", "5, column moment"):
-        assert f"{where}{place}: " in str(told.value)
-    assert f"{where}5, column parts: there is no part called 'rng'; did you mean 'ring' (from " in str(told.value)
-    assert str(told.value).count(where) == 5
+        assert f"{where}{place}: " in str(caught.value)
+    assert f"{where}5, column parts: there is no part called 'rng'; did you mean 'ring' (from " in str(caught.value)
+    assert str(caught.value).count(where) == 5
 
 
 BAD_FILES = {
@@ -340,9 +340,9 @@ def test_a_file_that_is_no_table_ends_in_one_sentence(tmp_path, case):
 def test_the_scene_file_is_named_in_every_line(tmp_path):
     (tmp_path / "welds.csv").write_text("name,x,y,z\nW,a,b,3\n")
     (tmp_path / "scene.toml").write_text('name = "x"\n[[welds]]\nfile = "welds.csv"\n')
-    with pytest.raises(mic.SceneError) as told:
+    with pytest.raises(mic.SceneError) as caught:
         load_scene(tmp_path)
-    lines = str(told.value).splitlines()
+    lines = str(caught.value).splitlines()
     assert len(lines) >= 2 and all(line.startswith(str(tmp_path / "scene.toml")) for line in lines)
 
 

@@ -77,8 +77,8 @@ def test_deviations_of_the_scene_are_found_with_their_uncertainty(reader, files,
 
 
 def test_a_part_without_a_source_is_taken_as_scanned(files, true, cache):
-    kept = [item.model_dump() for item in lap().deviations if item.kind != "force"]
-    reader = ScanReader(lap(deviations=kept), cache)
+    others = [item.model_dump() for item in lap().deviations if item.kind != "force"]
+    reader = ScanReader(lap(deviations=others), cache)
     found = reader.read(files, "7")
     assert reader.free == ["lower", "upper"]
     y = reader.model.evaluate(found.values | {"D1": 0.0}).measurements[0]
@@ -102,14 +102,14 @@ def test_precise_scans_of_nominal_parts_give_no_deviations(reader, true, tmp_pat
 
 def test_wrong_scans_are_refused_in_one_sentence(reader, files, true, tmp_path):
     points = scanned(*true[0]["upper"], 2000, 3)[0]
-    for name, cloud, said in (
+    for name, cloud, message in (
         ("inches", scanned(*true[0]["upper"], 2000, 3, outliers=0)[0] / 25.4, 'unit = "in"'),
         ("few", points[:10], "10 points are too few"),
         ("corner", points[points[:, 0] < 75], "cover"),
         ("nan", np.where(np.arange(2000)[:, None] == 5, np.nan, points), "point 6: x is nan"),
     ):
         path = write_ply(tmp_path / f"{name}.ply", cloud)
-        with pytest.raises(FormatError, match=said) as problem:
+        with pytest.raises(FormatError, match=message) as problem:
             reader.read({"upper": path})
         assert str(path) in str(problem.value) and "\n" not in str(problem.value)
 

@@ -302,8 +302,8 @@ def test_measured_pieces_become_a_mean_and_modes(angle, pieces):
 
 def test_samples_can_be_the_measured_pieces(angle, pieces):
     folder, _, values = pieces
-    asked = scene_of(folder, kind="measured", files="p*.csv", pieces=True)
-    scene = expanded(angle, asked).scene
+    scene_of_pieces = scene_of(folder, kind="measured", files="p*.csv", pieces=True)
+    scene = expanded(angle, scene_of_pieces).scene
     samples = draw(scene, 7, 0, 60)
     shapes = samples @ np.array([item.known for item in scene.deviations])
     nearest = np.abs(shapes[:, None] - values.T[None]).max(axis=2)

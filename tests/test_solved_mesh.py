@@ -104,7 +104,7 @@ def test_key_characteristics_on_elements_of_two_radii_are_those_of_fine_ones(cac
     fine, coarse = found(1.25), found(5.0)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(assemblies, "refined_part", lambda part, *_: part)
-        tied = found(5.0, tmp_path)  # where no assembly is kept
+        tied = found(5.0, tmp_path)  # where no assembly is cached
     off = lambda one: np.abs(one / fine - 1)
     assert (off(coarse) < 0.05).all()
     assert (off(tied) > 0.1).all()

@@ -1,4 +1,4 @@
-"""Blocks of neighbouring triangles in boxes: what all triangles of a block fulfil need not be asked of each."""
+"""Blocks of neighbouring triangles in boxes, which exclude many triangles at once from a search."""
 
 from __future__ import annotations
 
