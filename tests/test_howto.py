@@ -34,7 +34,7 @@ SECTIONS = {
     "Find a remedy": (REMEDIES, REMEDY_EFFECTS),
 }
 
-#: What the pages on one assembly ask, and what it leaves.
+#: Files that the commands of a section write, beside those of the results folder.
 ASSEMBLIES = {
     "Compare before and after": (
         "results/lap-joint_lap-joint-weaker/comparison.html",
@@ -43,6 +43,8 @@ ASSEMBLIES = {
     "Find the causes of one measured assembly": ("results/lap-joint_measured/explanation.html",),
     "Predict individual assemblies": ("predictions.csv",),
 }
+#: Samples of a command, fewer than those that the page or the command chooses.
+SAMPLES = {"contributors": 16, "sensitivity": 4, "friction": 10, "rare": 50, "order": 4}
 
 
 def commands(section):
@@ -52,11 +54,19 @@ def commands(section):
     return text, [shlex.split(line, comments=True) for block in blocks for line in block.strip().splitlines()]
 
 
-def others(scene, cache):
-    """What the pages on one assembly begin with: another run, two scenes of one's own, what was measured."""
+def execute(program, command, *arguments):
+    """Output of a command with few samples; fails if it fails."""
+    few = ["--samples", str(SAMPLES[command])] if command in SAMPLES else []
+    done = CliRunner().invoke(app, [command, *arguments, *few], env={"COLUMNS": "160"})
+    assert program == "mic" and done.exit_code == 0, f"{command} {arguments}: {done.output}{done.exception}"
+    return done.output
+
+
+def prepare_assemblies(scene, cache):
+    """Write the inputs of the sections on single assemblies: another run, two scenes, measured values."""
     text, _ = commands("Find the causes of one measured assembly")
     Path("measured.csv").write_text(re.findall(r"```\n(measurement,.*?)```", text, re.S)[0])
-    Path("measured_parts.csv").write_text("F1,F2\n-5,2\n-4,\n-2,4\n")
+    Path("measured_parts.csv").write_text("F1,F2\n-5,2\n-4,\n")
     weaker = [zone.model_copy(update={"friction": 0.1}) for zone in scene.zones]
     run(scene.model_copy(update={"zones": weaker}), Path("results") / "lap-joint-weaker", cache)
     for name, friction in (("my_joint", "0.27"), ("my_joint_weaker", "0.1")):
@@ -73,7 +83,7 @@ def test_commands_of_the_page_write_their_tables_and_the_report_shows_them(
     monkeypatch.setenv("MIC_CACHE", str(cache))
     scene = lap_scene.model_copy(
         update={
-            "monte_carlo": lap_scene.monte_carlo.model_copy(update={"samples": 20}),
+            "monte_carlo": lap_scene.monte_carlo.model_copy(update={"samples": 10}),
             "report": lap_scene.report.model_copy(update={"laws": ["coulomb"]}),
         }
     )
@@ -82,30 +92,25 @@ def test_commands_of_the_page_write_their_tables_and_the_report_shows_them(
     for section, tables in SECTIONS.items():
         text, asked = commands(section)
         assert asked
-        for program, *arguments in asked:
-            assert program == "mic"
-            done = CliRunner().invoke(app, arguments, env={"COLUMNS": "160"})
-            assert done.exit_code == 0, f"{arguments}: {done.output}{done.exception}"
+        for words in asked:
+            execute(*words)
         for code in re.findall(r"```python\n(.*?)```", text, re.S):
             exec(code, {})
         for table in tables:
             frame = table.read(folder, "")
             assert len(frame) and (frame["law"] == "coulomb").all() and table.place in text
-    others(scene, cache)
+    prepare_assemblies(scene, cache)
     for section, files in ASSEMBLIES.items():
-        text, asked = commands(section)
-        for program, *arguments in asked:
-            if "--watch" not in arguments:  # until Ctrl-C
-                done = CliRunner().invoke(app, arguments, env={"COLUMNS": "160"})
-                assert program == "mic" and done.exit_code == 0, f"{arguments}: {done.output}{done.exception}"
+        _, asked = commands(section)
+        for words in asked:
+            if "--watch" not in words:  # until Ctrl-C
+                execute(*words)
         for file in files:
             assert Path(file).is_file(), sorted(Path("results").iterdir())
-    done = CliRunner().invoke(app, ["order", str(folder), "--samples", "8"], env={"COLUMNS": "160"})
-    assert done.exit_code == 0 and ORDERS.place in done.output.replace("\n", "") and len(ORDERS.read(folder, ""))
+    assert ORDERS.place in execute("mic", "order", str(folder)).replace("\n", "") and len(ORDERS.read(folder, ""))
     one_picture = lambda outcome, context, *_: {"contributors": draw("contributors", outcome, context)}
     monkeypatch.setattr("mic.report.page.draw_all", one_picture)
-    done = CliRunner().invoke(app, ["report", str(folder)], env={"COLUMNS": "160"})
-    assert done.exit_code == 0 and "Main contributors of " in done.output
+    assert "Main contributors of " in execute("mic", "report", str(folder))
     page = (folder / "report.html").read_text(encoding="utf-8")
     for anchor in ("verdict-table", "budget-table", "contributors-table", "friction-table", "contributors"):
         assert f'id="{anchor}"' in page

@@ -1,6 +1,6 @@
 """Mutated scenes end in an error of the program, or in results; nonsense among these is warned of.
 
-``script/fuzz`` runs the same attack for longer; ``python -m support.attack_scenes SEED COUNT`` prints every scene.
+``script/fuzz scenes`` runs the same attack for longer.
 """
 
 import copy
@@ -33,7 +33,8 @@ def edited(table, key, **keys):
 @pytest.mark.slow
 @pytest.mark.fem
 def test_mutated_scenes_end_in_an_error_or_in_results_that_make_sense(tmp_path):
-    assert attack(np.random.default_rng(4), tmp_path, 12) == []
+    """One of these five is read, and solved."""
+    assert attack(np.random.default_rng(6), tmp_path, 5) == []
 
 
 def test_mutated_scenes_are_read_or_refused():

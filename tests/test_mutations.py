@@ -43,6 +43,7 @@ def test_an_error_is_caught_survives_or_is_none(right, wrong, word, tmp_path, mo
             "from sums import total\n\n\ndef test_total():\n    assert total(2, 1) == 3\n"
         )
     monkeypatch.setattr(mutations, "ROOT", tmp_path / "own")
+    monkeypatch.setenv("PYTEST_DISABLE_PLUGIN_AUTOLOAD", "1")  # faster
     found = judged(Mutation("it subtracts", "sums.py", right, wrong, ["test_sums.py"]), tmp_path / "copy")
     assert found.word == word, found.by
     assert (tmp_path / "copy" / "sums.py").read_text() == (tmp_path / "own" / "sums.py").read_text()

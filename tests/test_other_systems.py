@@ -1,4 +1,4 @@
-"""What other systems than Linux lack is taken away: a run, a study and a report need none of it."""
+"""A run and a report work without the features of Linux that other systems lack."""
 
 import os
 import subprocess
@@ -26,23 +26,23 @@ sys.addaudithook(lambda event, args: absent() if event == "open" and str(args[0]
 SESSION = """
 import mic
 from pathlib import Path
+from support.runs import skip_pictures
 from verification.scenes import with_stated_pairs
 
 scene = with_stated_pairs(mic.load_scene(Path(sys.argv[1]) / "meshes" / "lap_joint"))
 report = scene.report.model_copy(update={"laws": ["coulomb"], "fields": False})
-carlo = scene.monte_carlo.model_copy(update={"samples": 10})
+carlo = scene.monte_carlo.model_copy(update={"samples": 2})
 scene = scene.model_copy(update={"report": report, "monte_carlo": carlo})
 mic.run(scene, Path("results"), mic.cache_folder())
+skip_pictures(setattr)
 mic.report.write_report("results")
-model = mic.ReducedModel.load("results/model.npz")
-print(mic.sensitivity(model, "coulomb").table.shape, model.evaluate({"F1": -7.0}).measurements[0])
 """
 
 
 @pytest.mark.slow
-def test_a_run_a_report_and_a_study_need_nothing_that_other_systems_lack(tmp_path, cache, request):
+def test_a_run_and_a_report_need_nothing_that_other_systems_lack(tmp_path, cache, request):
     environment = {**os.environ, "MIC_CACHE": str(cache)}
     command = [sys.executable, "-c", LACKING + SESSION, str(request.config.rootpath)]
     done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=300)
     assert done.returncode == 0, done.stderr
-    assert (tmp_path / "results" / "report.html").is_file() and done.stdout
+    assert (tmp_path / "results" / "report.html").is_file()

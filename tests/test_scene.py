@@ -24,10 +24,10 @@ from mic.scene.settings import AUTO, TARGET, with_values
 LAP = Path(__file__).resolve().parents[1] / "meshes" / "lap_joint"
 
 BROKEN = tomllib.loads((LAP.parents[1] / "tests" / "data" / "broken_scenes.toml").read_text(encoding="utf-8"))
-CLAMP = r'(?<=\n)kind = "clamp"'
 
 
 def edited(tmp_path, pattern, replacement):
+    """Path of the lap joint's scene, edited once, beside its geometry."""
     text = (LAP / "scene.toml").read_text()
     changed = re.sub(pattern, replacement, text, count=1)
     assert changed != text, "the edit did not apply"
@@ -36,18 +36,31 @@ def edited(tmp_path, pattern, replacement):
     return tmp_path / "scene.toml"
 
 
+def errors(tmp_path, *replacements, count=-1):
+    """Lines of the error of the lap joint's scene after replacements of its text, without the path of the file.
+
+    `count` limits the places of each replacement.
+    """
+    text = (LAP / "scene.toml").read_text()
+    for old, new in replacements:
+        assert old in text
+        text = text.replace(old, new, count)
+    (tmp_path / "scene.toml").write_text(text)
+    with pytest.raises(mic.SceneError) as caught:
+        mic.load_scene(tmp_path)
+    return [line.removeprefix(f"{tmp_path}/scene.toml: ") for line in str(caught.value).splitlines()]
+
+
 def test_a_name_where_a_group_belongs_is_not_read_letter_by_letter(tmp_path):
-    scene = edited(tmp_path, *(CLAMP, 'kind = "clamp"\norder = ["C1-upper", "C1-lower"]'))
-    with pytest.raises(mic.SceneError, match="give a list in brackets; got 'C1-upper'") as error:
-        mic.load_scene(scene)
-    assert "called 'C'" not in str(error.value)
+    found = errors(tmp_path, ('kind = "clamp"', 'kind = "clamp"\norder = ["C1-upper", "C1-lower"]'))
+    assert "give a list in brackets; got 'C1-upper'" in found[0] and "called 'C'" not in str(found)
 
 
-@pytest.mark.parametrize("given", ["-0.1", "true", '"sometimes"', "[1]"])
+@pytest.mark.parametrize("given", ["-0.1", '"sometimes"'])
 def test_alternatives_of_a_key_are_listed_in_one_line(given, tmp_path):
-    with pytest.raises(mic.SceneError, match="Input should be 'close' or 'keep', or .*; got .*, correct it") as caught:
-        mic.load_scene(edited(tmp_path, r"friction = 0.27", f"friction = 0.27\nnominal_overlap = {given}"))
-    assert str(caught.value).count("nominal_overlap") == 1
+    (line,) = errors(tmp_path, ("friction = 0.27", f"friction = 0.27\nnominal_overlap = {given}"))
+    assert re.search("Input should be 'close' or 'keep', or .*; got .*, correct it", line)
+    assert line.count("nominal_overlap") == 1
 
 
 def refused(case, tmp_path, load):
@@ -75,13 +88,6 @@ def test_bad_scene_found_on_the_mesh(tmp_path, cache, case):
     refused(case, tmp_path, on_coarse_meshes)
 
 
-def test_all_problems_are_listed_at_once(tmp_path):
-    path = edited(tmp_path, r"thickness = 1\nyoung = 210000", "thickness = -1\nyung = 1")
-    with pytest.raises(mic.SceneError) as caught:
-        mic.load_scene(path)
-    assert len(str(caught.value).splitlines()) == 2
-
-
 WRONG_IN_MANY_WAYS = {
     "thickness = 1\n": ('thickness = "1"\n', "parts[0].thickness (lower): "),
     'part = "upper"': ('part = "uper"', "locators[6].part (upper-A1): there is no part called 'uper'"),
@@ -95,47 +101,28 @@ WRONG_IN_MANY_WAYS = {
 
 
 def test_problems_within_tables_and_between_them_are_listed_at_once_by_name(tmp_path):
-    """Those of items that are wrong in themselves too: they still have names, and what they name."""
-    text = (LAP / "scene.toml").read_text()
-    for old, (new, _) in WRONG_IN_MANY_WAYS.items():
-        assert old in text
-        text = text.replace(old, new, 1)
-    (tmp_path / "scene.toml").write_text(text)
-    with pytest.raises(mic.SceneError) as caught:
-        mic.load_scene(tmp_path)
-    lines = str(caught.value).splitlines()
-    for _, words in WRONG_IN_MANY_WAYS.values():
-        assert sum(f"{tmp_path}/scene.toml: {words}" in line for line in lines) == 1, words
-    joined = "welds[1].parts (W1): a part cannot be joined to itself"
-    assert sum(joined in line for line in lines) == 1
-    assert len(lines) == len(WRONG_IN_MANY_WAYS) + 1
+    """Also those of items with errors of their own: they still have names, and what they name."""
+    lines = errors(tmp_path, *((old, new) for old, (new, _) in WRONG_IN_MANY_WAYS.items()), count=1)
+    words = [
+        *(words for _, words in WRONG_IN_MANY_WAYS.values()),
+        "welds[1].parts (W1): a part cannot be joined to itself",
+    ]
+    assert [sum(line.startswith(start) for line in lines) for start in words] == [1] * len(lines)
 
 
 def test_every_problem_of_the_stages_is_reported(tmp_path):
-    text = (LAP / "scene.toml").read_text().replace('kind = "clamp"', 'kind = "clamp"\norder = [["C1-uper"]]')
-    text = text.replace('keep = ["lower-A1",', 'keep = ["lower-A1", "W1", "lowr-A2",')
-    (tmp_path / "scene.toml").write_text(text)
-    with pytest.raises(mic.SceneError) as caught:
-        mic.load_scene(tmp_path)
-    keys = [line.partition("scene.toml: ")[2].partition(": ")[0] for line in str(caught.value).splitlines()]
-    assert keys == ["stages[1].order (clamp)", "stages[3].keep (release)"]
-    (tmp_path / "scene.toml").write_text(text.replace("force = 60", 'force = 60\nstage = "clmp"'))
-    with pytest.raises(mic.SceneError) as caught:
-        mic.load_scene(tmp_path)
-    (line,) = str(caught.value).splitlines()
-    assert "scene.toml: clamps[0].stage (C1-upper): " in line and line.endswith(" (and in 1 more)")
+    broken = ('kind = "clamp"', 'kind = "clamp"\norder = [["C1-uper"]]')
+    lines = errors(tmp_path, broken, ('keep = ["lower-A1",', 'keep = ["lower-A1", "W1", "lowr-A2",'))
+    assert [line.partition(": ")[0] for line in lines] == ["stages[1].order (clamp)", "stages[3].keep (release)"]
+    (line,) = errors(tmp_path, broken, ("force = 60", 'force = 60\nstage = "clmp"'))
+    assert line.startswith("clamps[0].stage (C1-upper): ") and line.endswith(" (and in 1 more)")
 
 
-def test_every_problem_between_tables_is_reported(tmp_path):
-    text = (LAP / "scene.toml").read_text()
-    broken = text.replace('part = "upper"', 'part = "uper"').replace('target = "upper-C1"', 'target = "upper-C2"')
-    (tmp_path / "scene.toml").write_text(broken)
-    with pytest.raises(mic.SceneError) as caught:
-        mic.load_scene(tmp_path)
-    lines = str(caught.value).splitlines()
+def test_equal_problems_of_the_items_of_a_table_are_one_line(tmp_path):
+    lines = errors(tmp_path, ('part = "upper"', 'part = "uper"'), ('target = "upper-C1"', 'target = "upper-C2"'))
     same = [line for line in lines if "no part called 'uper'" in line]
     more = [int(found[1]) for line in same if (found := re.search(r"\(and in (\d+) more\)$", line))]
-    assert len(same) + sum(more) == text.count('part = "upper"') == 10 and len(same) == 4
+    assert len(same) + sum(more) == (LAP / "scene.toml").read_text().count('part = "upper"') and len(same) == 4
     assert sum("no locator called 'upper-C2'" in line for line in lines) == 1
     assert sum("(upper): its 0 locators" in line for line in lines) == 1
 
@@ -219,7 +206,7 @@ def leaves(annotation):
     return inner or [annotation]
 
 
-@pytest.mark.parametrize("seed", range(24))
+@pytest.mark.parametrize("seed", range(6))
 def test_a_generated_scene_survives_being_written_and_read_again(seed):
     """With what a setting fills in, once: the model's file holds no `null` that it would fill in a second time."""
     table, setting = random_case(seed).table, [*SETTINGS][seed % 3]

@@ -18,7 +18,7 @@ settings = {
     "shims": [{"of": ["upper-A3"], "between": [-0.5, 0.5]}],
 }
 model = mic.reduce(Scene(**lap.model_dump() | {"optimise": settings, "folder": lap.folder}))
-optimum = mic.optimise(model, "coulomb", samples=40, fresh=100, budget=1500)
+optimum = mic.optimise(model, "coulomb", samples=20, fresh=60, budget=800)
 for change in optimum.changes:
     print(change)
 gain = optimum.gain

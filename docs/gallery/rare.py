@@ -11,7 +11,7 @@ from mic import examples
 from mic.report import pictures
 
 scene = mic.load_scene(examples.folder("lap_joint"))
-wider = [item.model_copy(update={"lower": -1.4, "upper": 1.4}) for item in scene.measurements]
+wider = [item.model_copy(update={"lower": -1.25, "upper": 1.25}) for item in scene.measurements]
 model = mic.reduce(scene.model_copy(update={"measurements": wider}))
 result = mic.rare(model, "coulomb", samples=100)
 

@@ -75,7 +75,8 @@ class Dependencies:
         modules = [module for name, module in sys.modules.copy().items() if name != "__main__"]
         sources = [path for module in modules if isinstance(path := getattr(module, "__file__", None), str)]
         packages = tuple(one for one in (*library, _PROGRAM) if not f"{folder}{os.sep}".startswith(one))
-        imported = [path for path in sources if Path(path).is_relative_to(near) and not path.startswith(packages)]
+        surroundings = os.path.join(near, "")
+        imported = [path for path in sources if path.startswith(surroundings) and not path.startswith(packages)]
         paths = [(path, True) for path in [*(str(folder / name) for name in declared), *imported]]
         for given, sure in paths + [(path, False) for path, _ in opened]:
             path = _source(os.path.realpath(given))
