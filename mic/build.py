@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 
-from mic.model.assembly import Assembly, assemble
 from mic.plausibility import SceneWarning, find_warnings
+from mic.process.feasible_assembly import assemble_feasible
 from mic.process.model import ReducedModel
-from mic.process.plan import plan_assembly
 from mic.process.stiffness import coefficients
 from mic.scene import Scene
 from mic.scene.settings import AUTO
@@ -46,7 +44,7 @@ def reduce(scene: Scene, cache: Path | None = None, progress: bool | None = None
         if scene.setting == AUTO:
             scene = choose(scene, cache, bar.report).scene
         bar.report(f"{scene.name}: meshing and pairing")
-        assembly = _planned(scene, cache, bar.report)
+        assembly = assemble_feasible(scene, cache, bar.report)
         return ReducedModel.build(assembly, coefficients(assembly, cache, bar.report)[0])
 
 
@@ -70,11 +68,4 @@ def check(scene: Scene, cache: Path | None = None) -> tuple[SceneWarning, ...]:
     SceneError
         If the scene cannot be built, naming the key and the remedy.
     """
-    return find_warnings(scene, _planned(scene, cache or cache_folder()))
-
-
-def _planned(scene: Scene, cache: Path, report: Callable[[str], None] | None = None) -> Assembly:
-    """The assembly of a scene whose process is feasible; checked before anything is factorised."""
-    assembly = assemble(scene, cache, progress=report, check=plan_assembly)
-    plan_assembly(assembly)
-    return assembly
+    return find_warnings(scene, assemble_feasible(scene, cache or cache_folder()))

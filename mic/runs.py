@@ -22,13 +22,13 @@ from mic.execution.engine import Engine, choose
 from mic.execution.monte_carlo import blocks, monte_carlo
 from mic.execution.ranks import communicator, on_first, shared
 from mic.geometry.mesh_summary import repair_summary
-from mic.model.assembly import Assembly, assemble
+from mic.model.assembly import Assembly
 from mic.model.mesh_accuracy import estimate_accuracy
 from mic.model.overlap import frozen_gaps
 from mic.plausibility import find_warnings, find_warnings_unplaced, loadable_parts, raise_warnings
 from mic.process.evaluation import Evaluation
+from mic.process.feasible_assembly import assemble_feasible
 from mic.process.model import ReducedModel
-from mic.process.plan import plan_assembly
 from mic.process.stiffness import coefficients
 from mic.process.stiffness_choice import stiffness_sentences
 from mic.results.block_samples import BlockSamples
@@ -242,8 +242,7 @@ def _assemble(
     choice = choose_setting(scene, cache, progress.report) if scene.setting == AUTO else None
     scene = choice.scene if choice else scene
     try:
-        assembly = assemble(scene, cache, progress=report_line, check=plan_assembly)
-        plan_assembly(assembly)
+        assembly = assemble_feasible(scene, cache, report_line)
     except SceneError:
         for warning in find_warnings_unplaced(scene, loadable_parts(scene, cache)):
             progress.report(f"warning: {warning}")

@@ -24,10 +24,9 @@ import pandas as pd
 from mic.contact.laws import LAWS
 from mic.contact.path import Followed
 from mic.errors import SceneError
-from mic.model.assembly import assemble
 from mic.process.evaluation import Evaluation
+from mic.process.feasible_assembly import assemble_feasible
 from mic.process.model import ReducedModel
-from mic.process.plan import plan_assembly
 from mic.process.stiffness import coefficients
 from mic.results.sample_tables import zone_motion
 from mic.scene import Scene
@@ -213,8 +212,7 @@ def _law(scene: Scene) -> str | None:
 
 
 def _built(scene: Scene, cache: Path) -> ReducedModel:
-    assembly = assemble(scene, cache, check=plan_assembly)
-    plan_assembly(assembly)
+    assembly = assemble_feasible(scene, cache)
     return ReducedModel.build(assembly, coefficients(assembly, cache)[0])
 
 

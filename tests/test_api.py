@@ -7,9 +7,8 @@ import pytest
 import mic
 from mic.options import app
 
-ELSEWHERE = {"report": "write_report"}  # where a room has the name: what of it does what the command does
-
-
+#: The function of a command whose name is that of a package.
+ELSEWHERE = {"report": "write_report"}
 SERVICES = {"serve"}  # run until they are stopped
 
 

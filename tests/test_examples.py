@@ -24,7 +24,7 @@ def test_every_example_is_a_scene():
 
 
 def test_every_example_is_recorded_listed_and_shown_in_the_gallery():
-    """What is not recorded may change its numbers unseen."""
+    """The numbers of a scene that is not recorded may change unseen."""
     assert sorted(SCENES) == examples.names()
     page = (ROOT / "meshes" / "README.md").read_text(encoding="utf-8")
     assert all(f"| `{name}` |" in page for name in examples.names())

@@ -1,4 +1,4 @@
-"""Habits of the tests themselves: they use what users may use, and each module stands alone."""
+"""Tests use public names only, and no test module imports another."""
 
 import ast
 from pathlib import Path
@@ -15,7 +15,7 @@ def private(name):
 
 
 def offences(source):
-    """What a source reaches into or imports that it should not, as written, line by line."""
+    """Private members and test modules that a source uses, with their lines."""
     found = []
     for node in ast.walk(ast.parse(source)):
         if isinstance(node, ast.Attribute):

@@ -44,7 +44,7 @@ ASSEMBLIES = {
     "Predict individual assemblies": ("predictions.csv",),
 }
 #: Samples of a command, fewer than those that the page or the command chooses.
-SAMPLES = {"contributors": 16, "sensitivity": 4, "friction": 10, "rare": 50, "order": 4}
+SAMPLES = {"contributors": 16, "sensitivity": 4, "friction": 10, "rare": 100, "order": 4}
 
 
 def commands(section):

@@ -49,7 +49,7 @@ def test_mutated_scenes_are_read_or_refused():
     assert 5 < refused < 20
 
 
-def test_an_attack_tells_of_another_exception(tmp_path, monkeypatch):
+def test_an_attack_reports_an_unexpected_exception(tmp_path, monkeypatch):
     def fail(*_):
         raise KeyError("raw")
 

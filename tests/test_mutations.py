@@ -1,4 +1,4 @@
-"""The list of planted errors is one of this program as it stands, and planting tells what it should."""
+"""The planted errors fit the present program, and the script that plants them gives the right verdicts."""
 
 import subprocess
 from pathlib import Path

@@ -1,7 +1,6 @@
-"""Nothing nonsensical passes as valid, and nothing sensible is warned of.
+"""Implausible input gives an error or a warning; plausible input gives none.
 
-Each case is an edit of a shipped scene. It ends in an error, or in a warning that names the item and comes from the
-rule that is stated: without that rule the case fails.
+Each case is an edit of a shipped scene. It ends in an error, or in a warning of the stated rule that names the item.
 """
 
 import copy
@@ -60,7 +59,7 @@ def without(scene, where, keys):
 
 
 def like(scene, where, keys):
-    """A further item, as one that is there but for some keys."""
+    """A further item: a copy of an existing one with some other keys."""
     item(scene, where.partition(".")[0]).append({**item(scene, where), **keys})
 
 
@@ -253,7 +252,7 @@ def bent(facets: int) -> Case:
 
 
 def stacked(force=100.0, touching=True, **rest) -> Case:
-    """Three plates of which the lowest has locators of its own, one clamp upon them, and what is given under it."""
+    """Three plates, the lowest with locators of its own, below one clamp; with the given further items."""
     case = plates()
     table, meshes = copy.deepcopy(case.table), {**case.meshes, "bottom": extrude([(0, -1), (40, -1)], 0, 100, 10)[:2]}
     table["parts"].append(table["parts"][0] | {"name": "bottom", "mesh": "bottom.inp"})

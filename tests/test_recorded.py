@@ -13,7 +13,7 @@ MARKS = {"wheelhouse": [pytest.mark.slow, pytest.mark.fem]} | dict.fromkeys(
     ("hat_on_plate", "bracket"), [pytest.mark.slow]
 )
 EXACT = ("state", "failed")
-ROUNDING = {"gap": 1e-13}  # a difference of coordinates of hundreds of mm: what is less is nothing, on any machine
+ROUNDING = {"gap": 1e-13}  # rounding error of a difference of coordinates of hundreds of mm
 
 
 def moved(key, found, recorded, tolerance=TOLERANCE):

@@ -1,4 +1,4 @@
-"""The wheel: what it carries, and that it works in an environment that sees no finite elements."""
+"""The content of the wheel, and its use in an environment without finite elements."""
 
 import json
 import os

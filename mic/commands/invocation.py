@@ -10,9 +10,8 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from mic.commands.output import CommandConsole
 from mic.errors import RunError, SceneError
 from mic.execution.ranks import alone, communicator
-from mic.model.assembly import assemble
+from mic.process.feasible_assembly import assemble_feasible
 from mic.process.model import ReducedModel
-from mic.process.plan import plan_assembly
 from mic.process.stiffness import coefficients
 from mic.results.run_folder import RunFolder
 from mic.results.run_identity import identity
@@ -113,8 +112,7 @@ def reduce_source(console, source):
     if source.is_file() and source.suffix == ".npz":
         return ReducedModel.load(source), ()
     scene, report_step = load_scene(source), console.say_step
-    assembly = assemble(scene, cache_folder(), progress=report_step, check=plan_assembly)
-    plan_assembly(assembly)
+    assembly = assemble_feasible(scene, cache_folder(), report_step)
     influence, _ = coefficients(assembly, cache_folder(), report_step)
     return ReducedModel.build(assembly, influence), assembly.parts
 

@@ -14,6 +14,7 @@ from mic.scene.keys import (
     FileName,
     FiniteFloat,
     Flag,
+    LengthUnit,
     Name,
     NonNegative,
     OnPart,
@@ -289,7 +290,7 @@ class MeasuredDeviation(DeviationKeys):
     mm), or x, y, z, deviation (nominal points, mm along the normals), or node, deviation; or a point cloud (PLY,
     STL, VTK, …). A table may hold several pieces: with a column `serial`, or with a column of deviations for each"""
 
-    unit: Literal["mm", "cm", "m", "um", "in", "ft"] = "mm"
+    unit: LengthUnit = "mm"
     """unit of length of the files"""
 
     mean: FiniteFloat = 1.0

@@ -9,7 +9,7 @@ from __future__ import annotations
 import re
 import unicodedata
 from collections.abc import Iterable
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, WrapValidator, model_validator
@@ -23,6 +23,7 @@ __all__ = [
     "FilePath",
     "FiniteFloat",
     "Flag",
+    "LengthUnit",
     "NORMAL",
     "Name",
     "NonNegative",
@@ -75,6 +76,7 @@ def _countable(value: int) -> int:
 FiniteFloat = Annotated[float, Field(strict=True, allow_inf_nan=False), AfterValidator(_bounded)]
 Count = Annotated[int, Field(strict=True), AfterValidator(_countable)]
 Flag = Annotated[bool, Field(strict=True)]
+LengthUnit = Literal["mm", "cm", "m", "um", "in", "ft"]
 Name = Annotated[str, Field(min_length=1, max_length=60, pattern=r"^[A-Za-z0-9_.+-]+$")]
 
 

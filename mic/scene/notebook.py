@@ -153,7 +153,7 @@ class _View:
         return np.reshape(points, (-1, 3)) @ self.axes * self.scale + self.shift
 
     def circle(self, point: Any, style: str, name: str) -> str:
-        """A circle that tells its name."""
+        """A circle with its name as tooltip."""
         x, y = self.flat(point)[0]
         return f'<circle cx="{x:.1f}" cy="{y:.1f}" {style}>{_title(name)}</circle>'
 

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated
 
 from pydantic import Field, model_validator
 
-from mic.scene.keys import FileName, FiniteFloat, Flag, Name, Positive, Table
+from mic.scene.keys import FileName, FiniteFloat, Flag, LengthUnit, Name, Positive, Table
 
 __all__ = ["CAD", "Part", "USUAL"]
 
@@ -29,7 +29,7 @@ class Part(Table):
     set: str | Annotated[list[str], Field(min_length=1)] | None = None
     """with `mesh`: element sets, properties or physical groups that form the part; default: the whole file"""
 
-    unit: Literal["mm", "cm", "m", "um", "in", "ft"] = "mm"
+    unit: LengthUnit = "mm"
     """with `mesh`: its unit of length; stresses are in the corresponding unit"""
 
     geometry: FileName | None = None

@@ -6,18 +6,18 @@ from typing import Annotated, Literal
 
 from pydantic import AfterValidator, Field
 
-from mic.scene.keys import Name, Table, Vector, unit_vector
+from mic.scene.keys import LengthUnit, Name, Table, Vector, unit_vector
 
 __all__ = ["Scan"]
 
 
 class Scan(Table):
-    """Properties of the scans of a part, for `mic predict --scan`; without a table the defaults hold."""
+    """Scans of a part, for `mic predict --scan`; without a table the defaults hold."""
 
     part: Name
     """the part"""
 
-    unit: Literal["mm", "cm", "m", "um", "in", "ft"] = "mm"
+    unit: LengthUnit = "mm"
     """unit of length of the files"""
 
     skin: Literal[-1, 0, 1] = 0

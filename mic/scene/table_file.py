@@ -20,7 +20,7 @@ from pydantic import Field
 
 from mic.errors import SceneError
 from mic.scene.excel_file import StoredNumber, is_workbook, read_workbook
-from mic.scene.keys import Table
+from mic.scene.keys import LengthUnit, Table
 from mic.scene.table_columns import Columns, Header, quantity_of, unit_of
 from mic.system.foreign_files import reading
 
@@ -53,7 +53,7 @@ class TableSettings(Table):
     columns: dict[str, str] | Annotated[list[str], Field(min_length=1)] | None = None
     """headers by key, `{ x = "Nominal X" }`; or all keys in their order, of a file without headers"""
 
-    unit: Literal["mm", "cm", "m", "um", "in", "ft"] | None = None
+    unit: LengthUnit | None = None
     """of lengths whose header names none; default: mm"""
 
     decimal: Literal[".", ","] | None = None

@@ -11,6 +11,7 @@ import numpy as np
 from pydantic import BaseModel
 
 from mic.errors import SceneError
+from mic.scene.keys import LengthUnit
 from mic.scene.part_names import PartNames
 from mic.scene.table_columns import Columns, data, squash, unit_of
 from mic.scene.table_file import LINE, TableFile, TableSettings, open_table
@@ -18,7 +19,7 @@ from mic.scene.table_file import LINE, TableFile, TableSettings, open_table
 __all__ = ["AXES", "WrongRows", "read_rows"]
 
 AXES = ("x", "y", "z")
-UNITS = ("mm", "cm", "m", "um", "in", "ft")
+UNITS = get_args(LengthUnit)
 FLAGS = {"true": True, "yes": True, "ja": True, "false": False, "no": False, "nein": False}
 AXIS = re.compile(r"([+-]?)([xyz])", re.IGNORECASE)
 SYMMETRIC = re.compile(r"(?:±|\+\s*/\s*-)\s*([\d.,]+)")

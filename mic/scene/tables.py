@@ -14,7 +14,7 @@ from typing import Any
 
 from pydantic import BaseModel, ValidationError
 
-from mic.errors import SceneError
+from mic.errors import Problems, SceneError
 from mic.scene.fixture import Locator
 from mic.scene.part_names import PartNames, other_names
 from mic.scene.table_file import TableSettings
@@ -54,7 +54,7 @@ def expand_tables(table: Any, kinds: Mapping[str, type[BaseModel]]) -> Any:
             if isinstance(item, dict) and isinstance(item.get("name"), str)
         }
     )
-    problems: list[str] = []
+    problems = Problems()
     said: list[str] = []
     changed: dict[str, list[Any]] = {}
     for key, kind in kinds.items():
@@ -65,23 +65,20 @@ def expand_tables(table: Any, kinds: Mapping[str, type[BaseModel]]) -> Any:
             if isinstance(item, dict) and "file" in item:
                 location = f"{key}[{i}].file"
                 folder = Path(table.get("folder") or ".")
-                try:
+                with problems:
                     changed[key] += _from_file(location, item, kind, folder, parts, said)
-                except SceneError as error:
-                    problems += str(error).splitlines()
             elif (
                 isinstance(item, dict)
                 and isinstance(item.get("points"), list)
                 and (key == "welds" or item.get("kind") in getattr(kind, "BETWEEN", ()))
             ):
-                changed[key] += _from_points(f"{key}[{i}]", item, problems)
+                changed[key] += _from_points(f"{key}[{i}]", item, problems.lines)
             else:
                 changed[key].append(item)
     for key, items in (table | changed).items():
         if key != "parts" and isinstance(items, list):
             changed[key] = [_with_parts(item, parts) if isinstance(item, dict) else item for item in items]
-    if problems:
-        raise SceneError("\n".join(problems))
+    problems.raise_all()
     return table | changed | ({"tables_read": said} if said else {})
 
 

@@ -35,10 +35,9 @@ from mic.errors import FormatError, SceneError
 from mic.geometry.measured_points import TEXT, read_clouds, refuse_unit, sheet_normals, spread, unit_remedy
 from mic.geometry.readers import READERS
 from mic.geometry.registration import Registration, Shapes, coverage, distance, place, register
-from mic.model.assembly import Assembly, assemble
 from mic.model.sources.gravity import EARTH, TONNES
+from mic.process.feasible_assembly import assemble_feasible
 from mic.process.model import ReducedModel
-from mic.process.plan import plan_assembly
 from mic.process.stiffness import coefficients
 from mic.results.schema import SCANS
 from mic.scene import Scene
@@ -124,18 +123,13 @@ class ScanReader:
     """
 
     def __init__(self, scene: Scene, cache: Path, report: Callable[[str], None] = lambda line: None):
-        def assembled(scene: Scene) -> Assembly:
-            assembly = assemble(scene, cache, progress=report, check=plan_assembly)
-            plan_assembly(assembly)
-            return assembly
-
-        assembly = assembled(scene)
+        assembly = assemble_feasible(scene, cache, report)
         shaped = {item.part for item in assembly.scene.deviations if item.kind in ("force", "shape")}
         self.free = [part.name for part in assembly.parts if part.name not in shaped]
         first = len(assembly.scene.deviations)
         if self.free:
             scene = _with_forces(scene, [part for part in assembly.parts if part.name in self.free])
-            assembly = assembled(scene)
+            assembly = assemble_feasible(scene, cache, report)
         self.assembly = assembly
         self.model = ReducedModel.build(assembly, coefficients(assembly, cache, report)[0])
         self._forces = self.model.parameters[first:]  # of the parts that are taken as they are

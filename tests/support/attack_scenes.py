@@ -252,7 +252,7 @@ def outcome(name: str, table: dict[str, Any], names: Sequence[str], folder: Path
     -------
     end : {"refused", "solved", "failed"}
     said : str
-        The error, or nonsense in the results that no warning about one of the `names` tells of.
+        The error, or nonsense in the results that no warning about one of the `names` mentions.
     """
     try:
         return "solved", _solved(name, table, names, folder)
@@ -283,7 +283,7 @@ def _checked(scene, folder: Path) -> list[str]:
 
 
 def _nonsense(model, assembly) -> list[str]:
-    """What cannot be in the results of the nominal assembly and of a few samples, by law."""
+    """Impossible values in the results of the nominal assembly and of a few samples, by law."""
     found: list[str] = []
     samples = np.vstack([model.deviations({}), draw(model.scene, 1, 0, 3)])
     size = max(part.surface.diameter for part in assembly.parts)

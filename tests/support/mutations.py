@@ -50,11 +50,11 @@ class Mutation:
     Attributes
     ----------
     what : str
-        What the program then does.
+        Behaviour of the program with the error.
     file : str
-        Where, relative to the project.
+        File with the error, relative to the project.
     right, wrong : str
-        The text that stands there once, and what it becomes.
+        The text, which occurs once in the file, and its replacement.
     tests : list of str
         Files, cheapest first.
     survives : str
@@ -71,7 +71,7 @@ class Mutation:
 
 @dataclass(frozen=True)
 class Verdict:
-    """What became of a mutation: by which test it was caught, or what else happened, and how long it took, s."""
+    """The outcome of a mutation: caught (by which test) or another word, and its duration, s."""
 
     mutation: Mutation
     word: str
@@ -89,7 +89,7 @@ def mutations() -> list[Mutation]:
 
 
 def copied(folder: Path) -> Path:
-    """A copy of the project as it stands, with what is compiled, in a folder; times are kept, so that it serves."""
+    """Copy the project with its compiled kernels into a folder; file times stay, so that the kernels are valid."""
     listed = subprocess.run(
         ["git", "ls-files", "-z", "--cached", "--others", "--exclude-standard"],
         cwd=ROOT,
@@ -110,8 +110,8 @@ def copied(folder: Path) -> Path:
 
 def judged(mutation: Mutation, folder: Path) -> Verdict:
     """Plant an error in a copy, run its tests, and take it out again."""
-    path, kept = folder / mutation.file, ROOT / mutation.file
-    text = kept.read_text(encoding="utf-8")
+    path, original = folder / mutation.file, ROOT / mutation.file
+    text = original.read_text(encoding="utf-8")
     if text.count(mutation.right) != 1:
         return Verdict(mutation, "stale", f"{mutation.file} holds it {text.count(mutation.right)} times", 0.0)
     compiled = mutation.file.startswith(("mic/contact/native/", "mic/contact/laws/"))
@@ -120,14 +120,14 @@ def judged(mutation: Mutation, folder: Path) -> Verdict:
     try:
         word, by = run(folder, mutation.tests)
     finally:
-        shutil.copy2(kept, path)
+        shutil.copy2(original, path)
         if compiled:  # its cache as well
             copied(folder)
     return Verdict(mutation, word, by, time.monotonic() - start)
 
 
 def run(folder: Path, tests: Sequence[str], longest: float = LONGEST) -> tuple[str, str]:
-    """``caught`` and by which test, ``survived``, or what kept the tests from being run; `longest`, s."""
+    """``caught`` and by which test, ``survived``, or why the tests did not run; `longest`, s."""
     own = os.pathsep.join([str(folder), str(folder / "tests")])
     environment = os.environ | {"PYTHONPATH": own, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
     try:
@@ -161,7 +161,7 @@ def page(entries: Sequence[Mutation]) -> str:
 
 
 def verdicts(chosen: Sequence[Mutation], processes: int, scratch: Path) -> Iterator[Verdict]:
-    """Of each mutation, as they come in."""
+    """The verdicts of mutations, each as soon as it is known."""
     free: SimpleQueue[Path] = SimpleQueue()
     for i in range(processes):
         free.put(copied(scratch / str(i)))

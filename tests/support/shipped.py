@@ -64,7 +64,7 @@ def whole(half):
 
 
 def body(part) -> dict:
-    """What a part's compliance depends on beside its functionals."""
+    """The inputs of a part's compliance besides its functionals."""
     return {
         "points": np.round(np.abs(part.surface.points).sum(axis=0), 6).tolist(),
         "sizes": [len(part.surface.points), len(part.surface.triangles)],
@@ -91,7 +91,7 @@ class Shipped:
         return self._rows(part) is not None
 
     def coefficients(self, parts, comm=None) -> dict[str, InfluenceCoefficients]:
-        """By part name; `comm` is not used, for nothing is computed."""
+        """Coefficients by part name; `comm` is not used, since nothing is computed."""
         found = {}
         for part in parts:
             arrays, rows = self._rows(part)
@@ -102,7 +102,7 @@ class Shipped:
         return found
 
     def field(self, part, forces):
-        """Shipped are readings of functionals; a field takes the finite elements."""
+        """Raises MissingProvider: only readings of functionals are shipped."""
         raise MissingProvider(f"part {part.name!r}: no displacement field is shipped; install the finite elements")
 
     def _rows(self, part):

@@ -18,10 +18,10 @@ from mic.compliance.cache import influence_coefficients
 from mic.compliance.coefficients import InfluenceCoefficients
 from mic.compliance.functional import Functionals
 from mic.errors import SceneError
-from mic.model.assembly import Assembly, assemble
+from mic.model.assembly import Assembly
 from mic.model.rows import REACH
+from mic.process.feasible_assembly import assemble_feasible
 from mic.process.model import ReducedModel
-from mic.process.plan import plan_assembly
 from mic.scene import Scene
 from mic.scene.optimisation import named_items
 from mic.studies.optimisation.design import Design, Space
@@ -54,7 +54,7 @@ class RelocatedModels:
         self._retained: dict[Mesh, dict[bytes, tuple[Functionals, int]]] = {}
         self._coefficients: dict[Mesh, InfluenceCoefficients] = {}
         try:
-            stated = self._assemble(space.scene)
+            stated = assemble_feasible(space.scene, cache)
         except SceneError as problem:
             raise SceneError(
                 f"optimise.places: other places require the meshes of the parts, which cannot be read ({problem}); run "
@@ -66,7 +66,7 @@ class RelocatedModels:
                 places = tuple(choice if i == number else 0 for i in range(len(space.points)))
                 scene = space.with_places_of(Design(space.stated.settings, space.stated.orders, places))
                 try:
-                    self._retain(self._assemble(scene))
+                    self._retain(assemble_feasible(scene, cache))
                 except SceneError as problem:
                     raise SceneError(
                         f"optimise.places[{number}].points[{choice - 1}] ({space.items[number]}): {problem}"
@@ -74,7 +74,7 @@ class RelocatedModels:
 
     def model(self, scene: Scene) -> ReducedModel:
         """The model of a scene with relocated items."""
-        assembly = self._assemble(scene)
+        assembly = assemble_feasible(scene, self._cache)
         self._retain(assembly)
         missing = {part.name: _mesh(part) for part in assembly.parts if _mesh(part) not in self._coefficients}
         if missing:
@@ -86,11 +86,6 @@ class RelocatedModels:
             self._coefficients |= {mesh: coefficients[name] for name, mesh in missing.items()}
         selected = {part.name: self._select(part) for part in assembly.parts}
         return ReducedModel.build(assembly, selected)
-
-    def _assemble(self, scene: Scene) -> Assembly:
-        assembly = assemble(scene, self._cache, check=plan_assembly)
-        plan_assembly(assembly)
-        return assembly
 
     def _retain(self, assembly: Assembly) -> None:
         """Add the functionals of an assembly to the retained ones; a part with new ones is marked for computation."""
