@@ -46,12 +46,6 @@ def test_mean_of_skewed_numbers():
         assert T + a * T**2 / 3 + a**2 * T**3 / 27 + a / 6 == pytest.approx(quantile, rel=1e-6)
 
 
-def test_level_of_confidence_is_honoured():
-    mean = st.mean(TEN, level=0.9)
-    low, high = scipy.stats.t.interval(0.9, 9, 5.5, scipy.stats.sem(TEN))
-    assert [mean.low, mean.high] == pytest.approx([low, high], rel=1e-12)
-
-
 def test_extremes_bound_the_population_from_one_side_only():
     low, high = st.minimum(TEN), st.maximum(TEN)
     assert (low.value, low.low, low.high) == (1.0, -np.inf, 1.0)

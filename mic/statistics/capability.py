@@ -28,7 +28,7 @@ __all__ = [
 LEAST = 50  # samples: with fewer, skewness and kurtosis do not show whether a distribution is normal
 
 
-def capability(x, lower, upper, level: float = LEVEL) -> Estimate:
+def capability(x, lower, upper) -> Estimate:
     """Cp = (upper - lower) / 6σ, with the interval that follows from that of 6σ; infinite without spread.
 
     Parameters
@@ -38,12 +38,12 @@ def capability(x, lower, upper, level: float = LEVEL) -> Estimate:
         Limits in the unit of `x`.
     """
     x = Moments.of(x)
-    spread, width = six_sigma(x, level), np.asarray(upper, dtype=float) - lower
+    spread, width = six_sigma(x), np.asarray(upper, dtype=float) - lower
     with np.errstate(divide="ignore"):
         return Estimate.of(x, width / np.asarray(spread.value), width / spread.high, width / spread.low)
 
 
-def centred_capability(x, lower, upper, level: float = LEVEL) -> Estimate:
+def centred_capability(x, lower, upper) -> Estimate:
     """Cpk = min(upper - mean, mean - lower) / 3σ.
 
     The interval adds the squares of what the intervals of mean and σ contribute to each of its ends [2]_, and their
@@ -51,13 +51,13 @@ def centred_capability(x, lower, upper, level: float = LEVEL) -> Estimate:
     Without spread, Cpk is +∞ if the mean is within the limits and -∞ otherwise.
     """
     x = Moments.of(x)
-    spread, (skewness, _) = sigma(x, level), tails(x)
+    spread, (skewness, _) = sigma(x), tails(x)
     s, n = np.asarray(spread.value), np.maximum(x.n, 2)
     above, below = np.asarray(upper, dtype=float) - x.mean, x.mean - np.asarray(lower, dtype=float)
     with np.errstate(divide="ignore", invalid="ignore"):
         value = np.minimum(above, below) / (3 * s)
         finite = np.where(np.isfinite(value), value, np.nan)
-        quantile_square = stdtrit(n - 1, 0.5 + level / 2) ** 2
+        quantile_square = stdtrit(n - 1, 0.5 + LEVEL / 2) ** 2
         of_mean = quantile_square / n * (1 / 9 + np.where(above <= below, 1, -1) * finite * skewness / 3)
         down, up = (
             np.sqrt(np.maximum(of_mean + (finite * (1 - s / end)) ** 2, 0.0)) for end in (spread.high, spread.low)
@@ -78,19 +78,19 @@ def outside(x, lower, upper) -> np.ndarray:
     return ((x < lower) | (x > upper)).sum(axis=0)
 
 
-def looks_normal(x, level: float = LEVEL) -> np.ndarray:
+def looks_normal(x) -> np.ndarray:
     """Whether skewness and kurtosis of samples agree with a normal distribution; False for fewer than 50.
+
+    All k columns of normal samples pass with a probability of 95 %.
 
     Parameters
     ----------
     x : (n,) or (n, k) array, or Moments
-    level : float
-        Probability that all k of normal samples pass.
     """
     x = Moments.of(x)
     skewness, kurtosis = tails(x)
     n = np.maximum(x.n, 1)
-    z = ndtri(1 - (1 - level) / (4 * max(np.size(n), 1)))
+    z = ndtri(1 - (1 - LEVEL) / (4 * max(np.size(n), 1)))
     near = (np.abs(skewness) <= z * np.sqrt(6 / n)) & (np.abs(kurtosis - 3) <= z * np.sqrt(24 / n))
     return (x.n >= LEAST) & ((x.deviation == 0) | near)
 

@@ -46,7 +46,7 @@ class Decision:
     needed: float
 
 
-def decide(value, low, high, target: float, samples: int, freedom=np.inf, level: float = LEVEL) -> Decision:
+def decide(value, low, high, target: float, samples: int, freedom=np.inf) -> Decision:
     """Decide whether all of k figures are at least `target`.
 
     Parameters
@@ -58,11 +58,9 @@ def decide(value, low, high, target: float, samples: int, freedom=np.inf, level:
         Number of samples that the estimates come from.
     freedom : float or (k,) array
         Degrees of freedom of Student's t in the intervals; infinite: normal.
-    level : float
-        Confidence level of the intervals.
     """
     value, low, high = (np.atleast_1d(np.asarray(x, dtype=float)) for x in (value, low, high))
-    α, k, t = 1 - level, len(value), lambda p: stdtrit(np.broadcast_to(np.minimum(freedom, 1e9), value.shape), p)
+    α, k, t = 1 - LEVEL, len(value), lambda p: stdtrit(np.broadcast_to(np.minimum(freedom, 1e9), value.shape), p)
     one, several = t(1 - α / 2), t(1 - α / (2 * k))
     below, above = value - low, (high - value) * several / one  # half-widths of the two decisions
     capable = (value - below >= target) | (value == np.inf)
@@ -79,15 +77,15 @@ def decide(value, low, high, target: float, samples: int, freedom=np.inf, level:
     return Decision(NOT_DECIDED, each, needed if np.isnan(needed) or needed <= MOST else np.inf)
 
 
-def decide_share(share: Estimate, target: float, level: float = LEVEL) -> Decision:
+def decide_share(share: Estimate, target: float) -> Decision:
     """Decide whether a share is at most `target`; for none among the samples, `needed` assumes none among more, too."""
     # Probit: the interval of a share is nearly symmetric, and shrinks as 1/√n, on this scale.
     probit = lambda p: -float(stdtrit(1e9, p))
     value, low, high = (probit(x) for x in (share.value, share.high, share.low))
-    decision = decide(value, low, high, probit(target), int(share.used), level=level)
+    decision = decide(value, low, high, probit(target), int(share.used))
     if share.value > 0:
         return decision
     if share.high <= target:
         return Decision(CAPABLE, [CAPABLE], math.nan)
-    needed = math.log((1 - level) / 2) / math.log1p(-target)
+    needed = math.log((1 - LEVEL) / 2) / math.log1p(-target)
     return Decision(NOT_DECIDED, [NOT_DECIDED], needed if needed <= MOST else math.inf)

@@ -74,9 +74,7 @@ class RegressionEstimates:
         self.mean[:, chosen], self.sigma[:, chosen] = mean[:, chosen], sigma[:, chosen]
 
 
-def estimates_with_derivatives(
-    scene, x: np.ndarray, y: np.ndarray, slopes: np.ndarray, level: float = LEVEL
-) -> RegressionEstimates | None:
+def estimates_with_derivatives(scene, x: np.ndarray, y: np.ndarray, slopes: np.ndarray) -> RegressionEstimates | None:
     """Estimates of k outputs; ``"plain"`` if no regression has a narrower interval than the samples alone.
 
     Parameters
@@ -105,7 +103,7 @@ def estimates_with_derivatives(
         return RegressionEstimates.plain(np.full(y.shape[1], np.inf))
     t = (x[:, varying] - mean_of[varying]) / sigma_of[varying]
     scaled = np.moveaxis(slopes[:, :, varying] * sigma_of[varying], 1, 2)  # (n, p, k)
-    plain = estimates.sigma(y, level)
+    plain = estimates.sigma(y)
     with np.errstate(divide="ignore", invalid="ignore"):
         width = np.asarray(np.log(plain.high) - np.log(plain.low))
     best = RegressionEstimates.plain(np.where(np.isfinite(width), width, np.inf))
@@ -115,7 +113,7 @@ def estimates_with_derivatives(
         if n * (1 + p) < needed:
             continue
         gradients = _gradients(t, kurtosis[varying], kind == "quadratic")
-        mean, sigma, explained = _intervals(values, gradients, y, scaled, level)
+        mean, sigma, explained = _intervals(values, gradients, y, scaled)
         with np.errstate(divide="ignore", invalid="ignore"):
             width = np.log(sigma[2]) - np.log(sigma[1])
         best.offer(kind, width, mean, sigma, explained)
@@ -157,14 +155,14 @@ def _gradients(t: np.ndarray, kurtosis: np.ndarray, quadratic: bool) -> np.ndarr
     return gradients
 
 
-def _intervals(values, gradients, y, slopes, level: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _intervals(values, gradients, y, slopes) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Mean and σ (3, k) with jackknife intervals (for σ on the logarithm), and the explained share (k,)."""
     n, groups = len(y), min(GROUPS, len(y))
     group = np.arange(n) % groups
     arrays = values, gradients, y, slopes
     mean, sigma, explained = _cross_fit(*arrays)
     without = [_cross_fit(*(array[group != g] for array in arrays)) for g in range(groups)]
-    quantile = stdtrit(FOLDS - 1, 0.5 + level / 2)  # samples of a fold share their coefficients
+    quantile = stdtrit(FOLDS - 1, 0.5 + LEVEL / 2)  # samples of a fold share their coefficients
     half = quantile * jackknife_error(np.array([fit[0] for fit in without]), ADDED)
     with np.errstate(divide="ignore", invalid="ignore"):
         factor = np.exp(quantile * jackknife_error(np.log([fit[1] for fit in without]), ADDED))

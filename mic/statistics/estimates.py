@@ -180,30 +180,30 @@ class Moments:
         return np.where(none, 0.0, np.where(known, np.sqrt(self.m2 / np.maximum(self.n - 1, 1)), np.nan))
 
 
-def mean(x, level: float = LEVEL) -> Estimate:
+def mean(x) -> Estimate:
     """Mean, with Student's t interval corrected for skewness [1]_; NaN without samples, no interval of fewer than 3."""
     moments = Moments.of(x)
     n, m = moments.n, moments.mean
-    low, high = (_skewness_corrected(sign * _t_quantile(n, level), moments) for sign in (1, -1))
+    low, high = (_skewness_corrected(sign * _t_quantile(n), moments) for sign in (1, -1))
     error = _known_spread(moments) / np.sqrt(np.maximum(n, 1))
     return Estimate.of(moments, m, m - low * error, m - high * error)
 
 
-def sigma(x, level: float = LEVEL) -> Estimate:
+def sigma(x) -> Estimate:
     """Standard deviation (n - 1 in the denominator).
 
     The interval is the chi-squared one with ``ν = 2 n / (κ - 3 + 2 n/(n - 1))`` degrees of freedom [5]_, n - 1 for a
     normal population. The kurtosis κ is that of the samples and of :data:`ADDED` more as far as the farthest.
     """
     moments = Moments.of(x)
-    low, high = _sigma_factors(moments, level)
+    low, high = _sigma_factors(moments)
     spread = _known_spread(moments)
     return Estimate.of(moments, moments.deviation, low * spread, high * spread)
 
 
-def six_sigma(x, level: float = LEVEL) -> Estimate:
+def six_sigma(x) -> Estimate:
     """Six standard deviations; interval as :func:`sigma`."""
-    s = sigma(x, level)
+    s = sigma(x)
     return Estimate(6 * s.value, 6 * s.low, 6 * s.high, s.used, s.excluded)
 
 
@@ -227,19 +227,19 @@ def maximum(x) -> Estimate:
     return Estimate.of(moments, value, value, np.where(moments.n > 0, np.inf, np.nan))
 
 
-def covered_share(n: int, level: float = LEVEL) -> float:
+def covered_share(n: int) -> float:
     """Share of the population between the smallest and largest of n samples, with the given confidence [3]_.
 
-    The root p of ``n p^(n-1) - (n-1) p^n = 1 - level``, whatever the distribution; NaN for fewer than two samples.
+    The root p of ``n p^(n-1) - (n-1) p^n = 1 - LEVEL``, whatever the distribution; NaN for fewer than two samples.
     """
     if n < 2:
         return float("nan")
     from scipy.optimize import brentq  # slow to import, and only reports need it
 
-    return float(brentq(lambda p: n * p ** (n - 1) - (n - 1) * p**n - (1 - level), 0.0, 1.0, xtol=1e-14))
+    return float(brentq(lambda p: n * p ** (n - 1) - (n - 1) * p**n - (1 - LEVEL), 0.0, 1.0, xtol=1e-14))
 
 
-def share(count, n, level: float = LEVEL) -> Estimate:
+def share(count, n) -> Estimate:
     """Share ``count / n`` with the exact interval of Clopper and Pearson [2]_, vectorised over arrays.
 
     Parameters
@@ -247,7 +247,7 @@ def share(count, n, level: float = LEVEL) -> Estimate:
     count, n : int or int array
     """
     count, n = np.broadcast_arrays(np.asarray(count, dtype=float), np.asarray(n, dtype=float))
-    a = (1 - level) / 2
+    a = (1 - LEVEL) / 2
     known = n > 0
     low = np.where(count > 0, betaincinv(np.maximum(count, 1), n - count + 1, a), 0.0)
     high = np.where(count < n, betaincinv(count + 1, np.maximum(n - count, 1), 1 - a), 1.0)
@@ -271,7 +271,7 @@ def jackknife_error(without: np.ndarray, added: int = 0) -> np.ndarray:
     return np.sqrt((R - 1) / R * (square.sum(axis=0) + added * square.max(axis=0)))
 
 
-def jackknife_interval(value, without: np.ndarray, level: float = LEVEL, added: int = ADDED) -> tuple[Any, Any]:
+def jackknife_interval(value, without: np.ndarray, added: int = ADDED) -> tuple[Any, Any]:
     """Ends of the interval of a smooth statistic: that of the mean of its pseudo-values ``R θ − (R − 1) θ_(r)`` [7]_.
 
     Parameters
@@ -283,13 +283,11 @@ def jackknife_interval(value, without: np.ndarray, level: float = LEVEL, added: 
     """
     R, error = len(without), jackknife_error(without, added)
     values = Moments.of(R * value - (R - 1) * without)
-    low, high = (_skewness_corrected(sign * _t_quantile(R, level), values) for sign in (1, -1))
+    low, high = (_skewness_corrected(sign * _t_quantile(R), values) for sign in (1, -1))
     return value - low * error, value - high * error
 
 
-def grouped_jackknife(
-    x, group, statistic: Callable, positive: bool = False, level: float = LEVEL, added: int = ADDED
-) -> Estimate:
+def grouped_jackknife(x, group, statistic: Callable, positive: bool = False, added: int = ADDED) -> Estimate:
     """A statistic of samples whose groups are independent, such as those of Latin hypercubes.
 
     The interval is :func:`jackknife_interval`; NaN if the groups do not differ.
@@ -313,7 +311,7 @@ def grouped_jackknife(
     if len(groups) > 1 and np.isfinite(value) and (value > 0 or not positive):
         with np.errstate(divide="ignore", invalid="ignore"):
             without = np.array([scale(statistic(x[group != r])) for r in groups])
-            ends = jackknife_interval(scale(value), without, level, added)
+            ends = jackknife_interval(scale(value), without, added)
         if np.isfinite(ends).all() and ends[0] < ends[1]:
             low, high = map(inverse, ends)
     return Estimate.of(x, value, low, high)
@@ -377,8 +375,8 @@ def rarest_event(n, shown: float = SHOWN) -> np.ndarray:
     return np.minimum(shown / np.maximum(np.asarray(n, dtype=float), 1.0), 1.0)
 
 
-def _t_quantile(n, level):
-    return np.where(n > 1, stdtrit(np.maximum(n - 1, 1), 0.5 + level / 2), np.nan)
+def _t_quantile(n):
+    return np.where(n > 1, stdtrit(np.maximum(n - 1, 1), 0.5 + LEVEL / 2), np.nan)
 
 
 def _known_spread(moments: Moments) -> np.ndarray:
@@ -396,7 +394,7 @@ def _skewness_corrected(quantile: np.ndarray, moments: Moments) -> np.ndarray:
     return 3 * u / (1 + root + root**2)
 
 
-def _sigma_factors(moments: Moments, level: float) -> tuple[np.ndarray, ...]:
+def _sigma_factors(moments: Moments) -> tuple[np.ndarray, ...]:
     """Ends of the interval of σ, as multiples of the estimate."""
     n = np.maximum(moments.n, 2)
     varies = moments.deviation > 0
@@ -404,7 +402,7 @@ def _sigma_factors(moments: Moments, level: float) -> tuple[np.ndarray, ...]:
     farthest = np.where(varies, np.maximum(moments.high - moments.mean, moments.mean - moments.low), 0.0)
     kurtosis = n * (np.where(varies, moments.m4, 0.0) + ADDED * farthest**4) / second**2
     freedom = 2 * n / np.where(varies, kurtosis - 3 + 2 * n / (n - 1), 1.0)
-    return tuple(np.sqrt(freedom / chdtri(freedom, tail)) for tail in ((1 - level) / 2, (1 + level) / 2))
+    return tuple(np.sqrt(freedom / chdtri(freedom, tail)) for tail in ((1 - LEVEL) / 2, (1 + LEVEL) / 2))
 
 
 def _scalar_or_array(array):

@@ -34,7 +34,7 @@ __all__ = [
 Statistic = Callable[[np.ndarray, np.ndarray], np.ndarray]
 
 
-def mean_change(a, b, group=None, level: float = LEVEL) -> Estimate:
+def mean_change(a, b, group=None) -> Estimate:
     """Mean of `b` minus mean of `a`.
 
     Parameters
@@ -45,16 +45,16 @@ def mean_change(a, b, group=None, level: float = LEVEL) -> Estimate:
         Groups of samples of a sampling design; default: independent samples.
     """
     statistic = lambda mean, sigma: mean
-    return _difference(a, b, group, statistic, statistic, level, added=0)
+    return _difference(a, b, group, statistic, statistic, added=0)
 
 
-def six_sigma_change(a, b, group=None, level: float = LEVEL) -> Estimate:
+def six_sigma_change(a, b, group=None) -> Estimate:
     """6σ of `b` minus 6σ of `a`; arguments as :func:`mean_change`."""
     statistic = lambda mean, sigma: 6 * sigma
-    return _difference(a, b, group, statistic, statistic, level)
+    return _difference(a, b, group, statistic, statistic)
 
 
-def centred_capability_change(a, b, limits_a, limits_b, group=None, level: float = LEVEL) -> Estimate:
+def centred_capability_change(a, b, limits_a, limits_b, group=None) -> Estimate:
     """Cpk of `b` minus Cpk of `a`, each against its own limits.
 
     Parameters
@@ -69,10 +69,10 @@ def centred_capability_change(a, b, limits_a, limits_b, group=None, level: float
         lower, upper = limits
         return lambda mean, sigma: np.minimum(upper - mean, mean - lower) / (3 * sigma)
 
-    return _difference(a, b, group, capability(limits_a), capability(limits_b), level)
+    return _difference(a, b, group, capability(limits_a), capability(limits_b))
 
 
-def share_change(a, b, group=None, level: float = LEVEL) -> Estimate:
+def share_change(a, b, group=None) -> Estimate:
     """Share of true samples of `b` minus that of `a`.
 
     With ``n₀₁`` samples true in `b` only and ``n₁₀`` in `a` only, it is ``(n₀₁ − n₁₀)/n``. Its interval adds the
@@ -86,12 +86,12 @@ def share_change(a, b, group=None, level: float = LEVEL) -> Estimate:
     """
     a, b = np.asarray(a, dtype=float), np.asarray(b, dtype=float)
     if group is not None:
-        return mean_change(a, b, group, level)
+        return mean_change(a, b, group)
     n, more, less = len(a), float((b > a).sum()), float((b < a).sum())
     if not n:
         return Estimate.of(a, np.nan, np.nan, np.nan)
-    value, of_b, of_a = (more - less) / n, share(more, n, level), share(less, n, level)
-    covariance = 2 * float(ndtri(0.5 + level / 2)) ** 2 * of_a.value * of_b.value / n
+    value, of_b, of_a = (more - less) / n, share(more, n), share(less, n)
+    covariance = 2 * float(ndtri(0.5 + LEVEL / 2)) ** 2 * of_a.value * of_b.value / n
     down, up = (
         np.sqrt((one.value - one.low) ** 2 + (other.high - other.value) ** 2 + covariance)
         for one, other in ((of_b, of_a), (of_a, of_b))
@@ -99,14 +99,12 @@ def share_change(a, b, group=None, level: float = LEVEL) -> Estimate:
     return Estimate.of(a, value, max(value - down, -1.0), min(value + up, 1.0))
 
 
-def standard_error(change: Estimate, level: float = LEVEL) -> float:
+def standard_error(change: Estimate) -> float:
     """Standard error that corresponds to the width of the interval of a change of independent samples."""
-    return float((change.high - change.low) / (2 * stdtrit(change.used - 1, 0.5 + level / 2)))
+    return float((change.high - change.low) / (2 * stdtrit(change.used - 1, 0.5 + LEVEL / 2)))
 
 
-def jackknife(
-    y, statistic: Callable[[np.ndarray], float], level: float = LEVEL, groups: int = 50, added: int = ADDED
-) -> Estimate:
+def jackknife(y, statistic: Callable[[np.ndarray], float], groups: int = 50, added: int = ADDED) -> Estimate:
     """Any statistic of several columns with its jackknife interval; NaN for fewer than three samples.
 
     Parameters
@@ -130,12 +128,10 @@ def jackknife(
     group = np.arange(len(y)) % R
     without = np.array([statistic(y[group != r]) for r in range(R)])
     value = statistic(y)
-    return Estimate.of(used, value, *jackknife_interval(value, without, level, added))
+    return Estimate.of(used, value, *jackknife_interval(value, without, added))
 
 
-def _difference(
-    a, b, group, statistic_a: Statistic, statistic_b: Statistic, level: float, added: int = ADDED
-) -> Estimate:
+def _difference(a, b, group, statistic_a: Statistic, statistic_b: Statistic, added: int = ADDED) -> Estimate:
     """Difference of two statistics; NaN for fewer than three samples."""
     a, b = np.asarray(a, dtype=float), np.asarray(b, dtype=float)
     valid = np.isfinite(a) & np.isfinite(b)
@@ -149,7 +145,7 @@ def _difference(
             statistic_b(*moments_b) - statistic_a(*moments_a)
             for moments_a, moments_b in zip(_moments(a, group), _moments(b, group))
         )
-        ends = jackknife_interval(whole, without, level, added) if len(without) > 1 else (np.nan, np.nan)
+        ends = jackknife_interval(whole, without, added) if len(without) > 1 else (np.nan, np.nan)
     return Estimate.of(used, whole, *(ends if np.isfinite(ends).all() else (np.nan, np.nan)))
 
 

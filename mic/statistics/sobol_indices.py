@@ -75,7 +75,7 @@ class Indices:
     sigma: Estimate
 
 
-def sobol(a, b, mixed, linear: Linear, level: float = LEVEL) -> Indices:
+def sobol(a, b, mixed, linear: Linear) -> Indices:
     """Sobol indices and their intervals.
 
     Parameters
@@ -85,8 +85,6 @@ def sobol(a, b, mixed, linear: Linear, level: float = LEVEL) -> Indices:
     mixed : (g, n, k) array
         Outputs of the first set with one input of the second, input by input.
     linear : Linear
-    level : float
-        Confidence level of the intervals.
 
     Notes
     -----
@@ -135,7 +133,7 @@ def sobol(a, b, mixed, linear: Linear, level: float = LEVEL) -> Indices:
     constant = ~(np.sqrt(V) > ROUNDING * np.abs(np.concatenate([a, b])).max(axis=0))
 
     def estimate(value: np.ndarray, drawn: np.ndarray, influence: np.ndarray) -> Estimate:
-        low, high = _interval(value, drawn, influence, level)
+        low, high = _interval(value, drawn, influence)
         value, low, high = (np.where(constant, np.nan, x) for x in (value, low, high))
         return _estimate(value, low, high, n, len(known) - n)
 
@@ -150,7 +148,7 @@ def sobol(a, b, mixed, linear: Linear, level: float = LEVEL) -> Indices:
     )
 
 
-def _interval(value: np.ndarray, drawn: np.ndarray, influence: np.ndarray, level: float) -> list[np.ndarray]:
+def _interval(value: np.ndarray, drawn: np.ndarray, influence: np.ndarray) -> list[np.ndarray]:
     """Ends of the BC_a bootstrap interval of values (...), corrected for bias and skewness [3]_.
 
     Parameters
@@ -166,7 +164,7 @@ def _interval(value: np.ndarray, drawn: np.ndarray, influence: np.ndarray, level
         bias = ndtri(below)
         skew = np.nan_to_num((influence**3).sum(axis=0) / (6 * (influence**2).sum(axis=0) ** 1.5))
     ordered, ends = np.sort(drawn, axis=0), []
-    for tail in ((1 - level) / 2, (1 + level) / 2):
+    for tail in ((1 - LEVEL) / 2, (1 + LEVEL) / 2):
         z = bias + ndtri(tail)
         place = ndtr(bias + z / (1 - skew * z)) * (len(drawn) - 1)
         lower = np.floor(place).astype(int)
