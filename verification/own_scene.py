@@ -30,7 +30,7 @@ from mic.results.outcome import read_outcome
 from mic.results.run_folder import versions
 from mic.runs import sample_into
 from mic.scene import Scene
-from mic.scene.settings import FOLLOWING
+from mic.scene.process import MOVING
 from mic.statistics import estimates
 from mic.statistics.draw import draw
 from verification.budget import EVERY, SAMPLES, SAMPLING, Case, Item, bounded, estimate, largest_difference, values
@@ -358,7 +358,7 @@ def _on_increments(scene):
     steps = {"path": "increments", "increments": 1}
     stages = [
         stage.model_copy(update=steps)
-        if stage.kind in FOLLOWING and stage.path in (None, "followed") and stage.increments is None
+        if stage.kind in MOVING and stage.path in (None, "followed") and stage.increments is None
         else stage
         for stage in scene.stages
     ]

@@ -24,7 +24,6 @@ from mic.process.stage import EliminatedStep, eliminate_steps
 from mic.process.stiffness import used_stiffness, with_derivatives, with_shape
 from mic.scene import Scene, notebook
 from mic.scene.deviation import deviation_unit
-from mic.scene.process import Stage
 from mic.scene.stages import unknown
 from mic.scene.zone import MOST
 from mic.statistics.draw import draw
@@ -139,9 +138,8 @@ class ReducedModel(Reduction):
         None if it is this model, if guns press before welds are made, or if it would leave a part free to move.
         """
         at_once = {"path": "one-step", "increments": None, "order": None, "sequence": False}
-        kinds = Stage.applies["path"]
-        stages = [stage.model_copy(update=at_once) if stage.kind in kinds else stage for stage in self.scene.stages]
-        followed = any(stage.path != "one-step" for stage in self.scene.stages if stage.kind in kinds)
+        stages = [stage.model_copy(update=at_once) for stage in self.scene.stages]
+        followed = any(stage.path != "one-step" for stage in self.scene.stages)
         if not followed or any(weld.gun is not None for weld in self.scene.welds):
             return None
         model = replace(self, scene=self.scene.model_copy(update={"stages": stages}))

@@ -9,6 +9,7 @@ from typing import Annotated, Any, Literal
 from pydantic import AfterValidator, Field, model_validator
 
 from mic.scene.keys import Count, FileName, FiniteFloat, Name, NonNegative, Positive, Table, Vector
+from mic.scene.process import MOVING
 from mic.scene.stages import CLOSING, unknown
 
 __all__ = [
@@ -26,8 +27,6 @@ __all__ = [
     "reachable_force",
     "named_items",
 ]
-
-ORDERED = ("clamp", "weld", "release")  # kinds of stages with an order
 
 
 def _ordered(between: tuple[float, float]) -> tuple[float, float]:
@@ -286,7 +285,7 @@ def _shims(scene, settings) -> Iterator[str]:
 
 
 def _orders(scene, settings) -> Iterator[str]:
-    stages = {str(stage.name): stage for stage in scene.stages if stage.kind in ORDERED}
+    stages = {str(stage.name): stage for stage in scene.stages if stage.kind in MOVING}
     seen = set()
     for i, choice in enumerate(settings.orders):
         at = f"optimise.orders[{i}]"

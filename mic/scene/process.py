@@ -9,8 +9,10 @@ from pydantic import Field, model_validator
 from mic.contact.path import Followed
 from mic.scene.keys import Count, FiniteFloat, Flag, Name, Table
 
-__all__ = ["COARSEST", "FINEST", "FollowedPath", "Stage"]
+__all__ = ["COARSEST", "FINEST", "MOVING", "FollowedPath", "Stage"]
 
+#: Kinds of stages that close or open items while contacts act: they have an order, and a path of friction.
+MOVING = ("clamp", "weld", "release")
 # Tolerances of a followed path: contact problems are solved to 1e-5.
 FINEST, COARSEST = 1e-5, 0.1
 
@@ -52,14 +54,12 @@ class Stage(Table):
     increments: Annotated[Count, Field(ge=1)] | None = None
     """number per step of the stage; it implies `path = "increments"`"""
 
-    #: Kinds of stages to which a key applies.
+    #: Kinds of stages to which a key applies; the others apply to all.
     applies: ClassVar[dict[str, tuple[str, ...]]] = {
         "keep": ("release",),
-        "order": ("clamp", "weld", "release"),
+        "order": MOVING,
         "sequence": ("weld",),
         "settle": ("locate",),
-        "path": ("locate", "clamp", "weld", "release", "measure"),
-        "increments": ("locate", "clamp", "weld", "release", "measure"),
     }
 
     @model_validator(mode="after")

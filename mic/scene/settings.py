@@ -5,8 +5,9 @@ from __future__ import annotations
 from typing import Any
 
 from mic.contact.path import Followed
+from mic.scene.process import MOVING
 
-__all__ = ["AUTO", "FOLLOWING", "SETTINGS", "TARGET", "fill_in", "with_values"]
+__all__ = ["AUTO", "SETTINGS", "TARGET", "fill_in", "with_values"]
 
 #: Element size, tolerance of the friction path, spacing of contact candidates and samples where the scene gives none.
 #: `verification/trade` measures their cost and error. The path may use half of the error of a setting: 5, 2 and 1 % of
@@ -18,7 +19,6 @@ SETTINGS: dict[str, dict[str, Any]] = {
 }
 AUTO = "auto"
 TARGET = 0.05  # accuracy of 6σ that `auto` requires if the scene states none
-FOLLOWING = ("clamp", "weld", "release")  # kinds of stages that a path can be given for
 _PATH = "path"  # in `Scene.left_open`; a part or zone is there as "parts.NAME" or "zones.NAME"
 
 
@@ -82,6 +82,6 @@ def with_values(scene: Any, values: dict[str, Any]) -> Any:
         change["path"] = scene.path.model_copy(update={"tolerance": values["tolerance"]})
     if _PATH in scene.left_open and "increments" in values:
         steps = {"increments": values["increments"]}
-        follows = lambda stage: stage.kind in FOLLOWING and stage.path is None and stage.increments is None
+        follows = lambda stage: stage.kind in MOVING and stage.path is None and stage.increments is None
         change["stages"] = [stage.model_copy(update=steps) if follows(stage) else stage for stage in scene.stages]
     return scene.model_copy(update=change)

@@ -28,7 +28,7 @@ from mic.results.sample_tables import zone_motion
 from mic.results.schema import ORDERS
 from mic.scene import Scene
 from mic.scene.load import read_toml
-from mic.scene.settings import FOLLOWING
+from mic.scene.process import MOVING
 from mic.statistics.draw import draw
 from mic.statistics.paired_differences import mean_change, six_sigma_change, standard_error
 from mic.studies.samples import Progress, first_frictional
@@ -359,7 +359,7 @@ def few_samples(model: ReducedModel, law: str | None = None, **first_stage: Any)
     rough: dict[int, dict] = {
         i: {"path": "increments", "increments": 1}
         for i, stage in enumerate(scene.stages)
-        if stage.path != "one-step" and stage.kind in FOLLOWING
+        if stage.path != "one-step" and stage.kind in MOVING
     }
     variant = _with_stages(scene, {**rough, 0: first_stage})
     deviations = draw(scene, scene.monte_carlo.seed, 0, DOUBT_SAMPLES)

@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 from mic import examples
 from mic.contact.path import Followed
 from mic.scene import SETTINGS, Scene, load_scene
-from mic.scene.process import FollowedPath
-from mic.scene.settings import AUTO, FOLLOWING
+from mic.scene.process import MOVING, FollowedPath
+from mic.scene.settings import AUTO
 from verification.target import as_set
 
 __all__ = [
@@ -76,7 +76,7 @@ class Knobs:
             change["zones"] = [one.model_copy(update=zone) for one in scene.zones]
         if self.increments is not None:
             steps = {"path": None, "increments": self.increments}
-            change["stages"] = [one.model_copy(update=steps) if one.kind in FOLLOWING else one for one in scene.stages]
+            change["stages"] = [one.model_copy(update=steps) if one.kind in MOVING else one for one in scene.stages]
         if self.tolerance is not None:
             change["path"] = FollowedPath(tolerance=self.tolerance)
         return scene.model_copy(update=change)
