@@ -19,7 +19,7 @@ from typer.testing import CliRunner
 import mic
 from mic import cli, wizard
 from mic.compliance.matrices import read_matrix
-from mic.errors import FormatError, MicError, RunError, SceneError
+from mic.errors import FormatError, RunError, SceneError
 from mic.geometry.readers import READERS, read_mesh
 from mic.geometry.script import named_sizes
 from mic.model.assembly import assemble
@@ -386,8 +386,6 @@ def test_a_proposed_scene_holds_its_files(tmp_path):
         "common/a.inc",
     }
     assert mic.load_scene(folder).parts[0].mesh == "a.inp"
-    with pytest.raises(MicError, match="contains a scene already"):
-        wizard.write_scene([decks / "a.inp"], tmp_path / "out", {None: 1.0})
 
 
 def test_every_format_is_in_the_attack():

@@ -170,11 +170,6 @@ def test_a_package_that_a_format_needs_is_named(tmp_path, monkeypatch):
         read_mesh(tmp_path / "a.new")
 
 
-def test_a_file_that_is_not_there_is_named(tmp_path):
-    with pytest.raises(FormatError, match="none.bdf.* does not exist"):
-        read_mesh(tmp_path / "none.bdf")
-
-
 @pytest.mark.parametrize("suffix", [suffix for suffix in READERS if suffix != ".med"])  # gmsh starts for each file
 def test_rubbish_of_any_suffix_ends_in_one_sentence(tmp_path, suffix):
     path = tmp_path / f"rubbish{suffix}"
