@@ -11,7 +11,6 @@ from support.stages import on_the_way
 from typer.testing import CliRunner
 
 import mic
-from mic.compliance.cache import influence_coefficients
 from mic.compliance.support import statically_determinate
 from mic.errors import SceneError
 from mic.geometry.pairing import Side
@@ -312,75 +311,6 @@ def test_a_strip_under_a_uniform_load_lifts_off_a_table_at_its_ends(tmp_path, ca
     free = (24 * YOUNG * WIDTH * THICKNESS**3 / 12 * gap / load) ** 0.25
     assert free < LENGTH / 2
     assert found.force[0, :, 0].sum() / (load * LENGTH) == pytest.approx(1 - free / LENGTH, rel=5e-3)
-
-
-HEM = """import numpy as np
-from mic.geometry.structured import extrude
-
-
-def build(part, size):
-    if part == "sheet":
-        return extrude([(-20, 1), (18, 1)], 1.0, 24.0, 1.07 * size)
-    arc = [(20 + np.sin(a), 1 - np.cos(a)) for a in np.linspace(0, np.pi, 5)]
-    return extrude([(0, 0), *arc, (8, 2)], 0.0, 26.0, size)
-"""
-
-
-def hem_scene(folder, **zone):
-    """A sheet within a hem, both of 1 mm, which the sheet's locators tilt and twist; read while a clamp holds it."""
-    (folder / "geometry.py").write_text(HEM)
-    x, y, z = np.eye(3).tolist()
-    places = {"hem": (3, 23, 3, 12, 0.0), "sheet": (4, 22, -17, -6, 1.0)}
-    locators = [
-        dict(name=f"{part}-{name}", part=part, point=point, direction=direction, radius=2.0)
-        for part, (low, high, far, near, level) in places.items()
-        for name, point, direction in [
-            ("A1", (low, far, level), z),
-            ("A2", (high, far, level), z),
-            ("A3", (13, near, level), z),
-            ("B1", (low, far, level), y),
-            ("B2", (high, far, level), y),
-            ("C1", (low, far, level), x),
-        ]
-    ]
-    read = [("lower", "hem", (21, 19, 0)), ("upper", "hem", (5, 9, 2)), ("within", "sheet", (22, 17, 1))]
-    return mic.Scene(
-        name="hem",
-        folder=folder,
-        parts=[
-            dict(name=part, geometry="geometry.py", size=2.5, thickness=1.0, young=YOUNG, poisson=0.3)
-            for part in ("hem", "sheet")
-        ],
-        locators=locators,
-        clamps=[dict(name="C", part="sheet", point=(13, -10, 1), direction=(0, 0, -1), force=1.0, radius=3.0)],
-        zones=[dict(name="hem", parts=("hem", "sheet"), friction=0.2, **zone)],
-        stages=[dict(kind="locate"), dict(kind="clamp"), dict(kind="measure")],
-        deviations=[dict(name=name, kind="locator", target=f"sheet-{name}", sigma=0.2) for name in ("A1", "A2")],
-        measurements=[
-            dict(name=name, part=part, point=point, direction=z, lower=-1, upper=1) for name, part, point in read
-        ],
-        report=dict(laws=["coulomb"]),
-    )
-
-
-@pytest.mark.fem
-def test_a_sheet_within_a_hem_has_the_contact_forces_of_contact_at_every_node(tmp_path, cache):
-    """Pressed down, up, twisted, and both: forces and places follow those of every node."""
-    tilts = np.array([[0.3, 0.3], [-0.3, -0.3], [0.3, -0.3], [0.1, -0.4]])
-
-    def found(spacing, every_node=False):
-        assembly = assemble(hem_scene(tmp_path, spacing=spacing), cache, every_node=every_node)
-        model = ReducedModel.build(assembly, influence_coefficients(assembly, cache)[0])
-        evaluation = model.evaluate(tilts)
-        assert not evaluation.failed.any()
-        force = evaluation.resolutions["clamp"].force[:, :, 0]
-        up = model.contacts.frame[:, 2, 0] > 0  # towards the sheet from the lower leaf
-        return evaluation.measurements, np.column_stack([force[:, up].sum(1), force[:, ~up].sum(1)])
-
-    (wanted, carried), (read, force) = found(4.0, every_node=True), found(2.0)
-    assert (carried.max(axis=0) > 50.0).all() and (carried[2:] > 20.0).all()  # N: a twist presses both leaves
-    assert np.abs(force - carried).max() < 0.02 * carried.max()
-    assert (np.abs(read - wanted) < np.maximum(0.05 * np.abs(wanted), 2e-3)).all()
 
 
 def test_rows_with_rounding_errors_of_rigid_motions_do_not_hold_a_part():

@@ -60,11 +60,6 @@ def central(model, values, samples, step=STEP) -> np.ndarray:
     return (up - down).transpose(0, 2, 1) / (2 * step)
 
 
-def extrapolated(model, values, samples, step=2 * STEP) -> np.ndarray:
-    """As :func:`central`, of fourth order: where slopes bend so much that its own error, of second, shows."""
-    return (4 * central(model, values, samples, step) - central(model, values, samples, 2 * step)) / 3
-
-
 def off(slope, difference) -> float:
     """The largest error, as a share of the largest derivative of its key characteristic."""
     return (np.abs(slope - difference).max(axis=(0, 2)) / np.abs(difference).max(axis=(0, 2))).max()
@@ -131,21 +126,6 @@ def test_derivatives_along_a_followed_path_are_those_of_its_steps(lap_model):
     assert max(errors) < 1e-3  # mm
     np.testing.assert_allclose(found.measurements, values(samples), rtol=0, atol=max(errors))
     np.testing.assert_allclose(slope, free, rtol=0, atol=max(errors) / 0.02)
-
-
-@pytest.mark.slow
-def test_derivatives_are_exact_along_the_followed_path_of_the_hat(hat_model):
-    """Some hundred steps a sample, in which contacts close, open and slide round corners."""
-    process = hat_model.process("coulomb", TIGHT)
-    # A slider is found without a tangential force, and so without a direction. Without the shift the sample lies
-    # 1e-5 σ from a jump by 3e-8 mm, which no derivative contains.
-    samples = draw(hat_model.scene, hat_model.scene.monte_carlo.seed, 2, 1) + 2e-4 * sigmas(hat_model)
-    found = sensitivities(process, samples)
-    assert found.exact.all() and min(len(record.ends) for records in found.steps.values() for record in records) > 1
-    assert sum(len(records[0].ends) for records in found.steps.values()) > 50
-    slope = found.jacobian * sigmas(hat_model)
-    # Rounding of the values leaves 1e-7 of the slopes over half the step; within twice it a contact changes its state.
-    assert off(slope, extrapolated(hat_model, frozen(process, found.steps), samples, 4 * STEP)) < EXACT
 
 
 @pytest.mark.parametrize("way", [4, "followed"])

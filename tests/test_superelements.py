@@ -8,6 +8,7 @@ from scipy.io import mmwrite
 from scipy.sparse import coo_matrix, csr_matrix
 from support.decks import write_deck
 from support.panels import functionals
+from support.stages import stages_on_the_way
 from typer.testing import CliRunner
 
 import mic
@@ -356,12 +357,12 @@ def test_a_scene_of_superelements_is_checked_and_computed_without_finite_element
         assemble(with_fields, cache)
 
 
-def condensed(K, kept):
+def condensed(K, retained):
     """K condensed to the retained degrees of freedom; the others have no load."""
-    rest = np.setdiff1d(np.arange(K.shape[0]), kept)
+    rest = np.setdiff1d(np.arange(K.shape[0]), retained)
     dense = K.toarray()
-    return dense[np.ix_(kept, kept)] - dense[np.ix_(kept, rest)] @ np.linalg.solve(
-        dense[np.ix_(rest, rest)], dense[np.ix_(rest, kept)]
+    return dense[np.ix_(retained, retained)] - dense[np.ix_(retained, rest)] @ np.linalg.solve(
+        dense[np.ix_(rest, rest)], dense[np.ix_(rest, retained)]
     )
 
 
@@ -375,12 +376,9 @@ def test_the_lap_joint_as_superelements_has_the_key_characteristics_of_its_shell
         update={
             "parts": [part.model_copy(update=changed[part.name]) for part in lap.parts],
             "zones": [zone.model_copy(update={"pairs": 24}) for zone in lap.zones],
-            # A superelement is what its matrix says, and no mesh that could be divided at fused nuggets.
+            # A superelement has no mesh that could be divided at fused nuggets.
             "welds": [weld.model_copy(update={"fused": False}) for weld in lap.welds],
-            "stages": [
-                stage.model_copy(update={"path": "one-step"} if stage.kind in ("clamp", "weld", "release") else {})
-                for stage in lap.stages
-            ],
+            "stages": stages_on_the_way(lap, "one-step"),
             "report": lap.report.model_copy(update={"fields": False}),
             "folder": tmp_path,
         }
@@ -393,8 +391,8 @@ def test_the_lap_joint_as_superelements_has_the_key_characteristics_of_its_shell
         read = [part.surface.triangles[patch.triangle].ravel() for patch in part.functionals.patches]
         nodes = np.unique(np.concatenate(read))
         assert len(nodes) < len(part.surface.points)
-        kept = (6 * nodes[:, None] + np.arange(6)).ravel()
-        market(tmp_path / f"{part.name}.mtx", condensed(K, kept), part.surface.points[nodes])
+        retained = (6 * nodes[:, None] + np.arange(6)).ravel()
+        market(tmp_path / f"{part.name}.mtx", condensed(K, retained), part.surface.points[nodes])
     parts = [part.model_copy(update={"stiffness": f"{part.name}.mtx"}) for part in scene.parts]
     condensed_scene = scene.model_copy(update={"parts": parts})
     assert [part.element for part in assemble(condensed_scene, cache).parts] == [ELEMENT] * 2

@@ -4,6 +4,7 @@ from pathlib import Path
 
 import mic
 from mic.scene.load import read_table
+from support.stages import MOVES
 
 MESHES = Path(__file__).resolve().parents[2] / "meshes"
 WARM = {"name": "W", "kind": "temperature", "part": "lower", "mean": 40.0, "sigma": 1.0}
@@ -16,7 +17,7 @@ def _coarse(folder, size, deviations, **keys):
     table["parts"] = [part | STEEL | {"size": size} for part in table["parts"]]
     table["zones"] = [zone | {"pairs": 6} for zone in table["zones"]]
     for stage in table["stages"]:
-        if stage["kind"] in ("clamp", "weld", "release"):
+        if stage["kind"] in MOVES:
             stage |= {"path": "increments", "increments": 1}
     return table | {"report": {"laws": ["coulomb"]}, "deviations": deviations} | keys
 
