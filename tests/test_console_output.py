@@ -41,10 +41,7 @@ def test_a_table_without_rows_is_not_printed():
 @pytest.mark.parametrize(
     "text, words",
     [
-        (
-            "[[parts]]\nthickness = 1,2\n",
-            ["line 2", "one key = value per line; decimals have a point", "thickness = 1,2"],
-        ),
+        ("[[parts]]\nthickness = 1,2\n", ["line 2", "per line; decimals have a point", "thickness = 1,2"]),
         ("thickness 1.2\n", ["line 1", "expected key = value", "thickness 1.2"]),
         ("name = lower\n", ["line 1", '"text" in quotes', "name = lower"]),
         ('name = "lower\nmesh = 1\n', ["line 1", "closing quote"]),

@@ -1,7 +1,6 @@
 """The report: whole, self-contained, and written for any scene."""
 
 import base64
-import gzip
 import html
 import importlib
 import json
@@ -30,7 +29,6 @@ from mic.report.page import write_report
 from mic.report.picture_registry import PICTURES, draw, draw_all
 from mic.report.study_pictures import pictures
 from mic.report.style import LAWS, LIMIT_COLOUR, RC, change, number, percent
-from mic.report.viewer_data import packed
 from mic.results.fields import write_fields
 from mic.results.outcome import read_outcome
 from mic.results.run_folder import PUBLISHED, RunFolder
@@ -210,11 +208,6 @@ def test_the_viewer_has_the_surfaces_and_fields(page, context):
             wanted = told[part["name"], law].six_sigma_magnitude  # so small a part is not thinned
             np.testing.assert_allclose(own["low"] + own["step"] * whole(own), wanted, atol=own["step"])
     assert {group["name"] for group in data["arrows"]} >= {"locators"}
-
-
-def test_a_packed_text_is_gzip_in_base64():
-    text = "<&µ>" * 9
-    assert gzip.decompress(base64.b64decode(packed(text), validate=True)).decode() == text
 
 
 def test_a_thinned_surface_keeps_its_outline_and_its_area():
