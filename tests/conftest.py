@@ -45,7 +45,7 @@ def pytest_collection_modifyitems(items):
 
 
 def pytest_collection_finish():
-    """Modules and tests stay: whoever looks for garbage need not look at them."""
+    """Garbage collection skips modules and tests, which live to the end."""
     gc.collect()
     gc.freeze()
 

@@ -1,4 +1,4 @@
-"""What a researcher meets in a notebook: names, short texts with a picture, tables in and out, friction, progress."""
+"""The program in a notebook: names, short texts with a picture, tables in and out, friction, progress."""
 
 import sys
 import time
@@ -268,7 +268,7 @@ def test_friction_of_one_zone_leaves_the_others():
     [(-0.1, "at least 0"), ("x", "give a number"), (11.0, "at most 10"), (np.nan, "finite"), ([0.1], "a list"),
      ({"Z": 0.1}, "no contact zone called 'Z'; did you mean 'z'"), (True, "give a number")],
 )  # fmt: skip
-def test_what_is_no_friction_is_one_sentence(model, friction, words):
+def test_an_invalid_friction_is_one_sentence(model, friction, words):
     with pytest.raises(ArgumentError, match=f"^friction: .*{words}") as error:
         model.evaluate({}, friction=friction)
     assert "\n" not in str(error.value)

@@ -1,4 +1,4 @@
-"""What public functions return, as pictures: each draws the numbers of its tables, where they belong."""
+"""Pictures of the results of public functions: each draws the numbers of its tables at the right places."""
 
 from contextlib import nullcontext
 

@@ -1,4 +1,4 @@
-"""Changed inputs of every kind: never yesterday's numbers, and nothing lost for asking otherwise."""
+"""Changed inputs of every kind: results of other inputs are neither used nor lost."""
 
 import json
 import shutil

@@ -1,4 +1,4 @@
-"""Tables as people have them: every dialect gives the same numbers, and what may be read in two ways is asked."""
+"""Tables as people have them: every dialect gives the same numbers, and an ambiguous table leads to a question."""
 
 import csv
 import re
@@ -81,7 +81,7 @@ def test_the_same_tables_in_a_workbook_give_the_same(name, tmp_path):
 
 
 @pytest.mark.parametrize("name", CASES["asked"])
-def test_what_may_be_read_in_two_ways_is_asked_and_one_line_answers(name, tmp_path):
+def test_an_ambiguous_table_leads_to_a_question_that_one_line_answers(name, tmp_path):
     case = CASES["asked"][name]
     kind, content = TABLES[case["kind"]], content_of(case)
     with pytest.raises(SceneError, match=case["question"]) as asked:
@@ -107,7 +107,7 @@ REFUSED = {
 
 
 @pytest.mark.parametrize("case", REFUSED)
-def test_what_cannot_be_read_is_refused_in_one_sentence(case, tmp_path):
+def test_an_unreadable_table_is_refused_in_one_sentence(case, tmp_path):
     content, words = REFUSED[case]
     with pytest.raises(SceneError, match=words) as refused:
         rows_of(tmp_path, content, Weld)

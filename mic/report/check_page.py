@@ -47,16 +47,15 @@ def check_page(
     ----------
     scene : Scene
     surfaces : dict of str to Surface
-        Of the parts that could be had, by name.
+        Surfaces of the readable parts, by name.
     warnings : sequence of SceneWarning
     contacts : Contacts, optional
-        Without them, the pairs are not drawn.
+        Default: no pairs are drawn.
     plans : sequence of StagePlan
     errors : sequence of str
-        Why the scene is not valid.
+        Reasons why the scene is not valid.
     shapes : sequence of SourceShape
-        What 1 σ of each source does, as far as it is known.
-
+        Displacement by 1 σ of each source, as far as it is known.
     """
     bodies = dict(surfaces)
     for fixture in scene.fixtures:

@@ -1,4 +1,4 @@
-"""Sentences on how the statistics of a run were estimated, and what its samples may not show."""
+"""Sentences on the estimators of a run, and on behaviour that its samples may miss."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Pictures that set the contact laws against each other: what the associated law costs, what friction does."""
+"""Pictures that compare the contact laws: errors of the associated law, and all laws against friction."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from mic.results.outcome import Outcome
 __all__ = ["LawCost", "friction_picture", "law_cost", "law_cost_picture"]
 
 
-#: Column, label and factor of what a friction study shows.
+#: Column, label and factor of each quantity of a friction study.
 STUDIED = (
     ("slip", "RMS slip, all contacts (mm)", 1),
     ("normal_force", "total normal force (N)", 1),

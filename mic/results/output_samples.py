@@ -62,7 +62,7 @@ class OutputSamples:
         return cls(tuple(columns), block.numbers, inputs, outputs)
 
     def of_keys(self, keys: tuple[Key, ...]) -> OutputSamples:
-        """These outputs only."""
+        """The same samples with these outputs only."""
         return replace(self, keys=keys, y=self.y[:, [self.keys.index(key) for key in keys]])
 
     @classmethod

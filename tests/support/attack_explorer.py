@@ -234,7 +234,7 @@ def _pick(rng: np.random.Generator, choices: tuple[Any, ...]) -> Any:
     return choices[rng.integers(len(choices))]
 
 
-# Each attack returns what did not hold, one line each.
+# Each attack returns its failures, one line each.
 
 
 def odd_requests(rng: np.random.Generator, served: Served) -> list[str]:
@@ -483,8 +483,7 @@ def bombard(rng: np.random.Generator, served: Served, attacks: list[Callable]) -
 
 
 def attack(rng: np.random.Generator, folder: Path, count: int = ROUND) -> list[str]:
-    """One round of random attacks against a server of a small model; what did not hold, one line each. None without
-    trame."""
+    """Failures of a round of random attacks against a server of a small model, one line each; none without trame."""
     if importlib.util.find_spec("trame_vtk") is None:
         return []
     dragged().save(folder / "model.npz")

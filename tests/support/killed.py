@@ -80,7 +80,7 @@ def content(folder: Path) -> dict[str, str]:
 
 def main(model_file: str, where: str, stride: str = "1") -> None:
     provider.find = no_fields
-    os.fsync = lambda file: None  # dear, and nothing to a killed process: what it wrote is the kernel's
+    os.fsync = lambda file: None  # slow, and without effect here: the kernel keeps what a killed process wrote
     model, where = ReducedModel.load(model_file), Path(where)
     model.evaluate({})  # kernels are compiled once, not in each child
     whole, folder = where / "whole", where / "killed"

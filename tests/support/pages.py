@@ -1,4 +1,4 @@
-"""What the pages hold, read back."""
+"""Read the content of pages, and fill them with hostile texts."""
 
 import base64
 import gzip
@@ -10,8 +10,8 @@ from markupsafe import Markup
 
 import mic.report.template
 
-#: What ends an attribute, an element, a script or a JSON string, and the syntax of Vue, Jinja and matplotlib; text that
-#: runs from right to left, control characters, and a long word.
+#: Ends of an attribute, an element, a script and a JSON string; syntax of Vue, Jinja and matplotlib; text from right to
+#: left, control characters, and a long word.
 HOSTILE = (
     "\"'></script></title></style><script>alert(1)</script><img src=x onerror=alert(1)>{{7*7}}{%raw%}${1}$\\frac{$"
     "&lt;b&gt;--><!--]]>\u202e\u0645\x07\x1b[31m`<i>`" + "x" * 300
@@ -19,7 +19,7 @@ HOSTILE = (
 
 
 def unpacked(text):
-    """The JSON that a page holds packed."""
+    """The JSON of a packed text."""
     return json.loads(gzip.decompress(base64.b64decode(text)))
 
 
