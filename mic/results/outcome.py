@@ -57,7 +57,8 @@ class Outcome(RunSamples):
 
     def uncertainty(self, required: Mapping[str, float]) -> Uncertainty:
         """The quantity that is farthest from its required accuracy (:class:`mic.scene.schema.Accuracy`)."""
-        return largest_uncertainty(self.measurement_headlines, self.zone_headlines, required)
+        zones = self.zone_headlines if "slip" in required else None
+        return largest_uncertainty(self.measurement_headlines, zones, required)
 
     def summary(self) -> dict:
         """The outcome in one JSON-ready dict (``summary.json``), see :func:`mic.results.summary.summary`."""

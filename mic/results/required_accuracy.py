@@ -59,18 +59,21 @@ class Uncertainty(NamedTuple):
         return f"{samples} samples: {subject} {known} (required: ±{required}); increase --samples"
 
 
-def largest_uncertainty(measurements: pd.DataFrame, zones: pd.DataFrame, required: Mapping[str, float]) -> Uncertainty:
+def largest_uncertainty(
+    measurements: pd.DataFrame, zones: pd.DataFrame | None, required: Mapping[str, float]
+) -> Uncertainty:
     """The quantity that is farthest from its required accuracy.
 
     Parameters
     ----------
     measurements, zones : DataFrame
-        Best estimates of key characteristics and of zones (:func:`mic.results.headline.headline`).
+        Best estimates of key characteristics and of zones (:func:`mic.results.headline.headline`); those of zones are
+        needed for an accuracy of ``slip`` only.
     required : dict of str to float
         Half-widths by key of :class:`mic.scene.schema.Accuracy`.
     """
     found = [*_of_characteristics(measurements, required)]
-    if "slip" in required:
+    if zones is not None and "slip" in required:
         found += _of_slips(zones, required["slip"])
     return max(found, key=lambda item: item.ratio, default=Uncertainty(math.inf, 1.0, "six_sigma", "no sample"))
 
