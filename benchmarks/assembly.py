@@ -5,42 +5,29 @@
 
 Milliseconds of processor time, one process, one thread. Single samples: the fastest of three evaluations of each, then
 the median over samples. *contacts* is the contact solver's share of a single sample, including the certificate; *the
-rest* is the transfer from stage to stage. *before* are times of commit bf8188e, which gathered every row of every step
-separately and always computed forces on all functionals, on a busy machine; compare fairly by running that commit too.
+rest* is the transfer from stage to stage.
 """
 
 from __future__ import annotations
 
 import argparse
 import time
-from functools import partial
 from pathlib import Path
 
 import numpy as np
+from measurement import timed
 from rich.console import Console
 from rich.table import Table
 
 import mic
 from mic.process.stage import PreparedStage
 from mic.statistics.draw import draw
-from verification.scenes import going
+from verification.scenes import with_path
 
 ROOT = Path(__file__).resolve().parents[1]
 SCENES = [ROOT / "meshes" / name for name in ("lap_joint", "hat_on_plate", "wheelhouse")]
 LAWS = ("coulomb", "associated", "frictionless")
 REPEATED = 3
-#: ms of one sample and of one in a batch of 30, by scene and law, of commit bf8188e
-BEFORE = {
-    ("lap_joint", "coulomb"): (4.96, 1.60),
-    ("lap_joint", "associated"): (6.49, 2.07),
-    ("lap_joint", "frictionless"): (4.25, 1.00),
-    ("hat_on_plate", "coulomb"): (12.30, 5.03),
-    ("hat_on_plate", "associated"): (42.70, 28.53),
-    ("hat_on_plate", "frictionless"): (10.10, 3.10),
-    ("wheelhouse", "coulomb"): (5.21, 0.97),
-    ("wheelhouse", "associated"): (6.34, 1.57),
-    ("wheelhouse", "frictionless"): (4.30, 0.30),
-}
 
 
 def main() -> None:
@@ -48,17 +35,14 @@ def main() -> None:
     parser.add_argument("scenes", nargs="*", type=Path, default=SCENES)
     parser.add_argument("--samples", type=int, default=30)
     arguments = parser.parse_args()
-    shown = Table("scene", "law", "one", "contacts", "the rest", "before", "in a batch", "before", title="ms a sample")
+    shown = Table("scene", "law", "one", "contacts", "the rest", "in a batch", title="ms a sample")
     for path in arguments.scenes:
         scene = mic.load_scene(path)
-        name = scene.folder.name
-        model = mic.reduce(going(scene, "one-step"))
+        model = mic.reduce(with_path(scene, "one-step"))
         samples = draw(model.scene, 1, 0, arguments.samples)
         for law in LAWS:
             one, contacts, batch = measure(model, law, samples)
-            before = [f"{value:.2f}" for value in BEFORE.get((name, law), ())] or ["", ""]
-            cells = f"{one:.2f}", f"{contacts:.2f}", f"{one - contacts:.2f}", before[0], f"{batch:.2f}", before[1]
-            shown.add_row(name, law, *cells)
+            shown.add_row(scene.folder.name, law, *(f"{ms:.2f}" for ms in (one, contacts, one - contacts, batch)))
     Console(width=110).print(shown)
 
 
@@ -72,11 +56,11 @@ def measure(model, law: str, samples: np.ndarray) -> tuple[float, float, float]:
         times, inside = [], []
         for _ in range(REPEATED):
             watch.spent = 0.0
-            times.append(timed(partial(model.evaluate, sample, law)))
+            times.append(timed(model.evaluate, sample, law)[1])
             inside.append(watch.spent)
         one.append(min(times))
         contacts.append(min(inside))
-    batch = min(timed(partial(model.evaluate, samples, law)) for _ in range(REPEATED)) / len(samples)
+    batch = min(timed(model.evaluate, samples, law)[1] for _ in range(REPEATED)) / len(samples)
     return 1e3 * float(np.median(one)), 1e3 * float(np.median(contacts)), 1e3 * batch
 
 
@@ -103,13 +87,6 @@ class Watch:
                     self.spent += time.process_time() - start
 
             solver.follow = watched
-
-
-def timed(work) -> float:
-    """Processor seconds."""
-    start = time.process_time()
-    work()
-    return time.process_time() - start
 
 
 if __name__ == "__main__":

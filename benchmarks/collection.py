@@ -11,10 +11,10 @@ and named. Time is processor time on one thread, including the preparation of S.
 from __future__ import annotations
 
 import argparse
-import time
 from pathlib import Path
 
 import numpy as np
+from measurement import timed
 from rich.console import Console
 from rich.table import Table
 from threadpoolctl import threadpool_limits
@@ -23,20 +23,7 @@ from mic.contact import ContactSolver
 from verification.contact_problems import ContactProblem
 
 SOLVED = 1e-8
-COLUMNS = ("problem", "contacts", "rank", "residual", "rung", "s", "bf8188e")
-#: What commit bf8188e reached in a problem's own order: residual and seconds; none where S was refused.
-BEFORE = {
-    "Capsules-i100-1090.dat": (2.8e-13, 1.06),
-    "Capsules-i100-889.dat": (6.9e-13, 0.81),
-    "Capsules-i101-404.dat": (1.3e-12, 1.07),
-    "Capsules-i103-990.dat": (2.1e-13, 7.59),
-    "Capsules-i122-1617.dat": (2.4e-11, 1.65),
-    "Confeti-ex03-Fc3D-SBM.dat": None,
-    "Confeti-ex13-4contact-Fc3D-SBM.dat": None,
-    "Confeti-ex13-Fc3D-SBM.dat": None,
-    "KaplasTower-i1061-4.hdf5.dat": (7.9e-16, 1.10),
-    "RockPile_tob1.dat": (5.1e-5, 9.78),
-}
+COLUMNS = ("problem", "contacts", "rank", "residual", "rung", "s")
 
 
 class Numbers:
@@ -115,11 +102,6 @@ def ordered(problem: ContactProblem, order: np.ndarray) -> ContactProblem:
     return ContactProblem(problem.S[np.ix_(rows, rows)], problem.b[:, rows], problem.mu[order])
 
 
-def _before(name: str) -> str:
-    known = BEFORE.get(name, ())
-    return "refused" if known is None else f"{known[0]:.1e}, {known[1]:.2f} s" if known else ""
-
-
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("folder", type=Path)
@@ -141,18 +123,15 @@ def main() -> None:
             for seed in range(options.orders + 1):
                 order = np.random.default_rng(seed).permutation(m) if seed else np.arange(m)
                 one = ordered(problem, order)
-                name, before, tried = ("", "", tried + 1) if seed else (path.name, _before(path.name), tried + 1)
-                start = time.process_time()
+                tried += 1
                 try:
-                    found = ContactSolver(one.S, one.mu, work=1e5).solve(one.b[0])
+                    found, seconds = timed(lambda one=one: ContactSolver(one.S, one.mu, work=1e5).solve(one.b[0]))
                 except ValueError as refused:
                     console.print(f"{path.name}: {refused}", soft_wrap=True)
                     break
-                seconds = time.process_time() - start
                 solved += bool(found.residual <= SOLVED)
-                table.add_row(
-                    name, str(m), str(rank), f"{found.residual:.1e}", str(found.rung), f"{seconds:.2f}", before
-                )
+                name, residual = "" if seed else path.name, f"{found.residual:.1e}"
+                table.add_row(name, str(m), str(rank), residual, str(found.rung), f"{seconds:.2f}")
                 if found.residual > SOLVED:
                     console.print(f"{path.name}, order {seed}: {found.status.value}, {found.residual:.1e}")
     console.print(table)

@@ -21,6 +21,7 @@ from dataclasses import fields, replace
 from pathlib import Path
 
 import numpy as np
+from measurement import peak_memory
 from rich.console import Console
 from rich.table import Table
 
@@ -118,14 +119,7 @@ def read(folder: Path) -> dict:
     write_report(folder, outcome)
     wall = outcome.record["wall_time"]
     seconds = [middle - start - wall["fields"], wall["fields"], time.perf_counter() - middle]
-    return {"peak": peak(), "seconds": seconds}
-
-
-def peak() -> float:
-    """Peak resident memory of this process, MB."""
-    # Not from getrusage: that counts the process which started this one.
-    (line,) = [line for line in Path("/proc/self/status").read_text().splitlines() if line.startswith("VmHWM:")]
-    return int(line.split()[1]) / 1e3
+    return {"peak": peak_memory(), "seconds": seconds}
 
 
 if __name__ == "__main__":

@@ -18,7 +18,7 @@ import time
 from pathlib import Path
 
 import numpy as np
-from exponents import alone, exponents
+from measurement import alone, exponents, peak_memory
 
 import mic
 from mic.compliance.cache import influence_coefficients
@@ -78,7 +78,7 @@ def measure(arguments, cache: Path) -> dict[str, float]:
     phases.end("elimination of all steps")
     phases.pause(lambda: mic.reduce(mic.load_scene(COMPILES), cache).evaluate({}))
     model.forecast  # noqa: B018
-    phases.end("candidates looked for ahead")
+    phases.end("prediction of candidates in contact")
     found = model.process("coulomb").evaluate(draw(scene, scene.monte_carlo.seed, 0, arguments.samples))
     phases.end(f"{arguments.samples} samples", arguments.samples)
     own = {id(one.response): one.response for steps in model.eliminations.values() for one in steps}
@@ -121,19 +121,13 @@ class Phases:
         seconds = time.process_time() - self.begin
         each = f"{1e3 * seconds / samples:.0f}" if samples else ""
         self.seconds.append(seconds)
-        print(f"{name:<28} {seconds:8.2f} {each:>12} {peak():15.0f}", flush=True)
+        print(f"{name:<28} {seconds:8.2f} {each:>12} {peak_memory():15.0f}", flush=True)
         self.start()
 
     def pause(self, work) -> None:
         """Exclude a block of code from the measurement."""
         work()
         self.start()
-
-
-def peak() -> float:
-    """Peak resident memory of this process, MB."""
-    (line,) = [line for line in Path("/proc/self/status").read_text().splitlines() if line.startswith("VmHWM:")]
-    return int(line.split()[1]) / 1e3
 
 
 if __name__ == "__main__":

@@ -24,7 +24,7 @@ from mic.process.model import ReducedModel
 from mic.statistics.draw import draw
 from verification.mesh.study import same_points
 from verification.path.study import slips
-from verification.scenes import going, shipped
+from verification.scenes import shipped, with_path
 
 
 def measured(model, samples):
@@ -56,7 +56,7 @@ def main():
     for size in given.sizes:
         scene = shipped("wheelhouse", size)
         if given.path == "increments":
-            scene = going(scene, "increments", given.increments)
+            scene = with_path(scene, "increments", given.increments)
         assembly = assemble(scene if points is None else same_points(scene, points), cache_folder())
         coefficients = influence_coefficients(assembly, cache_folder())[0]
         points = assembly.contacts if points is None else points

@@ -53,7 +53,7 @@ def compliance(geometry, part, surface, element):
     points, normals, directions, names = places(geometry, part)
     count = len(points)
     patches = tuple(surface.patch(point, RADIUS, normal) for point, normal in zip(points, normals))
-    rows = Functionals(patches, np.arange(count), directions, np.zeros(count, bool), np.zeros(count), ("",) * count)
+    rows = Functionals.displacements(patches, directions)
     H, G = ShellPart(surface, geometry.THICKNESS, 210e3, 0.3, element).influence(rows)
     blocks = Blocks((H,), (G,))
     every, free = identity(count, format="csr"), count - len(names)
@@ -105,9 +105,8 @@ def bends():
 
 def balanced(surface, element, points, directions):
     """Compliance under self-equilibrated forces on discs of 5 mm, in a basis that depends on the discs alone."""
-    count = len(points)
     patches = tuple(surface.patch(point, 5.0, normal) for point, normal in zip(points, directions))
-    rows = Functionals(patches, np.arange(count), directions, np.zeros(count, bool), np.zeros(count), ("",) * count)
+    rows = Functionals.displacements(patches, directions)
     H = ShellPart(surface, 1.0, 210e3, 0.3, element).influence(rows)[0]
     basis = np.linalg.svd(np.hstack([directions, np.cross(points, directions)]))[0][:, 6:]
     return basis.T @ H @ basis

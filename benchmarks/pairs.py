@@ -11,19 +11,17 @@ process for each case, one BLAS thread, processor time.
 difference between the columns on demand and dense S, relative to its largest entry. *from nothing* solves a sample on
 all pairs; *watched* solves it on a working set that starts with the pairs that closed in eight other samples; *forces*
 is their largest difference, relative to the largest force. *increment* is the time of one sample in one increment from
-open contacts, after another sample has formed most columns of S; *touch* are the pairs that close in it. *before* are
-times of commit cbe9767 for one clamped stage, from nothing, in ms (for 3000 pairs: of b7e00c6, watched), and their
-ratio to *watched*. The last line has the exponents of growth with the pairs, of all cases of the table.
+open contacts, after another sample has formed most columns of S; *touch* are the pairs that close in it. The last line
+has the exponents of growth with the pairs, of all cases of the table.
 """
 
 from __future__ import annotations
 
 import argparse
-import time
 from dataclasses import dataclass
 
 import numpy as np
-from exponents import alone, exponents
+from measurement import alone, exponents, timed
 from rich.console import Console
 from rich.table import Table
 from scipy.sparse import csr_matrix, vstack
@@ -38,7 +36,6 @@ from mic.contact.working_set import WorkingSetSolver
 from mic.system.matrix_product import one_thread
 
 CASES = ["2,102", "2,300", "2,1002", "20,1000", "5,3000"]
-BEFORE = {(2, 102): 0.42, (2, 300): 16.6, (2, 1002): 1707.0, (5, 3000): 582.0}  # ms a sample, by parts and pairs
 AHEAD, SAMPLES = 8, 40
 FEW = 10  # samples solved on all pairs if there are many pairs
 DENSE = 1500  # pairs up to which dense S is formed and solved
@@ -46,7 +43,7 @@ MU, LONG, WIDE = 0.27, 900.0, 25.0  # mm, of a sheet
 LOCATORS = np.array([[20, 0], [880, 0], [450, 25], [300, 12], [20, 0], [880, 25], [20, 25], [600, 0]], float)
 AXES = np.array([0, 0, 0, 0, 1, 1, 2, 2])  # n, t1 or t2, which each locator holds
 WELD = np.array([[450.0, 12.0]])
-COLUMNS = ("parts", "pairs", "set-up, s", "dense S, s", "apart", "from nothing, ms", "watched, ms", "forces", "before")
+COLUMNS = ("parts", "pairs", "set-up, s", "dense S, s", "apart", "from nothing, ms", "watched, ms", "forces")
 COLUMNS += ("increment, s", "touch", "peak, MB")
 
 
@@ -154,14 +151,12 @@ def measure(parts: int, pairs: int) -> tuple[list[str], dict[str, float]]:
         reference, slow = timed(lambda: every.solve(b[:count]))
         forces = f"{np.abs(reference.force - found.force[:count]).max() / np.abs(reference.force).max():.0e}"
         shown = [f"{forming:.2f}", f"{apart:.0e}", f"{1e3 * slow / count:.2f}"]
-    before = BEFORE.get((parts, pairs))
-    ratio = f"{before:g}: {before / (1e3 * each / SAMPLES):.2g} ×" if before else ""
     ends = np.stack([np.tile([1.0, 0.0, 0.0], pairs) + 0 * b[:2], b[:2]], axis=1)  # open, then as in the samples
     none, anchor = np.zeros((1, 3 * pairs)), np.zeros((1, pairs, 2))
     solver.follow(ends[:1], none, anchor, Increments(1))
     found, increment = timed(lambda: solver.follow(ends[1:], none, anchor, Increments(1)))
     touch = int((found.force[:, ::3] > 0).sum())
-    row = [str(parts), str(pairs), f"{set_up:.2f}", *shown, f"{1e3 * each / SAMPLES:.2f}", forces, ratio]
+    row = [str(parts), str(pairs), f"{set_up:.2f}", *shown, f"{1e3 * each / SAMPLES:.2f}", forces]
     costs = {"set-up": set_up, "watched": each, "increment": increment, "touch": touch}
     return [*row, f"{increment:.2f}", str(touch) if found.converged.all() else "failed"], costs
 
@@ -175,13 +170,6 @@ def dense(stack: Stack) -> np.ndarray:
     left = np.hstack([C @ H @ B.T, C @ G])
     S = C @ H @ C.T - left @ np.linalg.solve(system, left.T)
     return 0.5 * (S + S.T)
-
-
-def timed(work):
-    """Result of a call, and its processor seconds."""
-    start = time.process_time()
-    result = work()
-    return result, time.process_time() - start
 
 
 def main() -> None:

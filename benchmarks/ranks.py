@@ -22,12 +22,14 @@ import tempfile
 import time
 from pathlib import Path
 
+from measurement import peak_memory
 from rich.console import Console
 from rich.table import Table
 
 import mic
 from mic.execution.monte_carlo import BLOCK
 from mic.execution.ranks import communicator, exit_together
+from verification.ranks.study import SETTINGS, launcher
 
 ROOT = Path(__file__).resolve().parents[1]
 LAW = "coulomb"
@@ -76,11 +78,10 @@ def main() -> None:
 
 def processes(arguments, count: int, work: str, samples: int, folder: Path) -> list[dict[str, float]]:
     """Run this program on p processes; returns the report of each, in rank order."""
-    own = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "OMPI_MCA_mpi_yield_when_idle": "1"}
-    launch = ["mpirun", "--oversubscribe", "-n", str(count)] if count > 1 else []
+    launch = [launcher(), "-n", str(count)] if count > 1 else []
     asked = ["--scene", arguments.scene, "--samples", samples, "--folder", folder, "--work", work]
     command = [*launch, sys.executable, __file__, *map(str, asked)]
-    subprocess.run(command, check=True, env=os.environ | own, stdout=subprocess.DEVNULL)
+    subprocess.run(command, check=True, env=os.environ | SETTINGS, stdout=subprocess.DEVNULL)
     return [json.loads((folder.parent / f"{folder.name}-{rank}.json").read_text()) for rank in range(count)]
 
 
@@ -124,8 +125,7 @@ def read(arguments) -> None:
 
 def tell(folder: Path, rank: int) -> None:
     """Report processor seconds and peak memory, MB, of this process."""
-    (line,) = [line for line in Path("/proc/self/status").read_text().splitlines() if line.startswith("VmHWM:")]
-    found = {"cpu": time.process_time(), "peak": int(line.split()[1]) / 1e3}
+    found = {"cpu": time.process_time(), "peak": peak_memory()}
     (folder.parent / f"{folder.name}-{rank}.json").write_text(json.dumps(found))
 
 

@@ -9,8 +9,7 @@ Processor seconds of the main process with all its threads, the smaller of two r
 Worker processes, which evaluate half of the blocks and draw half of the pictures on the second core, count only in the
 wall time. Warm: meshes, contact pairs, influence coefficients and compiled code come from a first run; the results
 folder is new. The last table measures separate processes in the environment of the run: the import, the help, and the
-first evaluation of a loaded model. *before* are times of commit 34ad457, measured in turns with this version on a busy
-machine, where repeated runs of one commit differed by up to a factor of two.
+first evaluation of a loaded model.
 """
 
 from __future__ import annotations
@@ -31,20 +30,6 @@ from rich.table import Table
 
 ROOT = Path(__file__).resolve().parents[1]
 IMPORTS, REPORT, IN_ALL, WALL = "start and imports", "report", "processor time in all", "wall time"
-#: s by phase of the wheelhouse with one step per stage, 500 samples under three laws
-BEFORE = {
-    IMPORTS: 2.82,
-    "meshes and pairs": 3.33,
-    "influence coefficients": 0.02,
-    "reduced model": 0.08,
-    "Monte Carlo": 3.24,
-    "statistics": 1.75,
-    "error of the path": 0.41,
-    "fields": 6.26,
-    REPORT: 6.93,
-    IN_ALL: 24.86,
-    WALL: 33.92,
-}
 
 
 def main() -> None:
@@ -69,14 +54,12 @@ def main() -> None:
             done = subprocess.run(command, env=environment, stdout=subprocess.PIPE, check=True, text=True)
             runs.append(json.loads(done.stdout.splitlines()[-1]) | {WALL: time.perf_counter() - start})
         warm = runs if arguments.cold else runs[1:]  # the first fills the caches
-    known = arguments.scene.name == "wheelhouse" and arguments.samples is None
-    before = BEFORE if known and arguments.one_step and not arguments.cold else {}
-    shown = Table("phase", "s", "before", title=f"{arguments.scene.name}, {'cold' if arguments.cold else 'warm'}")
+    shown = Table("phase", "s", title=f"{arguments.scene.name}, {'cold' if arguments.cold else 'warm'}")
     best = {phase: min(run[phase] for run in warm) for phase in warm[0]}
     wall = best.pop(WALL)
     # the first phase that uses a module includes the time of importing it
     for phase, seconds in [*best.items(), (IN_ALL, sum(best.values())), (WALL, wall)]:
-        shown.add_row(phase, f"{seconds:.2f}", f"{before[phase]:.2f}" if phase in before else "")
+        shown.add_row(phase, f"{seconds:.2f}")
     console = Console(width=100)
     console.print(shown)
     console.print(starts(environment, arguments.scene))
@@ -87,12 +70,11 @@ def starts(environment: dict[str, str], scene: Path) -> Table:
     reads = "import mic, sys; mic.reduce(mic.load_scene(sys.argv[1]))"
     loaded, evaluated = ([sys.executable, "-c", code, str(scene)] for code in (reads, f"{reads}.evaluate({{}})"))
     shown = Table("start", "s")
-    took = {}
     for name, command in (
         ("nothing", [sys.executable, "-c", "pass"]),
         ("import mic", [sys.executable, "-c", "import mic"]),
         ("mic --help", [sys.executable, "-m", "mic.cli", "--help"]),
-        ("a model of what is kept", loaded),
+        ("a model from the cache", loaded),
         ("it and a first evaluation", evaluated),
     ):
         runs = []
@@ -101,8 +83,7 @@ def starts(environment: dict[str, str], scene: Path) -> Table:
             subprocess.run(command, env=environment, stdout=subprocess.DEVNULL, check=True)
             after = resource.getrusage(resource.RUSAGE_CHILDREN)
             runs.append(after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime)
-        took[name] = min(runs)
-        shown.add_row(name, f"{took[name]:.2f}")
+        shown.add_row(name, f"{min(runs):.2f}")
     return shown
 
 
@@ -113,15 +94,16 @@ def spent(arguments: argparse.Namespace) -> dict[str, float]:
     from mic.commands.output import CommandConsole
     from mic.commands.run import ReportProgress
     from mic.report.page import write_report
-    from verification.scenes import going
+    from verification.scenes import with_path
 
     found = {IMPORTS: time.process_time()}
     scene = with_options(load_scene(arguments.scene), None, arguments.samples)
-    if arguments.one_step:  # as many samples as before
-        scene = scene.model_copy(update={"monte_carlo": scene.monte_carlo.model_copy(update={"accuracy": None})})
+    if arguments.one_step:
+        everything = scene.monte_carlo.model_copy(update={"accuracy": None})
+        scene = with_path(scene.model_copy(update={"monte_carlo": everything}), "one-step")
     runs.time = SimpleNamespace(perf_counter=time.process_time)  # the clock of a run's phases
     quiet = ReportProgress(CommandConsole(quiet=True))
-    outcome = runs.run(going(scene, "one-step") if arguments.one_step else scene, arguments.into, cache_folder(), quiet)
+    outcome = runs.run(scene, arguments.into, cache_folder(), quiet)
     found |= outcome.record["wall_time"]
     start = time.process_time()
     write_report(outcome.folder, outcome, quiet.pictures)

@@ -14,22 +14,23 @@ Samples whose forward and backward differences differ by 1e-3 lie at a change of
 from __future__ import annotations
 
 import argparse
-import time
 from dataclasses import replace
 from functools import partial
 
 import numpy as np
+from measurement import timed
 from rich.console import Console
 from rich.table import Table
 
 import mic
+from mic.examples import folder
 from mic.process.sensitivity import known_inputs, sensitivities
 from mic.statistics.draw import draw
 from mic.system.matrix_product import one_thread
-from verification.scenes import few, folder
+from verification.scenes import with_path, with_stated_pairs
 
 SCENES = ("lap_joint", "hat_on_plate", "wheelhouse")
-WAYS = {"one step": {"path": "one-step"}, "8 increments": {"path": "increments", "increments": 8}, "followed": {}}
+PATHS = {"one step": ("one-step",), "8 increments": ("increments", 8), "followed": ("followed",)}
 STEPS, KINK = (1e-5, 1e-4, 5e-4), 1e-3
 REPEATS = 3  # repetitions in turns; the shortest counts
 
@@ -45,19 +46,11 @@ def main() -> None:
     options = parser.parse_args()
     table = Table("scene", "path", "ms a sample", "6 inputs", "40 inputs", "differences", "kinked", "exact")
     for name in options.scenes.split(","):
-        model = mic.reduce(few(mic.load_scene(folder(name))))
-        for way, keys in WAYS.items():
-            table.add_row(name, way, *_row(_on(model, keys), options.law, options.samples, options.checked))
+        model = mic.reduce(with_stated_pairs(mic.load_scene(folder(name))))
+        for path, keys in PATHS.items():
+            own = replace(model, scene=with_path(model.scene, *keys))
+            table.add_row(name, path, *_row(own, options.law, options.samples, options.checked))
     Console().print(table)
-
-
-def _on(model, keys):
-    """The model with the same path settings in every stage."""
-    stages = [
-        stage.model_copy(update=keys) if stage.kind in ("clamp", "weld", "release") else stage
-        for stage in model.scene.stages
-    ]
-    return replace(model, scene=model.scene.model_copy(update={"stages": stages}))
 
 
 def _row(model, law: str, samples: int, checked: int) -> list[str]:
@@ -68,7 +61,7 @@ def _row(model, law: str, samples: int, checked: int) -> list[str]:
     for warm in (lambda: process.evaluate(x[:1]), lambda: sensitivities(process, x[:1], six)):
         warm()
     works = [lambda: process.evaluate(x), *(partial(sensitivities, process, x, inputs) for inputs in (six, forty))]
-    plain, *times = np.min([[_seconds(work) for work in works] for _ in range(REPEATS)], axis=0)
+    plain, *times = np.min([[timed(work)[1] for work in works] for _ in range(REPEATS)], axis=0)
     error, kinked, exact = _errors(model, law, x[:checked])
     cells = [f"{1e3 * plain / samples:.2f}", *(f"{one / plain:.2f}" for one in times)]
     return [*cells, f"{error:.1e}", f"{kinked} of {checked}", f"{exact} of {checked}"]
@@ -76,12 +69,6 @@ def _row(model, law: str, samples: int, checked: int) -> list[str]:
 
 def _so_many(names: list[str], count: int) -> list[str]:
     return [names[i % len(names)] for i in range(count)]
-
-
-def _seconds(work) -> float:
-    start = time.process_time()
-    work()
-    return time.process_time() - start
 
 
 def _errors(model, law: str, x: np.ndarray) -> tuple[float, int, int]:

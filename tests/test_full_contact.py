@@ -67,6 +67,11 @@ def clamped(clamped_scene, cache):
 
 
 @pytest.fixture(scope="module")
+def clamped_model(clamped_scene, cache):
+    return mic.reduce(clamped_scene, cache)
+
+
+@pytest.fixture(scope="module")
 def bracket(cache):
     """Parts, zones and clamps of which no two are alike: what one takes for another's shows."""
     few_pairs = with_stated_pairs(mic.load_scene(ROOT / "meshes" / "bracket"))
@@ -158,9 +163,9 @@ def test_both_models_agree_on_every_kind_of_deviation_and_stage(scene, cache):
 
 @pytest.mark.parametrize("path, increments", [("one-step", None), ("increments", 3)])
 @pytest.mark.slow
-def test_agreement_holds_on_every_path(scene, cache, path, increments):
+def test_agreement_holds_on_every_path(clamped_scene, cache, path, increments):
     """All at once, or slip measured from increment to increment: another answer, and the same to both."""
-    scene = going(scene, path, increments)
+    scene = going(clamped_scene, path, increments)
     sample = draw(scene, 5, 3, 1)[0]
     full, reduced = FullModel(assemble(scene, cache)).evaluate(sample), mic.reduce(scene, cache).evaluate(sample)
     assert difference(full, reduced) < 1e-8
@@ -171,12 +176,13 @@ def test_agreement_holds_on_every_path(scene, cache, path, increments):
 
 
 @pytest.mark.slow
-def test_the_comparison_detects_planted_errors(lap, lap_model, sample, monkeypatch):
+def test_the_comparison_detects_planted_errors(clamped, clamped_model, sample, monkeypatch):
     """`difference` detects omitted friction, shape deviations of the wrong sign and omitted gaps."""
-    reduced = lap_model.evaluate(sample, "coulomb")
-    assert difference(FullModel(lap).evaluate(sample, "frictionless"), reduced) > 1e-3
-    turned = FullModel(lap)
-    turned.unit_shapes = -FullModel(lap).unit_shapes
+    reduced = clamped_model.evaluate(sample, "coulomb")
+    full = FullModel(clamped)
+    assert difference(full.evaluate(sample, "frictionless"), reduced) > 1e-3
+    turned = FullModel(clamped)
+    turned.unit_shapes = -full.unit_shapes
     assert difference(turned.evaluate(sample, "coulomb"), reduced) > 1e-3
     displacement = equilibrium.ContactLaw.displacement
 
@@ -184,7 +190,7 @@ def test_the_comparison_detects_planted_errors(lap, lap_model, sample, monkeypat
         return displacement(self, δ) - self.gap[:, None] * np.array([1, 0, 0])
 
     monkeypatch.setattr(equilibrium.ContactLaw, "displacement", without_gap)
-    assert difference(FullModel(lap).evaluate(sample, "coulomb"), reduced) > 1e-3
+    assert difference(full.evaluate(sample, "coulomb"), reduced) > 1e-3
 
 
 @pytest.mark.slow
@@ -308,13 +314,13 @@ def test_redundant_locators(clamped_scene, clamped, sample, cache):
 
 
 @pytest.mark.slow
-def test_deviated_meshes_tend_to_the_nominal_one(lap, sample):
+def test_deviated_meshes_tend_to_the_nominal_one(clamped, sample):
     """Stiffness, normals and gaps of the deviated geometry differ from the nominal ones in proportion to the
     deviation."""
     off = []
     for scale in (0.01, 1.0):
         nominal, deviated = (
-            FullModel(lap, deviated=deviated, route="condensed").evaluate(scale * sample).measurements
+            FullModel(clamped, deviated=deviated, route="condensed").evaluate(scale * sample).measurements
             for deviated in (False, True)
         )
         off.append(np.abs(deviated - nominal).max() / np.abs(nominal).max())
@@ -427,11 +433,11 @@ def test_the_full_solve_reports_a_part_that_is_pushed_off(scene, cache):
 
 
 @pytest.mark.slow
-def test_factors_are_freed_with_their_model(lap, sample):
+def test_factors_are_freed_with_their_model(clamped, sample):
     """A study that makes a model per sample would run out of memory: here 17 MB each, in earnest hundreds."""
     memory = []
     for _ in range(3):
-        FullModel(lap).evaluate(sample)
+        FullModel(clamped).evaluate(sample)
         gc.collect()
         ctypes.CDLL(None).malloc_trim(0)
         memory.append(int(Path("/proc/self/statm").read_text().split()[1]) * 4096 / 1e6)

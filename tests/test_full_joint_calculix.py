@@ -106,7 +106,7 @@ def test_the_stiffness_of_the_deviated_shape_moves_characteristics_as_it_does_th
         shells.append(
             FullModel(lap, deviated=deviated, route="condensed").evaluate(sample[0], "frictionless").measurements
         )
-        found = process(scene, lap_joint(scene, 1.25, 10.0), sample, without, 1, deviated=deviated)
+        found = process(scene, lap_joint(scene, 2.0, 10.0), sample, without, 1, deviated=deviated)
         solids.append(found.measurements[0])
     ours, theirs = np.diff(shells, axis=0), np.diff(solids, axis=0)
     assert (np.abs(ours - theirs) < 0.5 * np.abs(theirs)).all() and np.abs(theirs).min() > 5e-3

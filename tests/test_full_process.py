@@ -58,7 +58,7 @@ def test_both_models_agree_where_parts_touch_nowhere(lap_scene, cache):
 GEOMETRY = """
 from mic.geometry.structured import extrude
 
-HEIGHT, SIZE = {"bottom": 0.0, "middle": 1.0, "top": 2.0}, {"bottom": 6.0, "middle": 6.6, "top": 7.2}
+HEIGHT, SIZE = {"bottom": 0.0, "middle": 1.0, "top": 2.0}, {"bottom": 9.0, "middle": 10.0, "top": 11.0}
 
 
 def build(part, size):

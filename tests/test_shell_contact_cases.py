@@ -112,7 +112,7 @@ def test_an_uncertainty_covers_what_is_left_of_a_series_and_grows_with_the_path(
 
 
 def test_shipped_values_are_reproduced(cache):
-    assert largest(CASES["lap_welded"], cache) <= 1
+    assert largest(CASES["lap_bending"], cache) <= 1
 
 
 @dataclass(frozen=True)
@@ -137,7 +137,7 @@ def reversed_load(scene):
 
 PLANTED = {
     "friction that does not know its stage": ("lap_welded", lambda scene: of_all(scene, "zones", friction=0.25)),
-    "the first part's thickness everywhere": ("lap_welded", lambda scene: of_all(scene, "parts", thickness=1.2)),
+    "the first part's thickness everywhere": ("lap_bending", lambda scene: of_all(scene, "parts", thickness=1.0)),
     "a load reversed": ("lap_bending", reversed_load),
 }
 

@@ -187,7 +187,7 @@ def test_in_plane_bending_energy_at_any_aspect_ratio(sides, poisson):
     assert energy == pytest.approx(E * T * b**3 / 12 * κ**2 * a / 2, rel=1e-6)
 
 
-@pytest.mark.parametrize(("t", "jitter"), [(10.0, 0.0), (0.001, 0.0), (10.0, 0.1), (0.1, 0.1)])
+@pytest.mark.parametrize(("t", "jitter"), [(10.0, 0.0), (0.001, 0.0), (0.1, 0.1)])
 @pytest.mark.parametrize("element", ELEMENTS)
 def test_pinched_ring_from_thick_to_thin(element, t, jitter):
     """t/R = 1e-1 … 1e-5 with triangle sides along the generators, 1e-1 … 1e-3 without. ν = 0.

@@ -17,10 +17,10 @@ LIMITS = {acceptance.name: acceptance for acceptance in study.STUDY.acceptance}
 
 @pytest.fixture(scope="module")
 def wheelhouse(cache):
-    scene = shipped("wheelhouse", "coarse", ("coulomb", "frictionless"))
+    scene = shipped("wheelhouse", 30.0, ("coulomb", "frictionless"))
     needed = (*study.PRESSED, study.LOCATED, study.MEANWHILE)
     others = [order for order in variants(scene, study.ORDERS) if order.name in needed]
-    return reduced_and_assembly(scene, cache)[0], others, draw(scene, 303, 0, 8)
+    return reduced_and_assembly(scene, cache)[0], others, draw(scene, 303, 0, 6)
 
 
 EVALUATED = {}  # by scene and law: planted orders take the scenes of others

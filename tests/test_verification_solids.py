@@ -28,7 +28,7 @@ def case():
 
 @pytest.fixture(scope="module")
 def solid(case):
-    return study.LAP.solids(*case, study.LAP.meshes[1])
+    return study.LAP.solids(*case, (1.25, 5.0))
 
 
 @needs_ccx
@@ -58,7 +58,7 @@ def test_a_wrong_answer_is_not(error, case, solid, cache):
 
 @needs_ccx
 def test_the_error_of_increments_of_the_solids_is_negligible(case):
-    coarse, fine = (study.LAP.solids(*case, study.LAP.meshes[0], increments) for increments in (8, 16))
+    coarse, fine = (study.LAP.solids(*case, (3.0, 8.0), increments) for increments in (8, 16))
     assert max(study.LAP.errors(case[0], coarse, fine)[name] / LIMITS[name] for name in ("force", "slip")) < 0.05
     assert np.abs(coarse.measurements - fine.measurements).max() < 1e-4
 

@@ -37,6 +37,7 @@ from mic.statistics.draw import draw
 from mic.statistics.paired_differences import jackknife, mean_change, six_sigma_change
 from mic.studies.order import orders
 from mic.studies.pair_convergence import denser_scene
+from mic.system.files import write_text
 from verification.comparison import reduced_and_assembly, reduced_model, zone_slip
 from verification.stiffness import DeviatedStiffness
 from verification.study import Team
@@ -491,10 +492,7 @@ def _stored(path: Path, work: Callable[[], dict]) -> dict:
     if path.is_file():
         return json.loads(path.read_text())
     result = work()
-    path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = path.with_name(f".{path.name}")
-    temporary.write_text(json.dumps(result, indent=1))
-    temporary.replace(path)
+    write_text(path, json.dumps(result, indent=1))
     return result
 
 

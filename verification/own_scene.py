@@ -12,7 +12,6 @@ import base64
 import dataclasses
 import hashlib
 import json
-import math
 import time
 from collections.abc import Collection
 from dataclasses import dataclass
@@ -28,11 +27,13 @@ from mic.contact.laws import LAWS
 from mic.errors import SceneError
 from mic.results.outcome import read_outcome
 from mic.results.run_folder import versions
+from mic.results.summary import json_ready
 from mic.runs import sample_into
 from mic.scene import Scene
 from mic.scene.process import MOVING
 from mic.statistics import estimates
 from mic.statistics.draw import draw
+from mic.system.files import replacing, write_text
 from verification.budget import EVERY, SAMPLES, SAMPLING, Case, Item, bounded, estimate, largest_difference, values
 from verification.budget_page import (
     budget_figure,
@@ -139,9 +140,9 @@ def _write_results(folder: Path, summary: dict, per_sample: pd.DataFrame, table:
     table.to_csv(folder / "estimates.csv", index=False)
     if budget is not None:
         budget.to_csv(folder / "budget.csv", index_label="quantity")
-    _write(folder / "summary.json", json.dumps(summary, indent=2, allow_nan=False) + "\n")
+    write_text(folder / "summary.json", json.dumps(summary, indent=2, allow_nan=False) + "\n")
     page = _page(summary, per_sample, table, summary["truth"]["law"], budget, items)
-    _write(folder / "report.html", page)
+    write_text(folder / "report.html", page)
     return summary
 
 
@@ -271,7 +272,7 @@ def verify_scene(
     solved = [(choice, result) for choice, result in zip(chosen, full) if "failure" not in result]
     tables = _tables(outcome, cheap, model, solved)
     summary |= {name: table.to_dict("records") for name, table in zip(("per_sample", "statistics"), tables)}
-    return _write_results(folder, _finite(summary), *tables, budget, items)
+    return _write_results(folder, json_ready(summary), *tables, budget, items)
 
 
 def _case(original, assembly, model, law, cache, figures) -> Case:
@@ -430,10 +431,8 @@ def _full(full, scene, seed, law, sample, folder, key, say) -> dict:
             f"displacement:{stage}": resolution.displacement,
             f"state:{stage}": resolution.state,
         }
-    folder.mkdir(parents=True, exist_ok=True)
-    temporary = path.with_name(f".{path.name}")
-    np.savez(temporary, **result)
-    temporary.replace(path)
+    with replacing(path) as temporary:
+        np.savez(temporary, **result)
     say(f"  sample {sample}: {result['seconds']:.0f} s")
     return result
 
@@ -620,19 +619,3 @@ def worst(table) -> list[dict]:
                 }
             )
     return errors
-
-
-def _finite(value):
-    if isinstance(value, dict):
-        return {key: _finite(item) for key, item in value.items()}
-    if isinstance(value, list):
-        return [_finite(item) for item in value]
-    if isinstance(value, (np.ndarray, np.generic)):
-        return _finite(value.item())
-    return None if isinstance(value, float) and not math.isfinite(value) else value
-
-
-def _write(path, text):
-    temporary = path.with_name(f".{path.name}")
-    temporary.write_text(text)
-    temporary.replace(path)

@@ -16,6 +16,7 @@ import jinja2
 import pandas as pd
 
 from mic.report.template import backticks_to_code
+from mic.system.files import write_text
 from verification import domain
 from verification.limitations import limitations
 from verification.pdf import browser, write_pdf
@@ -82,9 +83,7 @@ def write_report(folder: Path, pdf: bool = False) -> Path:
         )
     )
     path = folder / "report.html"
-    temporary = folder / ".report.html"
-    temporary.write_text(page)
-    temporary.replace(path)
+    write_text(path, page)
     return write_pdf(path) if pdf else path
 
 

@@ -26,6 +26,7 @@ from mic.execution.local import Local
 from mic.execution.ranks import alone, communicator
 from mic.results.run_folder import versions
 from mic.system.cores import available_cores
+from mic.system.files import write_text
 from verification import domain
 from verification.cost import Cost, Meter, together
 from verification.plots import svg
@@ -269,7 +270,7 @@ def write_summary(folder: Path) -> list[dict]:
         for result in read_results(folder)
         for finding in result["findings"]
     ]
-    _write(Path(folder) / "summary.json", json.dumps(entries, indent=2, allow_nan=False) + "\n")
+    write_text(Path(folder) / "summary.json", json.dumps(entries, indent=2, allow_nan=False) + "\n")
     return entries
 
 
@@ -337,9 +338,3 @@ def _store(target: Path, study: Study, checked: list[CheckedFinding], record: di
 
 def _number(value) -> float | None:
     return float(value) if math.isfinite(value) else None
-
-
-def _write(path: Path, text: str) -> None:
-    temporary = path.with_name(f".{path.name}")
-    temporary.write_text(text)
-    temporary.replace(path)

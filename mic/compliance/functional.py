@@ -51,5 +51,11 @@ class Functionals:
     side: np.ndarray
     label: tuple[str, ...]
 
+    @classmethod
+    def displacements(cls, patches: tuple[Patch, ...], directions) -> Functionals:
+        """Mean displacement of the mid-surface over each patch along a unit direction of its own."""
+        n = len(patches)
+        return cls(patches, np.arange(n), np.asarray(directions), np.zeros(n, bool), np.zeros(n), ("",) * n)
+
     def __len__(self):
         return len(self.patch)

@@ -16,7 +16,7 @@ from mic.results.run_samples import RunSamples
 from mic.results.statistic_tables import whole_yield
 from mic.statistics import estimates
 
-__all__ = ["summary"]
+__all__ = ["json_ready", "summary"]
 
 _ZONE_KEYS = ("law", "stage", "zone", "contacts", "friction", "samples")
 _BEST = ("mean", "sigma", "six_sigma", "cp", "cpk", "share_outside")
@@ -73,7 +73,7 @@ def summary(
             },
             "limits": [{name: row[name] for name in row if name != "law"} for row in _rows(limit_table, law)],
         }
-    return _json_ready(
+    return json_ready(
         {
             "scene": outcome.model.scene.name,
             "description": outcome.model.scene.description,
@@ -147,12 +147,12 @@ def _entry(row: dict[str, Any], *without: str) -> dict[str, Any]:
     return entry
 
 
-def _json_ready(value):
+def json_ready(value):
     """Plain Python values; NaN and infinity become None."""
     if isinstance(value, dict):
-        return {str(key): _json_ready(item) for key, item in value.items()}
+        return {str(key): json_ready(item) for key, item in value.items()}
     if isinstance(value, (list, tuple)):
-        return [_json_ready(item) for item in value]
-    if isinstance(value, np.generic):
-        value = value.item()
+        return [json_ready(item) for item in value]
+    if isinstance(value, (np.generic, np.ndarray)):
+        return json_ready(value.tolist())
     return None if isinstance(value, float) and not math.isfinite(value) else value

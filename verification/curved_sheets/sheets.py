@@ -217,10 +217,8 @@ def panel_error(
         n = np.cross(at(step, 0) - at(-step, 0), at(0, step) - at(0, -step))
         directions.append(n / np.linalg.norm(n))
         patches.append(_disc(plan, [x, y]))
-    part, count = ShellPart(surface, 1.2, 210e3, 0.3, element), len(patches)
+    part = ShellPart(surface, 1.2, 210e3, 0.3, element)
     free = np.setdiff1d(np.arange(part.ndof), _held(part, (lambda x: near(x[:, 0], -120), range(6))))
-    rows = Functionals(
-        tuple(patches), np.arange(count), np.array(directions), np.zeros(count, bool), np.zeros(count), ("",) * count
-    )
-    K, L = part.stiffness_csr()[free][:, free], part.functional_matrix(rows)[:, free]
+    L = part.functional_matrix(Functionals.displacements(tuple(patches), directions))[:, free]
+    K = part.stiffness_csr()[free][:, free]
     return float(np.linalg.norm(Factorisation(K, L).influence - PANEL_COMPLIANCE) / np.linalg.norm(PANEL_COMPLIANCE))

@@ -26,6 +26,7 @@ from mic.process.process import Process
 from mic.results.path_error import tighter
 from mic.results.run_folder import versions
 from mic.scene import Scene
+from mic.system.files import replacing
 from verification.study import Team
 from verification.symmetry.numbers import KEYS, disagreement, full_numbers, numbers
 from verification.symmetry.solution import pairs_of, solve
@@ -99,10 +100,8 @@ def numerical_uncertainty(
             found = ways[name]()
         except REFUSALS as refusal:
             return f"{name}: {str(refusal).splitlines()[0]}"
-        folder.mkdir(parents=True, exist_ok=True)
-        temporary = path.with_name(f".{path.name}")
-        pd.concat(found, names=["law"]).to_csv(temporary)
-        temporary.replace(path)
+        with replacing(path) as temporary:
+            pd.concat(found, names=["law"]).to_csv(temporary)
         say(f"  solved again {name}")
         return found
 
