@@ -18,6 +18,7 @@ from mic.model.deviated_geometry import deviated_parts, gap_change
 from mic.model.sources import SOURCES
 from mic.process.actions import STAGE_MOVES
 from mic.statistics.draw import draw
+from verification.comparison import apart, difference
 from verification.scenes import with_stated_pairs
 
 pytestmark = pytest.mark.fem
@@ -83,28 +84,10 @@ def bracket_model(bracket, cache):
     return mic.reduce(bracket.scene, cache)
 
 
-def difference(full, reduced):
+def off(full, reduced):
     """Largest relative difference of forces, displacements and measurements over all stages."""
     assert set(full.resolutions) == set(reduced.resolutions)
-    pairs = [(full.measurements, reduced.measurements[0])]
-    for stage, resolution in reduced.resolutions.items():
-        assert resolution.converged.all()
-        pairs += [
-            (full.resolutions[stage].force, resolution.force[0]),
-            (full.resolutions[stage].displacement, resolution.displacement[0]),
-        ]
-    assert all(np.abs(b).max() > 0 for _, b in pairs)
-    return max(np.abs(a - b).max() / np.abs(b).max() for a, b in pairs)
-
-
-def apart(one, other):
-    """Largest relative difference of forces, displacements and reactions of two full solves over all stages."""
-    found = []
-    for stage, resolution in other.resolutions.items():
-        for name in ("force", "displacement", "reaction"):
-            exact = getattr(resolution, name)
-            found.append(np.abs(getattr(one.resolutions[stage], name) - exact).max() / np.abs(exact).max())
-    return max(found)
+    return difference(reduced, 0, full).largest
 
 
 @pytest.mark.parametrize("name, law", [("bracket", "coulomb"), ("lap", "frictionless")])
@@ -114,7 +97,7 @@ def test_augmented_agrees_with_the_reduced_model_in_all_stages(name, law, reques
     sample = draw(model.scene, 5, 0, 1)[0]
     route = {"bracket": "condensed", "lap": "whole"}[name]  # for the bracket the whole takes a minute
     full, reduced = FullModel(assembly, route=route).evaluate(sample, law), model.evaluate(sample, law)
-    assert difference(full, reduced) < 1e-8
+    assert off(full, reduced) < 1e-8
     for stage, resolution in full.resolutions.items():
         np.testing.assert_array_equal(resolution.state, reduced.resolutions[stage].state[0])
 
@@ -158,7 +141,7 @@ def test_both_models_agree_on_every_kind_of_deviation_and_stage(scene, cache):
         least = 1e-6 if kind == "friction" else 1e-4  # little slips on its way
         assert np.abs(moved).max() > least, f"a deviation of kind {kind} does nothing"
     full = FullModel(assemble(varied, cache), route="condensed").evaluate(means)
-    assert difference(full, model.evaluate(means)) < 1e-8
+    assert off(full, model.evaluate(means)) < 1e-8
 
 
 @pytest.mark.parametrize("path, increments", [("one-step", None), ("increments", 3)])
@@ -168,7 +151,7 @@ def test_agreement_holds_on_every_path(clamped_scene, cache, path, increments):
     scene = going(clamped_scene, path, increments)
     sample = draw(scene, 5, 3, 1)[0]
     full, reduced = FullModel(assemble(scene, cache)).evaluate(sample), mic.reduce(scene, cache).evaluate(sample)
-    assert difference(full, reduced) < 1e-8
+    assert off(full, reduced) < 1e-8
     for resolution in full.resolutions.values():
         np.testing.assert_allclose(resolution.trace.share.sum(axis=1), 1.0, rtol=1e-12)
     shares = {solve.share for solve in full.history}
@@ -177,20 +160,20 @@ def test_agreement_holds_on_every_path(clamped_scene, cache, path, increments):
 
 @pytest.mark.slow
 def test_the_comparison_detects_planted_errors(clamped, clamped_model, sample, monkeypatch):
-    """`difference` detects omitted friction, shape deviations of the wrong sign and omitted gaps."""
+    """`off` detects omitted friction, shape deviations of the wrong sign and omitted gaps."""
     reduced = clamped_model.evaluate(sample, "coulomb")
     full = FullModel(clamped)
-    assert difference(full.evaluate(sample, "frictionless"), reduced) > 1e-3
+    assert off(full.evaluate(sample, "frictionless"), reduced) > 1e-3
     turned = FullModel(clamped)
     turned.unit_shapes = -full.unit_shapes
-    assert difference(turned.evaluate(sample, "coulomb"), reduced) > 1e-3
+    assert off(turned.evaluate(sample, "coulomb"), reduced) > 1e-3
     displacement = equilibrium.ContactLaw.displacement
 
     def without_gap(self, δ):
         return displacement(self, δ) - self.gap[:, None] * np.array([1, 0, 0])
 
     monkeypatch.setattr(equilibrium.ContactLaw, "displacement", without_gap)
-    assert difference(full.evaluate(sample, "coulomb"), reduced) > 1e-3
+    assert off(full.evaluate(sample, "coulomb"), reduced) > 1e-3
 
 
 @pytest.mark.slow
@@ -317,14 +300,14 @@ def test_redundant_locators(clamped_scene, clamped, sample, cache):
 def test_deviated_meshes_tend_to_the_nominal_one(clamped, sample):
     """Stiffness, normals and gaps of the deviated geometry differ from the nominal ones in proportion to the
     deviation."""
-    off = []
+    change = []
     for scale in (0.01, 1.0):
         nominal, deviated = (
             FullModel(clamped, deviated=deviated, route="condensed").evaluate(scale * sample).measurements
             for deviated in (False, True)
         )
-        off.append(np.abs(deviated - nominal).max() / np.abs(nominal).max())
-    assert 0 < off[0] < 1e-3 and 2 * off[0] < off[1] < 0.05
+        change.append(np.abs(deviated - nominal).max() / np.abs(nominal).max())
+    assert 0 < change[0] < 1e-3 and 2 * change[0] < change[1] < 0.05
 
 
 def test_deviated_frames_turn_with_the_surface(lap):
@@ -407,7 +390,7 @@ def test_both_models_agree_on_a_resting_part(scene, cache, increments, law, pinn
     model = mic.reduce(resting, cache)
     sample = draw(resting, 5, 0, 1)[0]
     full, reduced = FullModel(assemble(resting, cache)).evaluate(sample, law), model.evaluate(sample, law)
-    assert not reduced.failed.any() and difference(full, reduced) < 1e-6
+    assert not reduced.failed.any() and off(full, reduced) < 1e-6
     np.testing.assert_allclose(reduced.resolutions["clamp"].force[0, :, 0].sum(), 60.0, rtol=1e-8)
 
 

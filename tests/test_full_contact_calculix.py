@@ -3,12 +3,11 @@ little."""
 
 import numpy as np
 import pytest
+from support.shells import needs_ccx
 from support.strips import E, bend_leaves
 
-from fem_reference.peers import calculix
 from fem_reference.peers.calculix_contact import leaves
 
-needs_ccx = pytest.mark.skipif(not calculix.available(), reason="ccx is not installed: apt-get install calculix-ccx")
 pytestmark = [pytest.mark.fem, needs_ccx]
 
 LENGTH, WIDTH, DEPTH, PRESSURE, FRICTION = 100.0, 5.0, 2.0, 1.0, 0.3

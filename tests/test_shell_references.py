@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from support.shells import needs_ccx
 
 from fem_reference.peers import calculix, references
 from mic.geometry.repair import repair
@@ -9,7 +10,6 @@ from mic.geometry.repair import repair
 pytestmark = pytest.mark.fem
 
 KEPT = references.load()
-needs_ccx = pytest.mark.skipif(not calculix.available(), reason="ccx is not installed: apt-get install calculix-ccx")
 
 
 def off(H, name):

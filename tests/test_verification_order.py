@@ -17,10 +17,10 @@ LIMITS = {acceptance.name: acceptance for acceptance in study.STUDY.acceptance}
 
 @pytest.fixture(scope="module")
 def wheelhouse(cache):
-    scene = shipped("wheelhouse", 30.0, ("coulomb", "frictionless"))
+    scene = shipped("wheelhouse", "coarse", ("coulomb", "frictionless"))
     needed = (*study.PRESSED, study.LOCATED, study.MEANWHILE)
     others = [order for order in variants(scene, study.ORDERS) if order.name in needed]
-    return reduced_and_assembly(scene, cache)[0], others, draw(scene, 303, 0, 6)
+    return reduced_and_assembly(scene, cache)[0], others, draw(scene, 303, 0, 8)
 
 
 EVALUATED = {}  # by scene and law: planted orders take the scenes of others
@@ -51,11 +51,6 @@ def test_the_limits_hold(wheelhouse):
 
 def test_friction_ignored_is_caught(wheelhouse):
     assert within(*wheelhouse, law="frictionless") & {"pressed", "matters"} == set()
-
-
-def named(others, of):
-    """All orders under their names, each with what `of` gives it."""
-    return [Order(order.name, next(each.scene for each in others if each.name == of(order.name))) for order in others]
 
 
 @pytest.mark.parametrize(

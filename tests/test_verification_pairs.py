@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from support.wrong_models import gaps_off, without_friction
 
 from verification.pairs import study
 from verification.pairs.study import Outcome, compared
@@ -36,14 +37,10 @@ def broken(found):
     return {name for name, limit in study.LIMITS.items() if found[name] > limit}
 
 
-def contacts_changed(model, **arrays):
-    return replace(model, contacts=replace(model.contacts, **arrays))
-
-
 PLANTED = {
     "nothing": (lambda model: model, set()),
-    "friction ignored": (lambda model: contacts_changed(model, friction=0 * model.contacts.friction), {"work"}),
-    "gaps off by 0.1 mm": (lambda model: contacts_changed(model, gap=model.contacts.gap + 0.1), {"mean", "work"}),
+    "friction ignored": (without_friction, {"work"}),
+    "gaps off by 0.1 mm": (lambda model: gaps_off(model, 0.1), {"mean", "work"}),
 }
 
 

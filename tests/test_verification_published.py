@@ -12,11 +12,6 @@ from verification.published.study import Measured
 pytestmark = pytest.mark.fem
 
 
-def near(value):
-    """Whether a coordinate has this value."""
-    return lambda x: abs(x - value) < 1e-9
-
-
 LIMITS = {item.name: item.limit for item in study.STUDY.acceptance}
 
 
@@ -110,8 +105,7 @@ def test_errors_are_relative_and_include_the_mesh_error():
 def test_a_block_is_pressed_as_by_hand():
     """``u = p (1 - ν²)/E h`` down and ``p ν (1 + ν)/E x`` aside, in plane strain."""
     body = Body(*rectangle(np.linspace(0, 3, 3), np.linspace(0, 2, 2)), 100.0, 0.25)
-    base, top = body.along(lambda x, y: near(0)(y)), body.along(lambda x, y: near(2)(y))
-    corner = body.along(lambda x, y: near(0)(x), order=1)
+    base, top, corner = body.side(1, 0.0), body.side(1, 2.0), body.side(0, 0.0)
     found = body.reduced(body.rows(top[-1:]), held=[*(2 * base + 1), *(2 * corner)], loads=[body.pressed(top, (0, -8))])
     assert found.U[:, 0] == pytest.approx([8 * 0.25 * 1.25 / 100 * 3, -8 * (1 - 0.25**2) / 100 * 2], rel=1e-12)
     assert body.pressed(top, (0, -8)).sum() == pytest.approx(-24)
@@ -121,7 +115,7 @@ def test_a_ring_under_pressure_is_lames():
     """Inner pressure p on a long ring: ``u(a) = p a (1 + ν)/E ((1 - 2ν) a² + b²)/(b² - a²)``, nothing along it."""
     a, b, E, nu = 1.0, 2.0, 100.0, 0.3
     body = Body(*rectangle(np.linspace(a, b, 9), [0.0, 0.25]), E, nu, revolved=True)
-    inner = body.along(lambda x, y: near(a)(x), order=1)
+    inner = body.side(0, a)
     every = np.arange(len(body.nodes))  # of a long ring none moves along it
     found = body.reduced(body.rows(inner[:1]), held=2 * every + 1, loads=[body.pressed(inner, (7.0, 0.0))])
     exact = 7.0 * a * (1 + nu) / E * ((1 - 2 * nu) * a**2 + b**2) / (b**2 - a**2)

@@ -4,8 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from support.shells import needs_ccx
+from support.wrong_models import contacts_changed, gaps_off
 
-from fem_reference.peers import calculix
 from fem_reference.peers.calculix_process import process
 from mic.examples import folder
 from mic.scene import load_scene
@@ -13,7 +14,6 @@ from verification import run as runs
 from verification.solids import study
 from verification.study import Team
 
-needs_ccx = pytest.mark.skipif(not calculix.available(), reason="ccx is not installed: apt-get install calculix-ccx")
 pytestmark = pytest.mark.fem
 
 LIMITS = {item.name: item.limit for item in study.STUDY.acceptance}
@@ -28,7 +28,7 @@ def case():
 
 @pytest.fixture(scope="module")
 def solid(case):
-    return study.LAP.solids(*case, (1.25, 5.0))
+    return study.LAP.solids(*case, study.LAP.meshes[1])
 
 
 @needs_ccx
@@ -38,13 +38,9 @@ def test_forces_and_slips_are_those_of_solids(case, solid, cache):
     assert found["key-characteristic"] < 2  # of which the coarse solids leave nearly all
 
 
-def contacts_changed(model, **arrays):
-    return replace(model, contacts=replace(model.contacts, **arrays))
-
-
 PLANTED = {
     "friction ten times too large": lambda model: contacts_changed(model, friction=10 * model.contacts.friction),
-    "gaps off by 20 µm": lambda model: contacts_changed(model, gap=model.contacts.gap + 0.02),
+    "gaps off by 20 µm": lambda model: gaps_off(model, 0.02),
     "shapes reversed": lambda model: replace(model, shape=-model.shape),
 }
 

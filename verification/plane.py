@@ -80,6 +80,15 @@ class Body:
         found = np.flatnonzero(on(*self.nodes.T))
         return found[np.argsort(self.nodes[found, order])]
 
+    def side(self, axis: int, value: float) -> np.ndarray:
+        """Nodes whose coordinate `axis` has a value, by their other coordinate."""
+        return self.along(lambda *place: abs(place[axis] - value) < 1e-9, order=1 - axis)
+
+    @staticmethod
+    def freedoms(nodes) -> np.ndarray:
+        """Both freedoms of each node, node by node."""
+        return (2 * np.asarray(nodes)[:, None] + [0, 1]).ravel()
+
     def pressed(self, chain, direction) -> np.ndarray:
         """Forces (freedoms,) of a unit traction along `direction` (2,) on the edges of a chain of nodes that starts at
         a corner."""
@@ -97,9 +106,11 @@ class Body:
         diagonal[2 * np.asarray(nodes) + component] = stiffness
         self.stiffness = self.stiffness + sp.diags(diagonal)
 
-    def rows(self, nodes) -> sp.csr_matrix:
-        """Rows that read both components at nodes, node by node."""
-        columns = (2 * np.asarray(nodes)[:, None] + [0, 1]).ravel()
+    def rows(self, nodes, normal_first: bool = False) -> sp.csr_matrix:
+        """Rows that read both components at nodes, node by node: x and y, or y and x."""
+        columns = self.freedoms(nodes)
+        if normal_first:
+            columns = columns.reshape(-1, 2)[:, ::-1].ravel()
         return sp.csr_matrix(
             (np.ones(len(columns)), (np.arange(len(columns)), columns)), (len(columns), 2 * len(self.nodes))
         )

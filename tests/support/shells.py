@@ -1,12 +1,16 @@
 """Freedoms, loads and supports of a shell part, found by where they are."""
 
 import numpy as np
+import pytest
 
+from fem_reference.peers import calculix
 from fem_reference.shell.factorisation import Factorisation
 from fem_reference.shell.part import ShellPart
 from support.panels import NU, PLACES, E, functionals, panel
 
 SHEETS = {"left": (1.2, 5), "right": (0.8, 6), "middle": (1.0, 4)}  # thickness in mm, cells along each side
+
+needs_ccx = pytest.mark.skipif(not calculix.available(), reason="ccx is not installed: apt-get install calculix-ccx")
 
 
 def several_parts():

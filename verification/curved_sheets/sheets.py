@@ -17,7 +17,7 @@ from mic.compliance.functional import Functionals
 from mic.geometry.repair import repair
 from mic.geometry.surface import Patch, Surface
 
-__all__ = ["Normals", "cylinder", "hemisphere", "panel_error", "twisted_beam"]
+__all__ = ["Normals", "cylinder", "end_load", "hemisphere", "near", "panel_error", "twisted_beam"]
 
 Normals = Literal["exact", "mesh"]
 Split = Literal["in turn", "other", "deck"]  # diagonals of cells: in alternation, the others, as a deck's are chosen
@@ -65,7 +65,7 @@ def _deflection(part, held, load):
     return load[free] @ u
 
 
-def _end_load(part, on_line, along, direction):
+def end_load(part, on_line, along, direction):
     """A unit force spread evenly over the vertices for which `on_line` holds, ordered by the coordinate `along`."""
     vertices = np.flatnonzero(on_line(part.surface.points))
     vertices = vertices[np.argsort(part.surface.points[vertices, along])]
@@ -117,14 +117,20 @@ def cylinder(element: str, normals: Normals, seed: int, rise: float, n: int = 16
     t = (np.pi * R / 2 / n) ** 2 / (8 * R * rise)
     shape = lambda X, Y: np.column_stack([R * np.cos(np.pi / 2 * X), R * np.sin(np.pi / 2 * X), width * Y])
     part = ShellPart(jittered(n, n // 2, shape, jitter, seed, normals), t, young, 0.0, element)
-    load = _end_load(part, lambda x: near(x[:, 0], 0), 2, [0, 1, 0])
+    load = end_load(part, lambda x: near(x[:, 0], 0), 2, [0, 1, 0])
     held = _held(part, (lambda x: near(x[:, 1], 0), range(6)))
     exact = np.pi * R**3 / (4 * young * width * t**3 / 12) + np.pi * R / (4 * young * width * t)
     return _deflection(part, held, load) / exact
 
 
 def twisted_beam(
-    element: str, normals: Normals, seed: int, direction: int, n: int = 4, thickness: float = 0.0032
+    element: str,
+    normals: Normals,
+    seed: int,
+    direction: int,
+    n: int = 4,
+    thickness: float = 0.0032,
+    jitter: float = 0.25,
 ) -> float:
     """Beam twisted by 90° over its length, clamped, under a force at its tip across the strip (`direction` 1) or in its
     plane there (2).
@@ -138,8 +144,8 @@ def twisted_beam(
         angle, y = np.pi / 2 * X, 1.1 * (Y - 0.5)
         return np.column_stack([12 * X, y * np.cos(angle), y * np.sin(angle)])
 
-    part = ShellPart(jittered(6 * n, n, shape, 0.25, seed, normals), thickness, 29e6, 0.22, element)
-    load = _end_load(part, lambda x: near(x[:, 0], 12), 2, np.eye(3)[direction])
+    part = ShellPart(jittered(6 * n, n, shape, jitter, seed, normals), thickness, 29e6, 0.22, element)
+    load = end_load(part, lambda x: near(x[:, 0], 12), 2, np.eye(3)[direction])
     held = _held(part, (lambda x: near(x[:, 0], 0), range(6)))
     return _deflection(part, held, load) / references[thickness][direction - 1]
 

@@ -42,18 +42,14 @@ def shoe(stiffer: float = 1.0, divisions: int = 4) -> np.ndarray:
         210e3 * stiffer,
         0.0,
     )
-    bottom, top, left, right = (
-        body.along(lambda x, y, of=of, at=at: abs((x, y)[of] - at) < 1e-9, order=1 - of)
-        for of, at in ((1, 0.0), (1, height), (0, 0.0), (0, length))
-    )
+    bottom, top, left, right = (body.side(*of) for of in ((1, 0.0), (1, height), (0, 0.0), (0, length)))
     body.springs(right[[0, -1]], 0, 2.0)
     body.springs(top[[0, -1]], 1, 0.005)
     loads = [
         body.pressed(top, (0, -pressure)),
         *(body.pressed(left, (0.3 * pressure * 2 * f, 0)) for f in (0.99, 1.01)),
     ]
-    swap = body.rows(bottom)[np.arange(2 * len(bottom)).reshape(-1, 2)[:, ::-1].ravel()]  # normal, then tangent
-    found = body.reduced(swap, loads=loads)
+    found = body.reduced(body.rows(bottom, normal_first=True), loads=loads)
     pairs = Pairs(found.H, np.tile([2.0, 0.0], len(bottom)), np.zeros((2 * len(bottom), 0)))
     normal, rows = found.U[:, 0], []
     for legs in ([normal], [normal, normal + found.U[:, 1]], [normal, normal + found.U[:, 2]]):
@@ -94,13 +90,10 @@ def plate(divisions: int, friction: float = 1.0) -> np.ndarray:
     """
     side = np.linspace(0, 40.0, divisions + 1)
     body = Body(*rectangle(side, side), 130e3, 0.2)
-    bottom, top, left, right = (
-        body.along(lambda x, y, of=of, at=at: abs((x, y)[of] - at) < 1e-9, order=1 - of)
-        for of, at in ((1, 0.0), (1, 40.0), (0, 0.0), (0, 40.0))
-    )
+    bottom, top, left, right = (body.side(*of) for of in ((1, 0.0), (1, 40.0), (0, 0.0), (0, 40.0)))
     load = body.pressed(top, (0, -50.0)) + body.pressed(left, (150.0, 0))
     touching = bottom[:-1]
-    rows = body.rows(touching)[np.arange(2 * len(touching)).reshape(-1, 2)[:, ::-1].ravel()]
+    rows = body.rows(touching, normal_first=True)
     found = body.reduced(rows, held=[*(2 * right), 2 * bottom[-1] + 1], loads=[load])
     pairs = Pairs(found.H, np.zeros(2 * len(touching)), np.zeros((2 * len(touching), 0)))
     shift = followed(pairs, friction, [found.U[:, 0]])[1].reshape(-1, 2)[:, 1]
@@ -162,7 +155,7 @@ def _squeezed(lower: Body, upper: Body, below, above, gap, held, top, friction, 
 
 
 def _axis(body: Body) -> np.ndarray:
-    return 2 * body.along(lambda x, y: abs(x) < 1e-9, order=1)
+    return 2 * body.side(0, 0.0)
 
 
 @dataclass(frozen=True)
@@ -208,8 +201,7 @@ class Roller:
         above = above[np.isin(np.round(cylinder.nodes[above, 0], 6), np.round(block.nodes[below, 0], 6))]
         top = np.zeros(2 * len(cylinder.nodes))
         top[2 * np.argmax(cylinder.nodes[:, 1]) + 1] = -self.load
-        fixed = block.along(lambda x, y: abs(y + 200.0) < 1e-9)
-        held = [*_axis(block), *(2 * fixed), *(2 * fixed + 1)], _axis(cylinder)
+        held = [*_axis(block), *block.freedoms(block.side(1, -200.0))], _axis(cylinder)
         x = block.nodes[below, 0]
         f, motion = _squeezed(block, cylinder, below, above, _round(x, R), held, top, friction, 0.5)
         a = 2 * np.sqrt((f * x**2).sum() / f.sum())
@@ -282,9 +274,8 @@ class Punch:
         above = punch.along(
             lambda x, y: (y < 5.0) & (x < reach[-1] + 1e-9) & (abs(np.interp(x, reach, curve) - y) < 1e-9)
         )
-        top = punch.pressed(punch.along(lambda x, y: abs(y - 100.0) < 1e-9), (0.0, -100.0))
-        fixed = cylinder.along(lambda x, y: abs(y + 200.0) < 1e-9)
-        held = [*_axis(cylinder), *(2 * fixed), *(2 * fixed + 1)], _axis(punch)
+        top = punch.pressed(punch.side(1, 100.0), (0.0, -100.0))
+        held = [*_axis(cylinder), *cylinder.freedoms(cylinder.side(1, -200.0))], _axis(punch)
         x = cylinder.nodes[below, 0]
         gap = np.where(x > flat, fillet - np.sqrt(np.maximum(fillet**2 - (x - flat) ** 2, 0)), 0.0)
         _, motion = _squeezed(cylinder, punch, below, above, gap, held, top, friction, self.chord, FINE)
@@ -347,9 +338,7 @@ def cattaneo(
     above = body.along(
         lambda x, y: (abs(x) < reach[-1] + 1e-9) & (abs(np.interp(x, reach, _round(reach, R)) - y) < 1e-9)
     )
-    fixed = body.along(lambda x, y: abs(y - R) < 1e-9)
-    swap = np.arange(2 * len(above)).reshape(-1, 2)[:, ::-1].ravel()
-    H = body.reduced(body.rows(above)[swap], held=[*(2 * fixed), *(2 * fixed + 1)]).H
+    H = body.reduced(body.rows(above, normal_first=True), held=body.freedoms(body.side(1, R))).H
     mirror = np.tile([-1.0, 1.0], len(above))
     x = body.nodes[above, 0]
     pairs = Pairs(
