@@ -9,6 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from mic.geometry.surface import Patch
 
@@ -52,7 +53,7 @@ class Functionals:
     label: tuple[str, ...]
 
     @classmethod
-    def displacements(cls, patches: tuple[Patch, ...], directions) -> Functionals:
+    def displacements(cls, patches: tuple[Patch, ...], directions: ArrayLike) -> Functionals:
         """Mean displacement of the mid-surface over each patch along a unit direction of its own."""
         n = len(patches)
         return cls(patches, np.arange(n), np.asarray(directions), np.zeros(n, bool), np.zeros(n), ("",) * n)
