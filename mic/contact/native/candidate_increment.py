@@ -75,7 +75,7 @@ def follow_among(problem, D, among, some, control, samples, near, found, counts)
         Numbers of W's contacts among all m, and of the samples in the batch.
     near : bool
         Whether the guess is taken as it is; else it is a forecast, with which few sweeps begin.
-    counts : (n, 5) int array
+    counts : (n, 3) int array
     """
     W, P, parameters = problem.W, problem.P, problem.parameters
     b, force, anchor, working, guess = samples

@@ -39,20 +39,19 @@ from numba import boolean, int64, types, void
 
 from mic.contact.native.kernel import COUNTS, MATRIX, NUMBER, VECTOR, kernel
 from mic.contact.native.law_equation import starting_scale
-from mic.contact.native.matrices import assign, assign_sum, times
+from mic.contact.native.matrices import assign, assign_sum, displace
 from mic.contact.native.path_constants import FAILED, LONGEST, STEPS
 from mic.contact.native.path_step import (
     HELP,
     INNER,
     SAMPLE_LEG,
     SHORTEST,
-    WORKSPACE,
     Place,
     SampleLeg,
-    Workspace,
     controlled_step,
     euler_step,
     next_length,
+    right_hand_side,
     step_end,
 )
 from mic.contact.native.step_data import (
@@ -61,10 +60,12 @@ from mic.contact.native.step_data import (
     OUTCOME,
     PATH_PROBLEM,
     PREDICTION,
+    WORKSPACE,
     Aim,
     LastProblem,
     Prediction,
     Record,
+    Workspace,
 )
 from mic.contact.native.step_error import mean_force, motion_size
 from mic.contact.native.step_solution import solve
@@ -111,27 +112,27 @@ def arrays(m):
     return work, predicted, LastProblem(kept, stretch, A, B, np.empty(0, np.int64), np.empty((0, 0)))
 
 
-@kernel(types.Tuple((int64, NUMBER, LAST_PROBLEM))(PATH_PROBLEM, CONTROL, SAMPLE_LEG, WORKSPACE, LAST_PROBLEM, COUNTS))
+@kernel(
+    types.Tuple((int64, SAMPLE_LEG, LAST_PROBLEM))(PATH_PROBLEM, CONTROL, SAMPLE_LEG, WORKSPACE, LAST_PROBLEM, COUNTS)
+)
 def begin(problem, control, leg, work, last, counts):
-    """Displacements at the start of a leg: whether they are found, the force that tolerances are relative to, and the
-    linear problem that was solved last."""
+    """Displacements at the start of a leg: whether they are found, the leg with its scale, and the linear problem that
+    was solved last."""
     y, w, q = work.y, work.w, work.q
-    assign(q, leg.q0)
-    for k in range(len(work.state)):
-        q[3 * k + 1] -= leg.anchor[2 * k]
-        q[3 * k + 2] -= leg.anchor[2 * k + 1]
-    times(problem.W, y, w)
-    w += q
+    work.shift[:] = 0.0
+    right_hand_side(leg, 0.0, work.shift, q)
+    displace(problem.W, y, q, w)
     scale = max(starting_scale(q), starting_scale(q + leg.rate))
+    leg = SampleLeg(leg.q0, leg.rate, leg.anchor, scale)
     work.pace[:] = 0.0
     assign(work.y0, y)
     if control.order == 1:  # what does not balance is part of the first step
         for i in range(0, len(w), 3):
             w[i + 1] = w[i + 2] = 0.0
-        return 1, scale, last
+        return 1, leg, last
     aim = Aim(INNER, scale, control.sweeps, HELP, True, False)
-    solved, last = solve(problem, y, w, q, work.y0, aim, last, counts)
-    return solved, scale, last
+    solved, last = solve(problem, work, aim, last, counts)
+    return solved, leg, last
 
 
 @kernel(
@@ -139,7 +140,6 @@ def begin(problem, control, leg, work, last, counts):
         PATH_PROBLEM,
         CONTROL,
         SAMPLE_LEG,
-        NUMBER,
         types.Tuple((VECTOR, boolean)),
         OUTCOME,
         int64,
@@ -148,7 +148,7 @@ def begin(problem, control, leg, work, last, counts):
         LAST_PROBLEM,
     )
 )
-def follow_leg(problem, control, leg, scale, guess, outcome, i, work, predicted, last):
+def follow_leg(problem, control, leg, guess, outcome, i, work, predicted, last):
     """Sample i from one load to the next, step by step."""
     record = Record(outcome.record.slip[i], outcome.record.length[i], outcome.record.work[i], outcome.record.share[i])
     y, w, counts, ends = work.y, work.w, outcome.counts[i], control.ends
@@ -167,13 +167,13 @@ def follow_leg(problem, control, leg, scale, guess, outcome, i, work, predicted,
             break
         assign(work.y0, y)
         assign(work.w0, w)
-        slack = LEFT * INNER * max(scale, np.sqrt(np.dot(y, y)))
+        slack = LEFT * INNER * max(leg.scale, np.sqrt(np.dot(y, y)))
         most = max(most, mean_force(y, problem.unit))
         step = 1.0 - s if s + 1.0001 * h >= 1.0 else h
         short = control.order == 2 and not given and unforeseen(y, w, leg.rate, slack, s == 0.0)
         if short:
             step = min(step, FIRST)
-        place = Place(s, step, scale, slack, made, most)
+        place = Place(s, step, slack, made, most)
         if control.order == 1:
             solved, last = euler_step(problem, control, leg, place, guess, predicted, work, last, counts)
             target, error, force, excess = step_end(s, step), 0.0, 0.0, 0.0
@@ -183,7 +183,7 @@ def follow_leg(problem, control, leg, scale, guess, outcome, i, work, predicted,
         if solved == 0:
             counts[FAILED] += 1
             break
-        record_step(work.y0, predicted, y, w, work.state, work.late, work.other, target - s, record)
+        record_step(predicted, work, target - s, record)
         outcome.sums[i, 0] += error
         outcome.sums[i, 1] += force
         counts[STEPS] += 1
@@ -225,13 +225,13 @@ def follow(problem, loads, control, L, Y, outcome, guess, near):
     for i in range(len(Q)):
         assign(work.y, Y[i])
         assign_sum(rate, loads[1][i], -1.0, loads[0][i])
-        leg = SampleLeg(loads[0][i], rate, L[i])
+        leg = SampleLeg(loads[0][i], rate, L[i], 0.0)
         last = LastProblem(last.state, last.stretch, last.A, last.B, np.empty(0, np.int64), np.empty((0, 0)))
-        solved, scale, last = begin(problem, control, leg, work, last, counts[i])
+        solved, leg, last = begin(problem, control, leg, work, last, counts[i])
         if solved == 0:
             counts[i, FAILED] += 1
             continue
         forces = guess[i] if len(guess) > 0 else none
-        follow_leg(problem, control, leg, scale, (forces, near), outcome, i, work, predicted, last)
+        follow_leg(problem, control, leg, (forces, near), outcome, i, work, predicted, last)
         assign(Q[i], work.q)
         assign(Y[i], work.y)

@@ -19,7 +19,6 @@ from mic.contact.native.kernel import BLOCKS, COUNTS, MATRIX, NUMBER, VECTOR, ke
 from mic.contact.states import OPEN, SLIP, STICK
 
 __all__ = [
-    "EQUATION",
     "EQUATION_POINTER",
     "compiled",
     "derivative",
@@ -28,6 +27,7 @@ __all__ = [
     "merit",
     "relative",
     "starting_scale",
+    "statuses",
 ]
 
 #: parameters, y, w, Φ, A, B, state, derivative. All contacts in one call: one call for each would make a sample that
@@ -45,11 +45,17 @@ def compiled(equation):
         return cfunc(EQUATION, error_model="numpy")(equation)
 
 
+@kernel(void(EQUATION_POINTER, MATRIX, VECTOR, VECTOR, VECTOR, COUNTS))
+def statuses(equation, parameters, y, w, phi, state):
+    """Fill the states of all contacts, and the equations ``phi`` of those that slide."""
+    nothing = np.empty((0, 3, 3))
+    equation(parameters, y, w, phi, nothing, nothing, state, False)
+
+
 @kernel(NUMBER(EQUATION_POINTER, MATRIX, VECTOR, VECTOR, VECTOR, COUNTS))
 def merit(equation, parameters, y, w, phi, state):
     """Fill ``phi`` with all contacts' equations and return its Euclidean norm; ``state`` is scratch."""
-    nothing = np.empty((0, 3, 3))
-    equation(parameters, y, w, phi, nothing, nothing, state, False)
+    statuses(equation, parameters, y, w, phi, state)
     total = 0.0
     for k in range(len(state)):
         i = 3 * k

@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 from numba import int64
 
-from mic.contact.native.kernel import BLOCKS, COUNTS, MATRIX, VECTOR, kernel
+from mic.contact.native.kernel import COUNTS, MATRIX, VECTOR, kernel
 from mic.contact.native.lapack import least_squares, solution
 from mic.contact.native.linearised_law import CONTACTS
 from mic.contact.native.matrices import assign
 
-__all__ = ["bent", "moved", "solved", "system"]
+__all__ = ["bent", "moved", "solved"]
 
 #: Forces of contacts that hold each other are not unique, their displacements are.
 HYPERSTATIC, UNSOLVED = 1e-11, 1e-9
@@ -27,30 +27,6 @@ def solved(matrix, right):
     if worst <= UNSOLVED * size:
         return found
     return least_squares(matrix, right, HYPERSTATIC)
-
-
-@kernel(MATRIX(MATRIX, BLOCKS, BLOCKS, COUNTS))
-def system(S, P, Q, own):
-    """Matrix of ``P_k x_k + Q_k (S x)_k`` over the contacts ``own``."""
-    size, count = P.shape[1], len(own)
-    J = np.empty((size * count, size * count))
-    for a in range(count):
-        i = size * own[a]
-        for row in range(size):
-            target = J[size * a + row]
-            if size == 1:
-                for b in range(count):
-                    target[b] = Q[a, 0, 0] * S[i, own[b]]
-            else:
-                q0, q1, q2 = Q[a, row, 0], Q[a, row, 1], Q[a, row, 2]
-                S0, S1, S2 = S[i], S[i + 1], S[i + 2]
-                for b in range(count):
-                    j = 3 * own[b]
-                    for c in range(3):
-                        target[3 * b + c] = q0 * S0[j + c] + q1 * S1[j + c] + q2 * S2[j + c]
-            for c in range(size):
-                target[size * a + c] += P[a, row, c]
-    return J
 
 
 @kernel(MATRIX(MATRIX, COUNTS, int64, COUNTS, MATRIX))

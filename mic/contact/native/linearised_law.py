@@ -16,6 +16,7 @@ from numba import boolean, int64, types, void
 
 from mic.contact.native.kernel import BLOCKS, COUNTS, MATRIX, NUMBER, VECTOR, kernel
 from mic.contact.native.law_equation import EQUATION_POINTER
+from mic.contact.native.slider_lag import lag, lag_slope
 from mic.contact.states import LOADED, ON_CONE, OPEN, SLIP, STICK
 
 __all__ = ["CONTACTS", "EQUATIONS", "MASK", "Contacts", "Equations", "bound", "equations", "on_cone", "states"]
@@ -58,13 +59,13 @@ class Contacts(NamedTuple):
 
 
 class Equations(NamedTuple):
-    """Linearised equations of closed contacts, in the order in which these are listed.
+    """Linearised equations of m contacts, of which those of closed ones are filled.
 
     Attributes
     ----------
     P, Q, P0 : (m, d, d) array
     R : (m, d) array
-        What is left of them, mm.
+        Residuals, mm.
     r : (m, d, 2) array
     """
 
@@ -102,19 +103,6 @@ WAY = types.NamedTuple([VECTOR, VECTOR, MATRIX, MATRIX, MATRIX, NUMBER], Way)
 SLIDER = types.UniTuple(NUMBER, 5)
 
 
-@kernel(types.UniTuple(NUMBER, 2)(NUMBER))
-def _lag(z):
-    """``φ(z) = 1/z - 1/(eᶻ - 1)`` and its derivative."""
-    if abs(z) < 0.05:
-        z2 = z * z
-        value = 0.5 - z * (1.0 / 12.0 - z2 * (1.0 / 720.0 - z2 * (1.0 / 30240.0 - z2 / 1209600.0)))
-        return value, -1.0 / 12.0 + z2 * (1.0 / 240.0 - z2 * (1.0 / 6048.0 - z2 / 172800.0))
-    if z > 300.0:
-        return 1.0 / z, -1.0 / (z * z)
-    below = np.expm1(z)
-    return 1.0 / z - 1.0 / below, (below + 1.0) / (below * below) - 1.0 / (z * z)
-
-
 @kernel(types.UniTuple(NUMBER, 2)(CONTACTS, int64, NUMBER))
 def bound(contacts, k, normal):
     """``g(f_n)`` of contact k, and ``g'``: the law's equation tells both where it varies, of a force far outside."""
@@ -139,7 +127,7 @@ def _way(f, w, f0, turns, κ):
         e[0], e[1] = f0[1] / t0, f0[2] / t0
         l = -(e[0] * w[1] + e[1] * w[2])
         z = l / (0.5 * κ * (t0 + t))
-        φ, dφ = _lag(z)
+        φ, dφ = lag(z), lag_slope(z)
         λ, by_l, by_c, by_κ = φ * l, φ + dφ * z, -dφ * z * z * 0.5 * κ, -dφ * z * l / κ
         across = e[1] * w[1] - e[0] * w[2]  # of w_t
         for i in range(2):
@@ -157,10 +145,10 @@ def _way(f, w, f0, turns, κ):
 
 
 @kernel(void(VECTOR, VECTOR, WAY, SLIDER, EQUATIONS, int64))
-def _slip(f, w, way, slider, into, a):
-    """Fill the equations ``a`` with those of a contact that slips under load."""
+def _slip(f, w, way, slider, into, k):
+    """Fill the equations of a contact k that slips under load."""
     κ, μ, share, g, rise = slider
-    P, Q, P0, R, r = into.P[a], into.Q[a], into.P0[a], into.R[a], into.r[a]
+    P, Q, P0, R, r = into.P[k], into.Q[k], into.P0[k], into.R[k], into.r[k]
     v, e, D, E, E0 = way.w, way.e, way.by_w, way.by_f, way.by_f0
     t = np.sqrt(f[1] * f[1] + f[2] * f[2])
     along = (f[1] * v[0] + f[2] * v[1]) / t
@@ -193,24 +181,23 @@ def equations(contacts, own, state, turns, f, w, f0, into):
 
     ``turns`` (m,) are those that lay on their cones when the step began: what they slip from lags behind them.
     """
-    size, count = into.P.shape[1], len(own)
-    for a in range(count):
-        into.P[a], into.Q[a], into.P0[a], into.R[a], into.r[a] = 0.0, 0.0, 0.0, 0.0, 0.0
-        k = own[a]
+    size = into.P.shape[1]
+    for k in own:
+        into.P[k], into.Q[k], into.P0[k], into.R[k], into.r[k] = 0.0, 0.0, 0.0, 0.0, 0.0
         i, κ = size * k, contacts.length[k]
         if size == 1 or state[k] == STICK:
             for c in range(size):
-                into.R[a, c], into.Q[a, c, c] = w[i + c], 1.0
+                into.R[k, c], into.Q[k, c, c] = w[i + c], 1.0
             continue
         g, rise = bound(contacts, k, f[i])
         if g > 0.0:
             here, there = f[i : i + 3], w[i : i + 3]
             way = _way(here, there, f0[i : i + 3], turns[k], κ)
-            _slip(here, there, way, (κ, g / f[i], 1.0 - contacts.shift, g, rise), into, a)
+            _slip(here, there, way, (κ, g / f[i], 1.0 - contacts.shift, g, rise), into, k)
         else:
-            into.R[a, 0], into.Q[a, 0, 0] = w[i], 1.0
+            into.R[k, 0], into.Q[k, 0, 0] = w[i], 1.0
             for c in range(1, 3):
-                into.R[a, c], into.P[a, c, c] = κ * f[i + c], κ
+                into.R[k, c], into.P[k, c, c] = κ * f[i + c], κ
 
 
 @kernel(void(CONTACTS, VECTOR, VECTOR, COUNTS))

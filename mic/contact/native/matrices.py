@@ -7,7 +7,18 @@ from numba import int64, void
 
 from mic.contact.native.kernel import BLOCKS, COUNTS, MATRIX, NUMBER, VECTOR, kernel
 
-__all__ = ["TOGETHER", "assign", "assign_sum", "block", "responses", "symmetric", "system", "times", "times_together"]
+__all__ = [
+    "TOGETHER",
+    "assign",
+    "assign_sum",
+    "block",
+    "displace",
+    "responses",
+    "symmetric",
+    "system",
+    "times",
+    "times_together",
+]
 
 #: Samples that one pass over a large matrix serves.
 TOGETHER = 4
@@ -50,6 +61,14 @@ def times(W, x, out):
         row0, row1, row2 = W[first], W[first + 1], W[first + 2]
         for j in range(len(x)):
             out[j] += row0[j] * x0 + row1[j] * x1 + row2[j] * x2
+
+
+@kernel(void(MATRIX, VECTOR, VECTOR, VECTOR))
+def displace(W, y, q, w):
+    """``w = W y + q``."""
+    times(W, y, w)
+    for i in range(len(w)):
+        w[i] += q[i]
 
 
 @kernel(void(MATRIX, MATRIX, MATRIX))
@@ -150,15 +169,23 @@ def block(S, own, size):
 
 @kernel(MATRIX(MATRIX, BLOCKS, BLOCKS, COUNTS, NUMBER))
 def system(W, A, B, own, damping):
-    """Matrix of ``A_k x_k + B_k (W x)_k`` over the contacts ``own``; ``damping`` is added to the diagonal of ``W``."""
-    count = len(own)
-    J = np.empty((3 * count, 3 * count))
+    """Matrix of ``A_k x_k + B_k (W x)_k`` over the contacts ``own``; ``damping`` is added to the diagonal of ``W``.
+
+    A contact has three rows, or one without friction.
+    """
+    size, count = A.shape[1], len(own)
+    J = np.empty((size * count, size * count))
     for a in range(count):
         k = own[a]
-        i = 3 * k
-        for row in range(3):
+        i = size * k
+        for row in range(size):
+            target = J[size * a + row]
+            if size == 1:
+                for b in range(count):
+                    target[b] = B[k, 0, 0] * W[i, own[b]]
+                target[a] += A[k, 0, 0] + damping * B[k, 0, 0]
+                continue
             b0, b1, b2 = B[k, row, 0], B[k, row, 1], B[k, row, 2]
-            target = J[3 * a + row]
             for b in range(count):
                 j = 3 * own[b]
                 target[3 * b] = b0 * W[i, j] + b1 * W[i + 1, j] + b2 * W[i + 2, j]

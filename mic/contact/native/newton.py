@@ -10,7 +10,7 @@ from numba import int64, typeof, types
 from mic.contact.native.kernel import NUMBER, VECTOR, kernel
 from mic.contact.native.law_equation import EQUATION_POINTER, derivative, force_scale, merit, relative
 from mic.contact.native.linear_step import linear_step
-from mic.contact.native.matrices import assign, assign_sum, times
+from mic.contact.native.matrices import assign, assign_sum, displace, times
 from mic.contact.states import OPEN, STICK
 
 __all__ = ["COUPLING", "NO_INVERSE", "Coupling", "NewtonSettings", "newton"]
@@ -131,6 +131,5 @@ def newton(equation, coupling, q, y, w, settings):
                 length *= 0.5
             else:
                 return relative(error, size), iteration + 1
-        times(W, trial_y, trial_w)
-        trial_w += q
+        displace(W, trial_y, q, trial_w)
         iteration += 1

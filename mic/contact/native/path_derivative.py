@@ -14,9 +14,9 @@ import numpy as np
 from numba import boolean, int64, types, void
 
 from mic.contact.native.kernel import BLOCKS, COUNTS, MATRIX, NUMBER, VECTOR, kernel
-from mic.contact.native.linear_problem import bent, moved, solved, system
+from mic.contact.native.linear_problem import bent, moved, solved
 from mic.contact.native.linearised_law import CONTACTS, EQUATIONS, MASK, Equations, bound, equations, on_cone, states
-from mic.contact.native.matrices import assign, assign_sum
+from mic.contact.native.matrices import assign, assign_sum, system
 from mic.contact.native.touching import touching
 from mic.contact.states import OPEN, SLIP
 
@@ -213,14 +213,14 @@ def _slope_sides(contacts, found, own, F0, dq, right):
             target = right[size * a + row, 1:]
             target[:] = 0.0
             for c in range(size):
-                if found.Q[a, row, c] != 0.0:
-                    target -= found.Q[a, row, c] * dq[a, c]
-                if found.P0[a, row, c] != 0.0:
-                    target -= found.P0[a, row, c] * F0[size * k + c]
-            if found.r[a, row, 0] != 0.0:
-                target -= found.r[a, row, 0] * contacts.rougher[k]
-            if found.r[a, row, 1] != 0.0 and len(contacts.inputs):
-                target -= found.r[a, row, 1] * contacts.softer[k]
+                if found.Q[k, row, c] != 0.0:
+                    target -= found.Q[k, row, c] * dq[a, c]
+                if found.P0[k, row, c] != 0.0:
+                    target -= found.P0[k, row, c] * F0[size * k + c]
+            if found.r[k, row, 0] != 0.0:
+                target -= found.r[k, row, 0] * contacts.rougher[k]
+            if found.r[k, row, 1] != 0.0 and len(contacts.inputs):
+                target -= found.r[k, row, 1] * contacts.softer[k]
 
 
 @kernel(boolean(CONTACTS, LOADS, STEP, boolean, boolean, VECTOR, VECTOR, MATRIX, COUNTS))
@@ -248,10 +248,10 @@ def _solve(contacts, loads, step, slopes, alone, x, f, F, state):
         right = np.empty((size * count, 1 + (p if slopes else 0)))
         for a in range(count):
             for row in range(size):
-                right[size * a + row, 0] = -rows.R[a, row]
+                right[size * a + row, 0] = -rows.R[own[a], row]
         if slopes and count:
             _slope_sides(contacts, rows, own, step.F0, _load_slopes(contacts, loads, step, own, x), right)
-        found = solved(system(contacts.S, rows.P, rows.Q, own), right)
+        found = solved(system(contacts.S, rows.P, rows.Q, own, 0.0), right)
         change = 0.0
         for a in range(count):
             for c in range(size):

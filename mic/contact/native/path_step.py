@@ -8,12 +8,12 @@ import numpy as np
 from numba import boolean, int64, types, void
 
 from mic.contact.native.kernel import COUNTS, MATRIX, NUMBER, VECTOR, kernel
-from mic.contact.native.law_equation import starting_scale
-from mic.contact.native.matrices import assign, assign_sum, times
-from mic.contact.native.path_constants import CUT, ROUNDING
+from mic.contact.native.law_equation import starting_scale, statuses
+from mic.contact.native.matrices import assign, assign_sum, displace
+from mic.contact.native.path_constants import ROUNDING
 from mic.contact.native.prediction import Limits, forward, predict
 from mic.contact.native.slip_origins import closings, origins
-from mic.contact.native.step_data import CONTROL, LAST_PROBLEM, PATH_PROBLEM, PREDICTION, Aim
+from mic.contact.native.step_data import CONTROL, LAST_PROBLEM, PATH_PROBLEM, PREDICTION, WORKSPACE, Aim
 from mic.contact.native.step_error import (
     force_error,
     mean_force,
@@ -26,14 +26,12 @@ from mic.contact.native.step_solution import lands, solve
 from mic.contact.states import OPEN, SLIP
 
 __all__ = [
-    "GROWTH",
     "HELP",
     "INNER",
     "SAMPLE_LEG",
     "SHORTEST",
     "SampleLeg",
     "Place",
-    "Workspace",
     "controlled_step",
     "euler_step",
     "next_length",
@@ -61,48 +59,14 @@ class SampleLeg(NamedTuple):
     q0, rate : (3m,) array
         ``q`` at the start, without the anchors, and its change over the whole path.
     anchor : (2m,) array
+    scale : float
+        Force that Newton's tolerance is relative to.
     """
 
     q0: np.ndarray
     rate: np.ndarray
     anchor: np.ndarray
-
-
-class Workspace(NamedTuple):
-    """Arrays that every step uses.
-
-    Attributes
-    ----------
-    y0, w0 : (3m,) array
-        Forces and displacements where the step starts, ``w_t = 0``.
-    y, w, q, state : (3m,), (3m,), (3m,), (m,) array
-        The solution, its right-hand side and its statuses.
-    yp, wp : (3m,) array
-        The predicted end.
-    shift, other : (m, 2) array
-        Where slip is measured from: as solved, and as the solution would have it.
-    late : (m,) array
-        Share of the step after which contacts touch.
-    pace : (m,) array
-        Slip that is expected of sliders, over the whole path; 0 if nothing is.
-    doubt, phi : (3m,) array
-        Scratch.
-    """
-
-    y0: np.ndarray
-    w0: np.ndarray
-    y: np.ndarray
-    w: np.ndarray
-    q: np.ndarray
-    state: np.ndarray
-    yp: np.ndarray
-    wp: np.ndarray
-    shift: np.ndarray
-    other: np.ndarray
-    late: np.ndarray
-    pace: np.ndarray
-    doubt: np.ndarray
-    phi: np.ndarray
+    scale: float
 
 
 class Place(NamedTuple):
@@ -112,15 +76,14 @@ class Place(NamedTuple):
     ----------
     s, step : float
         Share of the path that is done, and length of the step to try.
-    scale, slack : float
-        Force that Newton's tolerance is relative to, and how far it may leave a force from its cone.
+    slack : float
+        How far Newton's tolerance may leave a force from its cone.
     made, most : float
         Tangential motion, and the largest mean force, so far.
     """
 
     s: float
     step: float
-    scale: float
     slack: float
     made: float
     most: float
@@ -137,21 +100,17 @@ class Trial(NamedTuple):
         Its error may be so large, in positions and in forces.
     last : bool
         Whether no shorter step is to be had.
-    scale : float
-        As of :class:`Place`.
     """
 
     target: float
     allowed: float
     bearing: float
     last: bool
-    scale: float
 
 
-SAMPLE_LEG = types.NamedUniTuple(VECTOR, 3, SampleLeg)
-WORKSPACE = types.NamedTuple([*[VECTOR] * 5, COUNTS, *[VECTOR] * 2, *[MATRIX] * 2, *[VECTOR] * 4], Workspace)
-PLACE = types.NamedUniTuple(NUMBER, 6, Place)
-TRIAL = types.NamedTuple([NUMBER, NUMBER, NUMBER, boolean, NUMBER], Trial)
+SAMPLE_LEG = types.NamedTuple([VECTOR, VECTOR, VECTOR, NUMBER], SampleLeg)
+PLACE = types.NamedUniTuple(NUMBER, 5, Place)
+TRIAL = types.NamedTuple([NUMBER, NUMBER, NUMBER, boolean], Trial)
 
 
 @kernel(NUMBER(NUMBER))
@@ -187,7 +146,7 @@ def hold_statuses(problem, slack, predicted, work):
     y0, state0 = work.y0, predicted.state
     assign(work.wp, work.w0)
     forward(y0, work.wp, slack)
-    problem.equation(problem.parameters, y0, work.wp, work.phi, np.empty((0, 3, 3)), np.empty((0, 3, 3)), state0, False)
+    statuses(problem.equation, problem.parameters, y0, work.wp, work.phi, state0)
     least = 0.0
     for k in range(len(state0)):
         least = max(least, ROUNDING * y0[3 * k])
@@ -230,17 +189,12 @@ def euler_step(problem, control, leg, place, guess, predicted, work, last, count
     assign(y, work.y0)
     if len(forces) > 0 and not near:
         assign(y, forces)
-    times(problem.W, y, w)
-    w += q
-    solved = 0
-    if len(forces) > 0 and near and lands(problem, forces, y, w, q, control.tol, counts):
-        solved = 1
-    if solved == 0:
-        scale = starting_scale(q) if target == 1.0 else place.scale
-        aim = Aim(control.tol, scale, control.sweeps, HELP, False, False)
-        solved, last = solve(problem, y, w, q, work.y0, aim, last, counts)
-    nothing = np.empty((0, 3, 3))
-    problem.equation(problem.parameters, y, w, work.phi, nothing, nothing, work.state, False)
+    displace(problem.W, y, q, w)
+    scale = starting_scale(q) if target == 1.0 else leg.scale
+    aim, solved = Aim(control.tol, scale, control.sweeps, HELP, False, False), 1
+    if len(forces) == 0 or not near or not lands(problem, forces, work, aim, counts):
+        solved, last = solve(problem, work, aim, last, counts)
+    statuses(problem.equation, problem.parameters, y, w, work.phi, work.state)
     return solved, last
 
 
@@ -277,41 +231,40 @@ def solve_with_shifts(problem, control, leg, trial, predicted, work, last, count
     bearing : float
         What the error in forces may be.
     """
-    target, allowed, bearing, shortest, scale = trial
-    y0, w0, y, w, q, state, _, _, shift, other, late, _, doubt, phi = work
-    W, unit, nothing = problem.W, problem.unit, np.empty((0, 3, 3))
+    target, allowed, bearing, shortest = trial
+    y, w, q, state, shift, other, doubt = work.y, work.w, work.q, work.state, work.shift, work.other, work.doubt
+    W, unit = problem.W, problem.unit
     given, turn = len(control.ends) > 0, 0
     calls = HELP if shortest or motion_size(predicted.motion, unit) <= allowed else 0
     while True:
         right_hand_side(leg, target, shift, q)
         if turn == 2:
-            assign(y, y0)
+            assign(y, work.y0)
         elif turn == 0:
-            guess_end(y0, work.yp, predicted, y)
-        times(W, y, w)
-        w += q
-        size = starting_scale(q) if target == 1.0 else scale
+            guess_end(work.y0, work.yp, predicted, y)
+        displace(W, y, q, w)
+        size = starting_scale(q) if target == 1.0 else leg.scale
         aim = Aim(control.tol if target == 1.0 or given else INNER, size, control.sweeps, calls, True, True)
-        solved, last = solve(problem, y, w, q, y0, aim, last, counts)
-        problem.equation(problem.parameters, y, w, phi, nothing, nothing, state, False)
+        solved, last = solve(problem, work, aim, last, counts)
+        statuses(problem.equation, problem.parameters, y, w, work.phi, state)
         for k in range(len(state)):
             w[3 * k + 1] += shift[k, 0]
             w[3 * k + 2] += shift[k, 1]
-        origins(w0, predicted, y, w, state, True, other, late)
-        closings(W, last, w0, predicted.state, y, w, state, other, late)
+        origins(predicted, work, True)
+        closings(W, last, predicted, work)
         if turn == 2:  # as far from backward Euler's method as its shifts are
             for k in range(len(state)):
                 doubt[3 * k], doubt[3 * k + 1], doubt[3 * k + 2] = 0.0, other[k, 0], other[k, 1]
             return solved, last, motion_size(doubt, unit), force_error(W, last, doubt, unit), bearing
-        error = position_error(y0, predicted, y, w, state, shift, other, unit, doubt)
+        error = position_error(predicted, work, shift, unit)
         force = force_error(W, last, doubt, unit)
         # Neither a shorter step nor one without shifts would tell when a contact opens.
-        unsure = 0.0 if shortest else opening_doubt(y0, predicted, w, state, unit)
+        unsure = 0.0 if shortest else opening_doubt(predicted, work, unit)
         error = error if shortest else np.hypot(error, unsure)
         bearing = max(bearing, control.bearable * mean_force(y, unit))  # nothing pressed before
         if solved == 1 and (turn == 1 if given else over_allowed(error, allowed, force, bearing) <= 1.0):
             return solved, last, error, force, bearing
-        left = np.hypot(position_error(y0, predicted, y, w, state, other, other, unit, doubt), unsure)
+        left = np.hypot(position_error(predicted, work, other, unit), unsure)
         left = over_allowed(left, allowed, force_error(W, last, doubt, unit), bearing)
         if turn == 0 and solved == 1 and (given or shortest or left <= 1.0):
             turn = 1
@@ -346,7 +299,7 @@ def controlled_step(problem, control, leg, place, predicted, work, last, counts)
         behind = 1.0 if given else min(TOGETHER, max(smallest, BEHIND * step))
         allowed = np.inf if given else control.tolerance * max(control.least, place.made)
         limits = Limits(behind, allowed, place.slack)
-        step = predict(problem, y0, w0, leg.rate, step, limits, work.pace, predicted, counts)
+        step = predict(problem, leg.rate, step, limits, predicted, work, counts)
         assign_sum(yp, y0, (1.0 - place.s) / step, predicted.x)  # if all goes on
         for i in range(0, len(yp), 3):
             if yp[i] <= 0.0:
@@ -356,8 +309,8 @@ def controlled_step(problem, control, leg, place, predicted, work, last, counts)
         assign_sum(wp, w0, 1.0, predicted.motion)
         allowed = control.tolerance * max(control.least, place.made + motion_size(predicted.motion, unit))
         target, shortest = step_end(place.s, step), step <= 1.0001 * smallest
-        origins(w0, predicted, yp, wp, predicted.state, False, work.shift, work.late)
-        trial = Trial(target, allowed, bearing, shortest, place.scale)
+        origins(predicted, work, False)
+        trial = Trial(target, allowed, bearing, shortest)
         solved, last, error, force, bearing = solve_with_shifts(
             problem, control, leg, trial, predicted, work, last, counts
         )
@@ -368,6 +321,5 @@ def controlled_step(problem, control, leg, place, predicted, work, last, counts)
         excess = over_allowed(error, allowed, force, bearing)
         if solved == 1 and excess <= 1.0 or shortest:
             return solved, last, (target, step, error, force, excess)
-        counts[CUT] += 1
         shrink = rounded_factor(SAFETY / np.sqrt(excess)) if solved == 1 else 0.25
         step *= max(min(0.5, max(0.25, shrink)), smallest / step)

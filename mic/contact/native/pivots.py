@@ -9,13 +9,13 @@ from numba import int64, types, void
 
 from mic.contact.native.kept_inverse import border, change, inverse_of
 from mic.contact.native.kernel import BLOCKS, COUNTS, MATRIX, NUMBER, VECTOR, kernel
-from mic.contact.native.law_equation import derivative, linear_equation
-from mic.contact.native.matrices import assign, times
+from mic.contact.native.law_equation import derivative, linear_equation, statuses
+from mic.contact.native.matrices import assign, displace
 from mic.contact.native.path_constants import NEAR
-from mic.contact.native.step_data import LAST_PROBLEM, PATH_PROBLEM, LastProblem
+from mic.contact.native.step_data import LAST_PROBLEM, PATH_PROBLEM, WORKSPACE, LastProblem
 from mic.contact.states import OPEN, SLIP, STICK
 
-__all__ = ["LINEARISED", "anew", "linearise", "linearised", "pivots", "updated"]
+__all__ = ["anew", "linearise", "linearised", "pivots", "updated"]
 
 #: Changes of statuses within a step, of all contacts and of one: more, and they go round in a circle.
 PIVOTS, TURNS = 100, 10
@@ -62,13 +62,14 @@ def linearised(m):
     return Linearised(state, np.ones(m), A, B, np.zeros(3 * m), np.zeros((m, 2)), place, np.zeros(3 * m))
 
 
-@kernel(int64(PATH_PROBLEM, VECTOR, VECTOR, LAST_PROBLEM, types.boolean, LINEARISED))
-def linearise(problem, y, w, last, serves, linear):
-    """Linearise the equations at (y, w); returns how many statuses are not those of the last problem.
+@kernel(int64(PATH_PROBLEM, WORKSPACE, LAST_PROBLEM, types.boolean, LINEARISED))
+def linearise(problem, work, last, serves, linear):
+    """Linearise the equations at (work.y, work.w); returns how many statuses are not those of the last problem.
 
     If that problem ``serves``, its sliders keep their scaling.
     """
     state, scaling, A, B, right, e, place, phi = linear
+    y, w = work.y, work.w
     stretched = np.empty(len(w))
     for k in range(len(state)):
         i = 3 * k
@@ -178,30 +179,29 @@ def solve_linear(W, last, right, y, q, y_new, w_new):
     for a in range(len(own)):
         for c in range(3):
             y_new[3 * own[a] + c] += x[3 * a + c]
-    times(W, y_new, w_new)
-    w_new += q
+    displace(W, y_new, q, w_new)
 
 
 @kernel(types.UniTuple(int64, 2)(PATH_PROBLEM, COUNTS, LINEARISED, VECTOR, VECTOR, NUMBER))
-def most_violated(problem, statuses, linear, y, w, small):
+def most_violated(problem, state, linear, y, w, small):
     """The contact whose inequality is violated most, -1 if none is by more than ``small``, and how many are."""
-    trial, found, nothing, phi = y.copy(), np.zeros(len(statuses), np.int64), np.empty((0, 3, 3)), linear.phi
+    trial, found, phi = y.copy(), np.zeros(len(state), np.int64), linear.phi
     sticks = False
-    for k in range(len(statuses)):
-        if statuses[k] == STICK:
+    for k in range(len(state)):
+        if state[k] == STICK:
             sticks = True
         else:
             trial[3 * k + 1] = trial[3 * k + 2] = 0.0
     if sticks:
-        problem.equation(problem.parameters, trial, np.zeros(len(y)), phi, nothing, nothing, found, False)
+        statuses(problem.equation, problem.parameters, trial, np.zeros(len(y)), phi, found)
     hardest, worst, many = small, -1, 0
-    for k in range(len(statuses)):
+    for k in range(len(state)):
         i = 3 * k
-        if statuses[k] == OPEN:
+        if state[k] == OPEN:
             wrong = -w[i]
         elif y[i] < 0.0:
             wrong = -y[i]
-        elif statuses[k] == SLIP:
+        elif state[k] == SLIP:
             wrong = linear.e[k, 0] * w[i + 1] + linear.e[k, 1] * w[i + 2]
         elif found[k] == SLIP:
             wrong = np.sqrt(phi[i + 1] ** 2 + phi[i + 2] ** 2)
@@ -234,14 +234,13 @@ def turn_over(problem, y, w, y_new, last, linear, k):
     change(problem.W, last.A, last.B, last.own, last.inverse, linear.place[k], A[k], B[k])
 
 
-@kernel(
-    types.Tuple((types.boolean, LAST_PROBLEM))(PATH_PROBLEM, VECTOR, VECTOR, VECTOR, NUMBER, LAST_PROBLEM, LINEARISED)
-)
-def pivots(problem, y, w, q, small, last, linear):
-    """Solve the last problem with its inequalities: whether it is done; then (y, w) are its solution.
+@kernel(types.Tuple((types.boolean, LAST_PROBLEM))(PATH_PROBLEM, WORKSPACE, NUMBER, LAST_PROBLEM, LINEARISED))
+def pivots(problem, work, small, last, linear):
+    """Solve the last problem with its inequalities: whether it is done; then (work.y, work.w) are its solution.
 
     After each linear solution the contact whose inequality is violated most changes its status.
     """
+    y, w, q = work.y, work.w, work.q
     y_new, w_new, turned = np.empty_like(y), np.empty_like(w), np.zeros(len(last.state), np.int64)
     for pivot in range(PIVOTS):
         solve_linear(problem.W, last, linear.right, y, q, y_new, w_new)

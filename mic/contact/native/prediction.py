@@ -9,11 +9,11 @@ from numba import int64, types, void
 
 from mic.contact.native.kept_inverse import LARGE, change, inverse_of, let_go
 from mic.contact.native.kernel import BLOCKS, COUNTS, MATRIX, NUMBER, VECTOR, kernel
-from mic.contact.native.law_equation import derivative
+from mic.contact.native.law_equation import derivative, statuses
 from mic.contact.native.matrices import assign, assign_sum
 from mic.contact.native.path_constants import FACTORISATIONS, LONGEST, NEAR, ROUNDING
-from mic.contact.native.slip_origins import lag
-from mic.contact.native.step_data import PATH_PROBLEM, PREDICTION
+from mic.contact.native.slider_lag import lag
+from mic.contact.native.step_data import PATH_PROBLEM, PREDICTION, WORKSPACE
 from mic.contact.native.step_error import motion_size, rates
 from mic.contact.states import OPEN, SLIP, STICK
 
@@ -120,8 +120,7 @@ def first_breaking(problem, y, still, state, held, phi, found):
         asked = asked or (state[k] == STICK and not held[k])
     if not asked:
         return -1
-    nothing = np.empty((0, 3, 3))
-    problem.equation(problem.parameters, y, still, phi, nothing, nothing, found, False)
+    statuses(problem.equation, problem.parameters, y, still, phi, found)
     for k in range(len(state)):
         if state[k] == STICK and not held[k]:
             if found[k] == SLIP:
@@ -131,11 +130,11 @@ def first_breaking(problem, y, still, state, held, phi, found):
     return -1
 
 
-@kernel(COURSE(PATH_PROBLEM, VECTOR, VECTOR, NUMBER, NUMBER, VECTOR, PREDICTION))
-def begin_course(problem, y0, w0, step, slack, pace, predicted):
+@kernel(COURSE(PATH_PROBLEM, NUMBER, NUMBER, PREDICTION, WORKSPACE))
+def begin_course(problem, step, slack, predicted, work):
     """The start of a prediction, with its statuses and equations; arguments of :func:`predict`."""
     state0, e0, grip, loose, x, motion, opened, gone = predicted
-    m = len(state0)
+    y0, w0, pace, m = work.y0, work.w0, work.pace, len(state0)
     phi, A, B = np.zeros(3 * m), np.zeros((m, 3, 3)), np.zeros((m, 3, 3))
     y, w, found = y0.copy(), w0.copy(), np.zeros(m, np.int64)
     forward(y, w, slack)
@@ -273,8 +272,7 @@ def go_on(problem, advance, predicted, course):
     for k in range(len(held)):
         trial[3 * k + 1] *= 1.0 + NEAR
         trial[3 * k + 2] *= 1.0 + NEAR
-    nothing = np.empty((0, 3, 3))
-    problem.equation(problem.parameters, trial, np.zeros(len(y)), course.phi, nothing, nothing, found, False)
+    statuses(problem.equation, problem.parameters, trial, np.zeros(len(y)), course.phi, found)
     for k in range(len(held)):
         held[k] = held[k] and found[k] != STICK
 
@@ -314,8 +312,8 @@ def open_up(y0, k, reached, predicted, course):
             let_go(course.inverse, a)
 
 
-@kernel(NUMBER(PATH_PROBLEM, VECTOR, VECTOR, VECTOR, NUMBER, LIMITS, VECTOR, PREDICTION, COUNTS))
-def predict(problem, y0, w0, rate, step, limits, pace, predicted, counts):
+@kernel(NUMBER(PATH_PROBLEM, VECTOR, NUMBER, LIMITS, PREDICTION, WORKSPACE, COUNTS))
+def predict(problem, rate, step, limits, predicted, work, counts):
     """Where a step leads with statuses held, but that contacts open on the way.
 
     A slider's direction comes to rest within a slip of its compliance, much less than that of a step where sheets
@@ -324,15 +322,11 @@ def predict(problem, y0, w0, rate, step, limits, pace, predicted, counts):
 
     Parameters
     ----------
-    y0, w0 : (3m,) array
-        The step's start, ``w_t = 0``.
     rate : (3m,) array
         Change of ``q`` over the whole path.
     step : float
         Length of the step, in shares of the path.
     limits : Limits
-    pace : (m,) array
-        Slip that is expected of sliders, over the whole path; 0 if nothing is.
     predicted : Prediction
         Is filled.
 
@@ -341,8 +335,8 @@ def predict(problem, y0, w0, rate, step, limits, pace, predicted, counts):
     float
         Length of the step, shorter where a contact closes.
     """
-    unit, motion, gone, m = problem.unit, predicted.motion, predicted.gone, len(predicted.state)
-    course = begin_course(problem, y0, w0, step, limits.slack, pace, predicted)
+    y0, unit, motion, gone, m = work.y0, problem.unit, predicted.motion, predicted.gone, len(predicted.state)
+    course = begin_course(problem, step, limits.slack, predicted, work)
     counts[FACTORISATIONS] += 1
     reached = 0.0
     for event in range(EVENTS):

@@ -6,25 +6,16 @@ import numpy as np
 from numba import boolean, void
 
 from mic.contact.native.kept_inverse import inverted
-from mic.contact.native.kernel import COUNTS, MATRIX, NUMBER, VECTOR, kernel
+from mic.contact.native.kernel import MATRIX, NUMBER, kernel
 from mic.contact.native.matrices import assign
-from mic.contact.native.step_data import LAST_PROBLEM, PREDICTION
+from mic.contact.native.slider_lag import lag
+from mic.contact.native.step_data import LAST_PROBLEM, PREDICTION, WORKSPACE
 from mic.contact.states import OPEN, SLIP
 
-__all__ = ["closings", "crossing", "lag", "origins"]
+__all__ = ["closings", "crossing", "origins"]
 
 #: Contacts that close in a step are looked at one by one, but those after so many.
 ONE_BY_ONE = 8
-
-
-@kernel(NUMBER(NUMBER))
-def lag(z):
-    """``1 - θ = 1/z - 1/(eᶻ - 1)``: how far behind the end of its slip a slider's reference is, in shares of it."""
-    if z < 1e-3:
-        return 0.5 - z / 12.0
-    if z > 300.0:
-        return 1.0 / z
-    return 1.0 / z - 1.0 / np.expm1(z)
 
 
 @kernel(NUMBER(NUMBER, NUMBER))
@@ -34,21 +25,16 @@ def crossing(start, end):
     return start / (start - end)
 
 
-@kernel(void(VECTOR, PREDICTION, VECTOR, VECTOR, COUNTS, boolean, MATRIX, VECTOR))
-def origins(w0, predicted, y, w, state, solved, shift, touched):
-    """Where each contact's slip is measured from in a step, and the share of it after which an open contact touches.
+@kernel(void(PREDICTION, WORKSPACE, boolean))
+def origins(predicted, work, solved):
+    """Fill where each contact's slip is measured from in a step, and the share of it after which an open one touches.
 
-    Parameters
-    ----------
-    w0
-        Displacements where the step starts.
-    y, w, state
-        The step's end, as predicted or, where it is ``solved``, as the law has it; ``w_t`` from the anchors.
-    shift : (m, 2) array
-    touched : (m,) array
-        Both are filled; ``touched`` is 0 for contacts that were closed and 1 for those that stay open.  Of those that
-        close in a solution ``closings`` tells them.
+    The predicted end gives ``work.shift``, the solution, if the step is ``solved``, ``work.other``; ``w_t`` is measured
+    from the anchors.  ``work.late`` becomes 0 for contacts that were closed and 1 for those that stay open.  For those
+    that close in a solution, ``closings`` fills both.
     """
+    w0, touched, shift = work.w0, work.late, work.other if solved else work.shift
+    y, w, state = (work.y, work.w, work.state) if solved else (work.yp, work.wp, predicted.state)
     for k in range(len(state)):
         i = 3 * k
         shift[k, 0] = shift[k, 1] = touched[k] = 0.0
@@ -69,16 +55,17 @@ def origins(w0, predicted, y, w, state, solved, shift, touched):
             shift[k, 0], shift[k, 1] = -back * d1, -back * d2
 
 
-@kernel(void(MATRIX, LAST_PROBLEM, VECTOR, COUNTS, VECTOR, VECTOR, COUNTS, MATRIX, VECTOR))
-def closings(W, last, w0, state0, y, w, state, shift, touched):
-    """Where contacts that close in a step were when they did, and after which share of it: ``shift``, ``touched``.
+@kernel(void(MATRIX, LAST_PROBLEM, PREDICTION, WORKSPACE))
+def closings(W, last, predicted, work):
+    """Fill where contacts that close in a step were then (work.other), and after which share of it (work.late).
 
     One after the other: until the first closes all go where the end would be without the forces of any of them, to
     which the others' answer, then where it would be with the first one's, and so on.  The last
     problem tells the answers, statuses held; where it is not to be had, they give none.
     """
-    own, inverse = last.own, last.inverse
-    new = np.flatnonzero((state0 == OPEN) & (state != OPEN))
+    own, inverse, w0, y, w, state = last.own, last.inverse, work.w0, work.y, work.w, work.state
+    shift, touched = work.other, work.late
+    new = np.flatnonzero((predicted.state == OPEN) & (state != OPEN))
     count, passed = len(new), 0.0
     place, at, free = np.full(len(state), -1), np.empty((count, 3)), np.empty((count, 3))
     for a in range(len(own)):

@@ -223,7 +223,7 @@ class NativeSolver:
         Y, Q = np.ascontiguousarray(force / D), np.zeros_like(Q0)
         L = np.ascontiguousarray((anchor / unit[:, None]).reshape(n, 2 * m))
         record = Record(np.zeros((n, m, 2)), np.zeros((n, m)), np.zeros((n, m)), np.zeros((n, m, 3)))
-        sums, counts = np.zeros((n, 2)), np.zeros((n, 5), dtype=np.int64)
+        sums, counts = np.zeros((n, 2)), np.zeros((n, 3), dtype=np.int64)
         if isinstance(path, Increments):
             order, tolerances = 1, (0.0, 0.0, 0.0)
         else:
@@ -246,7 +246,7 @@ class NativeSolver:
         """See :meth:`mic.contact.backends.Backend.step`; what :meth:`take` has of the contacts is had in one call."""
         samples = Samples(*map(np.ascontiguousarray, (b, force, anchor, working, guess)))
         found = Found(leg.force, leg.b, leg.anchor, leg.slip, leg.length, leg.work, leg.share)
-        counts = np.zeros((len(b), 5), dtype=np.int64)
+        counts = np.zeros((len(b), 3), dtype=np.int64)
         problem, control = self._path_problem(), self._control(1, np.ones(1), (0.0, 0.0, 0.0), SWEEPS)
 
         def chunk(own):

@@ -12,7 +12,7 @@ from mic.contact.native.batch import BATCH, Batch
 from mic.contact.native.kernel import MATRIX, NUMBER, VECTOR, kernel
 from mic.contact.native.law_equation import EQUATION_POINTER, starting_scale
 from mic.contact.native.linear_step import LARGE
-from mic.contact.native.matrices import TOGETHER, assign, times, times_together
+from mic.contact.native.matrices import TOGETHER, assign, displace, times, times_together
 from mic.contact.native.newton import COUPLING, Coupling, NewtonSettings, newton
 from mic.contact.native.problem import ScaledProblem
 
@@ -79,8 +79,7 @@ def solve_by_splitting(equation, coupling, resolvent, rho, shift, batch, tol, st
                     continue
                 q, y, w = own[s], Z[s].copy(), np.empty(size)
                 scale = starting_scale(q)
-                times(W, y, w)
-                w += q
+                displace(W, y, q, w)
                 error, more = newton(equation, coupling, q, y, w, NewtonSettings(1e-12, scale, tol, float(m), 15, 0))
                 iterations[first + s] += run + more
                 factorisations[first + s] += more

@@ -1,4 +1,4 @@
-"""What the kernels of a path share: the problem, the aim of a solution, predictions, kept linear problems, records."""
+"""Data of the kernels of a path: problem, aim of a solution, arrays, predictions, last linear problem, records."""
 
 from __future__ import annotations
 
@@ -19,6 +19,7 @@ __all__ = [
     "PREDICTION",
     "RECORD",
     "RECORDS",
+    "WORKSPACE",
     "Aim",
     "Control",
     "LastProblem",
@@ -26,6 +27,7 @@ __all__ = [
     "PathProblem",
     "Prediction",
     "Record",
+    "Workspace",
 ]
 
 
@@ -103,6 +105,43 @@ class Aim(NamedTuple):
     current: bool
 
 
+class Workspace(NamedTuple):
+    """Arrays that every step uses.
+
+    Attributes
+    ----------
+    y0, w0 : (3m,) array
+        Forces and displacements where the step starts, ``w_t = 0``.
+    y, w, q, state : (3m,), (3m,), (3m,), (m,) array
+        The solution, its right-hand side and its statuses.
+    yp, wp : (3m,) array
+        The predicted end.
+    shift, other : (m, 2) array
+        Where slip is measured from: as solved, and as the solution would have it.
+    late : (m,) array
+        Share of the step after which contacts touch.
+    pace : (m,) array
+        Slip that is expected of sliders, over the whole path; 0 if nothing is.
+    doubt, phi : (3m,) array
+        Scratch.
+    """
+
+    y0: np.ndarray
+    w0: np.ndarray
+    y: np.ndarray
+    w: np.ndarray
+    q: np.ndarray
+    state: np.ndarray
+    yp: np.ndarray
+    wp: np.ndarray
+    shift: np.ndarray
+    other: np.ndarray
+    late: np.ndarray
+    pace: np.ndarray
+    doubt: np.ndarray
+    phi: np.ndarray
+
+
 class Prediction(NamedTuple):
     """Where a step leads with statuses held.
 
@@ -173,7 +212,7 @@ class Outcome(NamedTuple):
     record : Record
     sums : (n, 2) array
         Sums of the steps' errors, in positions and in forces, N.
-    counts : (n, 5) int array
+    counts : (n, 3) int array
         Columns as in :mod:`mic.contact.native.path_constants`.
     passed, passed_force : (n, k), (n, k, 3m) array
         Where the first k steps end, and the forces there; of second order from the start on, at 0.
@@ -190,6 +229,7 @@ class Outcome(NamedTuple):
 PATH_PROBLEM = types.NamedTuple([EQUATION_POINTER, MATRIX, MATRIX, MATRIX, VECTOR], PathProblem)
 CONTROL = types.NamedTuple([int64, VECTOR, NUMBER, NUMBER, NUMBER, NUMBER, int64], Control)
 AIM = types.NamedTuple([NUMBER, NUMBER, int64, int64, boolean, boolean], Aim)
+WORKSPACE = types.NamedTuple([*[VECTOR] * 5, COUNTS, *[VECTOR] * 2, *[MATRIX] * 2, *[VECTOR] * 4], Workspace)
 PREDICTION = types.NamedTuple([COUNTS, MATRIX, VECTOR, VECTOR, VECTOR, VECTOR, VECTOR, MATRIX], Prediction)
 LAST_PROBLEM = types.NamedTuple([COUNTS, VECTOR, BLOCKS, BLOCKS, COUNTS, MATRIX], LastProblem)
 RECORD = types.NamedTuple([MATRIX, VECTOR, VECTOR, MATRIX], Record)

@@ -6,10 +6,10 @@ import numpy as np
 from numba import void
 
 from mic.contact.native.kernel import BLOCKS, COUNTS, MATRIX, NUMBER, VECTOR, kernel
-from mic.contact.native.matrices import times
+from mic.contact.native.matrices import displace
 from mic.contact.native.path_constants import ROUNDING
-from mic.contact.native.slip_origins import lag
-from mic.contact.native.step_data import LAST_PROBLEM, PREDICTION
+from mic.contact.native.slider_lag import lag
+from mic.contact.native.step_data import LAST_PROBLEM, PREDICTION, WORKSPACE
 from mic.contact.native.step_trace import opening_motion
 from mic.contact.states import OPEN, SLIP, STICK
 
@@ -40,16 +40,16 @@ def over_allowed(error, allowed, force, bearing):
     return max(error / max(allowed, 1e-300), force / max(bearing, 1e-300))
 
 
-@kernel(NUMBER(VECTOR, PREDICTION, VECTOR, COUNTS, VECTOR))
-def opening_doubt(y0, predicted, w, state, unit):
+@kernel(NUMBER(PREDICTION, WORKSPACE, VECTOR))
+def opening_doubt(predicted, work, unit):
     """Root mean square over the contacts of the way on which it is in doubt whether one that opens was still loaded, a
     length: its position is right, its slip under load may not be."""
-    opened, gone, total = predicted.opened, predicted.gone, 0.0
+    opened, gone, w, state, total = predicted.opened, predicted.gone, work.w, work.state, 0.0
     for k in range(len(state)):
         if predicted.state[k] == OPEN or state[k] != OPEN:
             continue
         i = 3 * k
-        end, doubt = opening_motion(y0, w, k, predicted)
+        end, doubt = opening_motion(k, predicted, work)
         way = (1.0 - end) * np.sqrt(w[i + 1] ** 2 + w[i + 2] ** 2)
         if opened[k] < 1.0:
             way += np.sqrt((gone[k, 0] - end * w[i + 1]) ** 2 + (gone[k, 1] - end * w[i + 2]) ** 2)
@@ -57,17 +57,19 @@ def opening_doubt(y0, predicted, w, state, unit):
     return np.sqrt(total / max(len(state), 1))
 
 
-@kernel(NUMBER(VECTOR, PREDICTION, VECTOR, VECTOR, COUNTS, MATRIX, MATRIX, VECTOR, VECTOR))
-def position_error(y0, predicted, y, w, state, shift, other, unit, doubt):
+@kernel(NUMBER(PREDICTION, WORKSPACE, MATRIX, VECTOR))
+def position_error(predicted, work, shift, unit):
     """Root mean square over the contacts of what a step may be wrong by in their tangential positions, a length.
 
-    Per contact, how far the shifts of the solution are from those that were taken; for a slider that turns by Δφ along
-    its way l what its chord and the mean of its two directions differ by, ``l Δφ²/12``, and ``l Δφ/2`` by as much as
-    its step is backward Euler's, which has the last direction all along, and where nobody foresaw that it would slide;
-    and half the way of a slider that was foreseen to go on and stops.  ``doubt`` (3m,) receives it as a displacement:
-    a slider's across its way, because along it the slider bears what it bears wherever it is, to where it slid before.
+    Per contact, how far the solution's shifts ``work.other`` are from those that were taken, ``shift``; for a slider
+    that turns by Δφ along its way l the difference of its chord and the mean of its two directions, ``l Δφ²/12``, and
+    ``l Δφ/2`` by as much as its step is backward Euler's, which has the last direction all along, and where the
+    prediction did not see that it would slide; and half the way of a slider that was predicted to go on and stops.
+    ``work.doubt`` receives it as a displacement: a slider's across its way, because along it the slider bears what it
+    bears wherever it is, to where it slid before.
     """
     state0, e0, grip, loose, _, motion, _, _ = predicted
+    y0, y, w, state, other, doubt = work.y0, work.y, work.w, work.state, work.other, work.doubt
     total = 0.0
     for k in range(len(state)):
         i = 3 * k
@@ -117,8 +119,7 @@ def rates(W, B, closed, inverse, rate, dy, dw):
     for a in range(len(closed)):
         for row in range(3):
             dy[3 * closed[a] + row] = solution[3 * a + row]
-    times(W, dy, dw)
-    dw += rate
+    displace(W, dy, rate, dw)
 
 
 @kernel(NUMBER(MATRIX, LAST_PROBLEM, VECTOR, VECTOR))

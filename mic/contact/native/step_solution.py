@@ -7,12 +7,12 @@ from numba import boolean, int64, types, void
 
 from mic.contact.native.gauss_seidel import gauss_seidel
 from mic.contact.native.kernel import COUNTS, NUMBER, VECTOR, kernel
-from mic.contact.native.law_equation import derivative, force_scale, starting_scale
-from mic.contact.native.matrices import assign, times
+from mic.contact.native.law_equation import derivative, force_scale
+from mic.contact.native.matrices import assign, displace
 from mic.contact.native.newton import Coupling, NewtonSettings, newton
-from mic.contact.native.path_constants import FACTORISATIONS, RESCUES
+from mic.contact.native.path_constants import FACTORISATIONS
 from mic.contact.native.pivots import anew, linearise, linearised, pivots, updated
-from mic.contact.native.step_data import AIM, LAST_PROBLEM, PATH_PROBLEM, LastProblem
+from mic.contact.native.step_data import AIM, LAST_PROBLEM, PATH_PROBLEM, WORKSPACE, LastProblem
 from mic.contact.states import OPEN
 
 __all__ = ["lands", "solve"]
@@ -28,17 +28,27 @@ PATIENCE = 40
 SOLVED = types.Tuple((int64, LAST_PROBLEM))
 
 
-@kernel(void(PATH_PROBLEM, VECTOR, VECTOR, VECTOR, VECTOR, int64))
-def sweep(problem, y, w, q, slip, sweeps):
-    """Gauss-Seidel's sweeps from (y, w), and ``w = W y + q`` without the rounding that they leave."""
-    gauss_seidel(problem.W, problem.P, problem.parameters, y, w, slip, sweeps, 1e-15)
-    times(problem.W, y, w)
-    w += q
+@kernel(void(PATH_PROBLEM, WORKSPACE, VECTOR, int64))
+def sweep(problem, work, slip, sweeps):
+    """Gauss-Seidel's sweeps from (work.y, work.w), and ``w = W y + q`` without the rounding that they leave."""
+    gauss_seidel(problem.W, problem.P, problem.parameters, work.y, work.w, slip, sweeps, 1e-15)
+    displace(problem.W, work.y, work.q, work.w)
 
 
-@kernel(SOLVED(PATH_PROBLEM, VECTOR, VECTOR, VECTOR, AIM, LAST_PROBLEM, COUNTS))
-def newton_by_pivots(problem, y, w, q, aim, last, counts):
-    """Newton's method whose linear problems keep their inequalities (Josephy's), from the guess (y, w).
+@kernel(NUMBER(PATH_PROBLEM, VECTOR, VECTOR, VECTOR, AIM, int64, COUNTS))
+def newton_alone(problem, q, y, w, aim, halvings, counts):
+    """The error of :func:`mic.contact.native.newton.newton` from the guess (y, w), which it improves."""
+    coupling = Coupling(problem.W, np.empty((0, 0)), problem.parameters)
+    crowd = float(len(problem.parameters))
+    settings = NewtonSettings(1e-12, aim.scale, aim.tol, crowd, PATIENCE, halvings)
+    error, steps = newton(problem.equation, coupling, q, y, w, settings)
+    counts[FACTORISATIONS] += steps
+    return error
+
+
+@kernel(SOLVED(PATH_PROBLEM, WORKSPACE, AIM, LAST_PROBLEM, COUNTS))
+def newton_by_pivots(problem, work, aim, last, counts):
+    """Newton's method whose linear problems keep their inequalities (Josephy's), from the guess (work.y, work.w).
 
     Equations are linearised where they are, statuses are not held: after each linear solution the contact whose
     inequality is violated most changes its status, the inverse by rank 3, until none is.  A slider whose motion is
@@ -53,7 +63,7 @@ def newton_by_pivots(problem, y, w, q, aim, last, counts):
         1 if it is solved; ``w = W y + q`` in any case.
     LastProblem
     """
-    linear = linearised(len(problem.parameters))
+    y, w, q, linear = work.y, work.w, work.q, linearised(len(problem.parameters))
     y_old, before, renewed, tried = y.copy(), np.inf, 0, False
     for _ in range(STEPS_OF_NEWTON):
         derivative(problem.equation, problem.parameters, y, w, linear.phi, linear.A, linear.B, linear.state)
@@ -68,10 +78,9 @@ def newton_by_pivots(problem, y, w, q, aim, last, counts):
         serves = len(last.own) > 0 and (solved or error <= CHORD * before)
         if tried and before < error and not solved:
             assign(y, y_old)
-            times(problem.W, y, w)
-            w += q
+            displace(problem.W, y, q, w)
             error = before
-        changed = linearise(problem, y, w, last, serves, linear)
+        changed = linearise(problem, work, last, serves, linear)
         tried = serves and changed <= CHANGES * len(last.own)
         if tried:
             last = updated(problem.W, last, linear)
@@ -85,80 +94,57 @@ def newton_by_pivots(problem, y, w, q, aim, last, counts):
             return 1, last
         assign(y_old, y)
         before = error
-        settled, last = pivots(problem, y, w, q, 0.1 * aim.tol * size, last, linear)
+        settled, last = pivots(problem, work, 0.1 * aim.tol * size, last, linear)
         if not settled:
             return 0, LastProblem(last.state, last.stretch, last.A, last.B, np.empty(0, np.int64), last.inverse)
     return 0, last
 
 
-@kernel(SOLVED(PATH_PROBLEM, VECTOR, VECTOR, VECTOR, VECTOR, AIM, LAST_PROBLEM, COUNTS))
-def solve(problem, y, w, q, start, aim, last, counts):
-    """One problem of the law from the guess (y, w): sweeps and Newton, else more sweeps from `start`, and Newton.
+@kernel(SOLVED(PATH_PROBLEM, WORKSPACE, AIM, LAST_PROBLEM, COUNTS))
+def solve(problem, work, aim, last, counts):
+    """One problem of the law from the guess (work.y, work.w): sweeps and Newton, else more sweeps from the forces
+    where the step starts, and Newton.
 
     Newton's method with pivots comes first where the solution is near; where it is not, its pivots are wasted on
     four problems in five, and it is the first help.  The rest as :func:`newton_by_pivots`.
     """
-    m, sweeps = len(problem.parameters), aim.sweeps
-    none = np.empty((0, 0))
-    best = start.copy()
-    slip = np.zeros(m)
-    again = not aim.near and (y == start).all()  # the first help would repeat the first attempt's sweeps
+    y, w, q, sweeps = work.y, work.w, work.q, aim.sweeps
+    best, slip = work.y0.copy(), np.zeros(len(problem.parameters))
+    again = not aim.near and (y == work.y0).all()  # the first help would repeat the first attempt's sweeps
     if sweeps > 0:
-        sweep(problem, y, w, q, slip, sweeps)
+        sweep(problem, work, slip, sweeps)
         if again:
             assign(best, y)
     if aim.near:
-        solved, last = newton_by_pivots(problem, y, w, q, aim, last, counts)
+        solved, last = newton_by_pivots(problem, work, aim, last, counts)
         if solved == 1:
             return 1, last
     run, halvings = sweeps, 0 if sweeps > 0 else 20
     for call in range(aim.calls + 1):
-        error, steps = newton(
-            problem.equation,
-            Coupling(problem.W, none, problem.parameters),
-            q,
-            y,
-            w,
-            NewtonSettings(1e-12, aim.scale, aim.tol, float(m), PATIENCE, halvings),
-        )
-        counts[FACTORISATIONS] += steps
-        if error <= aim.tol:
+        if newton_alone(problem, q, y, w, aim, halvings, counts) <= aim.tol:
             return 1, last
         if call == aim.calls:
             break
-        counts[RESCUES] += 1
         assign(y, best)
-        times(problem.W, y, w)
-        w += q
+        displace(problem.W, y, q, w)
         if sweeps > 0 and not (again and call == 0):
-            sweep(problem, y, w, q, slip, run)
+            sweep(problem, work, slip, run)
             assign(best, y)
         run *= 2
         if not aim.near and call == 0:
-            solved, last = newton_by_pivots(problem, y, w, q, aim, last, counts)
+            solved, last = newton_by_pivots(problem, work, aim, last, counts)
             if solved == 1:
                 return 1, last
     return 0, last
 
 
-@kernel(boolean(PATH_PROBLEM, VECTOR, VECTOR, VECTOR, VECTOR, NUMBER, COUNTS))
-def lands(problem, guess, y, w, q, tol, counts):
-    """Whether Newton's method solves a problem from a guess (3m,); else (y, w) stay as they are."""
-    found, moved = guess.copy(), np.empty_like(w)
-    times(problem.W, found, moved)
-    moved += q
-    none, m = np.empty((0, 0)), len(problem.parameters)
-    error, steps = newton(
-        problem.equation,
-        Coupling(problem.W, none, problem.parameters),
-        q,
-        found,
-        moved,
-        NewtonSettings(1e-12, starting_scale(q), tol, float(m), PATIENCE, 0),
-    )
-    counts[FACTORISATIONS] += steps
-    if error > tol:
+@kernel(boolean(PATH_PROBLEM, VECTOR, WORKSPACE, AIM, COUNTS))
+def lands(problem, guess, work, aim, counts):
+    """Whether Newton's method solves a problem from a guess (3m,); else (work.y, work.w) stay as they are."""
+    y, w = guess.copy(), np.empty_like(guess)
+    displace(problem.W, y, work.q, w)
+    if newton_alone(problem, work.q, y, w, aim, 0, counts) > aim.tol:
         return False
-    assign(y, found)
-    assign(w, moved)
+    assign(work.y, y)
+    assign(work.w, w)
     return True

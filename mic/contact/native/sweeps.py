@@ -12,7 +12,7 @@ from mic.contact.native.batch import BATCH, Batch
 from mic.contact.native.gauss_seidel import gauss_seidel
 from mic.contact.native.kernel import MATRIX, NUMBER, kernel
 from mic.contact.native.law_equation import EQUATION_POINTER, starting_scale
-from mic.contact.native.matrices import assign, times
+from mic.contact.native.matrices import assign, displace
 from mic.contact.native.newton import COUPLING, NO_INVERSE, Coupling, NewtonSettings, newton
 from mic.contact.native.problem import ScaledProblem
 
@@ -23,9 +23,9 @@ __all__ = ["sweeps"]
 def solve_by_sweeps(equation, coupling, P, batch, tol, rounds, sweeps, crowd):
     """Every sample of the batch: Gauss-Seidel, then Newton, in rounds with twice the ``sweeps`` each.
 
-    A law whose single contact Gauss-Seidel does not solve has
-    no ``sweeps`` and one round: Newton alone.  Where Newton would need the forces of more than ``crowd`` contacts at
-    once, its steps are dear and the sample is left for :func:`solve_by_splitting`.
+    A law whose single contact Gauss-Seidel does not solve has no ``sweeps`` and one round: Newton alone.  Where Newton
+    would need the forces of more than ``crowd`` contacts at once, its steps are dear and the sample is left for
+    :func:`solve_by_splitting`.
     """
     W, _, parameters = coupling
     Q, Y, errors, iterations, factorisations = batch
@@ -35,16 +35,14 @@ def solve_by_sweeps(equation, coupling, P, batch, tol, rounds, sweeps, crowd):
         y = Y[s].copy()
         scale = starting_scale(q)
         w = np.empty_like(q)
-        times(W, y, w)
-        w += q
+        displace(W, y, q, w)
         slip[:] = 0.0
         run = sweeps
         best = np.inf
         for _ in range(rounds):
             done, _ = gauss_seidel(W, P, parameters, y, w, slip, run, 1e-15)
             iterations[s] += done
-            times(W, y, w)
-            w += q
+            displace(W, y, q, w)
             guess = y.copy()
             error, more = newton(equation, coupling, q, y, w, NewtonSettings(1e-12, scale, tol, crowd, 15, 0))
             iterations[s] += more
@@ -55,8 +53,7 @@ def solve_by_sweeps(equation, coupling, P, batch, tol, rounds, sweeps, crowd):
             if error <= tol:
                 break
             assign(y, guess)
-            times(W, y, w)
-            w += q
+            displace(W, y, q, w)
             run *= 2
         errors[s] = best
 

@@ -8,9 +8,9 @@ import numpy as np
 from numba import types, void
 
 from mic.contact.native.kernel import BLOCKS, COUNTS, MATRIX, NUMBER, VECTOR, kernel
-from mic.contact.native.linear_problem import bent, moved, solved, system
+from mic.contact.native.linear_problem import bent, moved, solved
 from mic.contact.native.linearised_law import CONTACTS, MASK, bound
-from mic.contact.native.matrices import assign
+from mic.contact.native.matrices import assign, system
 
 __all__ = ["touching"]
 
@@ -30,7 +30,7 @@ class Rates(NamedTuple):
         Those on their cones that slide against their forces.
     e : (c, 2) array
         Directions of the forces of those on their cones.
-    Q, J : (c, 3, 3), (3 c, 3 c) array
+    Q, J : (m, 3, 3), (3 c, 3 c) array
         Their linear problem ``J df = -Q rate``.
     df, dw : (3 m,) array
         Rates of forces and displacements.
@@ -53,23 +53,24 @@ def _rows(length, own, slides, smooth, rise, e, P, Q):
     """Fill ``P df + Q dw = 0`` of closed contacts: they stay closed, and stick, slide along e, or bear no friction."""
     P[:], Q[:] = 0.0, 0.0
     for a in range(len(own)):
-        κ = length[own[a]]
-        Q[a, 0, 0] = 1.0
+        k = own[a]
+        κ = length[k]
+        Q[k, 0, 0] = 1.0
         if smooth[a]:
-            P[a, 1, 1] = P[a, 2, 2] = κ
+            P[k, 1, 1] = P[k, 2, 2] = κ
         elif slides[a]:
-            P[a, 1, 0], P[a, 1, 1], P[a, 1, 2] = -κ * rise[a], κ * e[a, 0], κ * e[a, 1]
-            Q[a, 2, 1], Q[a, 2, 2] = -e[a, 1], e[a, 0]
+            P[k, 1, 0], P[k, 1, 1], P[k, 1, 2] = -κ * rise[a], κ * e[a, 0], κ * e[a, 1]
+            Q[k, 2, 1], Q[k, 2, 2] = -e[a, 1], e[a, 0]
         else:
-            Q[a, 1, 1] = Q[a, 2, 2] = 1.0
+            Q[k, 1, 1] = Q[k, 2, 2] = 1.0
 
 
 @kernel(RATES(CONTACTS, VECTOR, VECTOR, MASK))
 def _rates(contacts, rate, f0, on_cone):
     """The rates at forces ``f0``: those on their cones slide forward, or their forces do not leave the cones."""
     own = np.flatnonzero(f0[::3] > 0.0)
-    count = len(own)
-    P, Q, slides = np.zeros((count, 3, 3)), np.zeros((count, 3, 3)), np.zeros(count, np.bool_)
+    count, m = len(own), len(contacts.length)
+    P, Q, slides = np.zeros((m, 3, 3)), np.zeros((m, 3, 3)), np.zeros(count, np.bool_)
     e, rise, smooth = np.zeros((count, 2)), np.zeros(count), np.zeros(count, np.bool_)
     for a in range(count):
         k = own[a]
@@ -86,8 +87,8 @@ def _rates(contacts, rate, f0, on_cone):
             for row in range(3):
                 right[3 * a + row, 0] = 0.0
                 for c in range(3):
-                    right[3 * a + row, 0] -= Q[a, row, c] * rate[3 * own[a] + c]
-        J = system(contacts.S, P, Q, own)
+                    right[3 * a + row, 0] -= Q[own[a], row, c] * rate[3 * own[a] + c]
+        J = system(contacts.S, P, Q, own, 0.0)
         found = solved(J, right)
         for a in range(count):
             for c in range(3):
@@ -120,9 +121,9 @@ def _force_rate_slopes(contacts, rates, drate, f0, F0):
         i, κ = 3 * k, contacts.length[k]
         for row in range(3):
             for c in range(3):
-                if Q[a, row, c] != 0.0:
+                if Q[k, row, c] != 0.0:
                     side = right[3 * a + row]
-                    side -= Q[a, row, c] * drate[i + c]
+                    side -= Q[k, row, c] * drate[i + c]
         if rates.slides[a]:
             t0 = np.sqrt(f0[i + 1] ** 2 + f0[i + 2] ** 2)
             # The direction turns with its force: de = n (n·df⁰)/t⁰, n across e.
