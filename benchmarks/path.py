@@ -3,11 +3,11 @@
     python benchmarks/path.py                                       # four scenes
     python benchmarks/path.py meshes/bracket --samples 2
 
-Milliseconds of processor time of one sample under Coulomb's law, one process, one thread; bold if a bar is missed.
-*followed* and *one step* are samples of the same batch, evaluated in turns; the ratio is the median of these pairs.
-*alone* is one assembly in a batch of its own, one step per stage. Errors are the largest of all stages and samples, relative to a path
-with a 250th of the tolerance: of the contacts' positions, root mean square over the contacts, mm; of their forces,
-likewise, in % of the largest force of the sample.
+Milliseconds of processor time of one sample under Coulomb's law, one process, one thread, each with its bar.
+*followed* and *one step* are the same batch with both paths, in turns; the ratio is the median of these pairs.
+*alone* is one assembly in a batch of its own, one step per stage. Errors are the largest of all stages and samples,
+relative to a path with a 250th of the tolerance: of the contacts' positions, root mean square over the contacts, mm; of
+their forces, likewise, in % of the largest force of the sample.
 """
 
 from __future__ import annotations
@@ -21,10 +21,10 @@ from rich.console import Console
 from rich.table import Table
 
 import mic
-from mic.contact.path import Increments
 from mic.process.evaluation import Evaluation
 from mic.process.process import Process
 from mic.statistics.draw import draw
+from verification.scenes import with_path
 
 ROOT = Path(__file__).resolve().parents[1]
 #: Largest ratio, ms of a followed sample (none: no bar) and ms of one assembly alone, by scene.
@@ -45,27 +45,19 @@ def main() -> None:
     costs = Table("scene", "followed", "one step", "ratio", "alone", "steps", "factorisations", title="ms, per sample")
     errors = Table("scene", "positions, mm", "forces, %", title="error of the default tolerance")
     for path in arguments.scenes:
-        model = mic.reduce(mic.load_scene(path))
-        samples = draw(model.scene, 1, 0, arguments.samples)
-        name = model.scene.folder.name
-        costs.add_row(name, *cost(model, samples, BARS.get(name, (np.inf, np.inf, np.inf))))
+        scene = mic.load_scene(path)
+        model, name = mic.reduce(scene), scene.folder.name
+        samples, bars = draw(model.scene, 1, 0, arguments.samples), BARS.get(name, (np.inf, np.inf, np.inf))
+        one_step = mic.reduce(with_path(scene, "one-step"))
+        costs.add_row(name, *cost(Process(model, "coulomb"), Process(one_step, "coulomb"), samples, bars))
         errors.add_row(name, *accuracy(model, samples))
     console = Console(width=110)
     console.print(costs)
     console.print(errors)
 
 
-def process_of(model, one_step: bool = False, tolerance: float | None = None) -> Process:
-    """The process under Coulomb's law with the scene's path, with one step per stage, or of another tolerance."""
-    process = Process(model, "coulomb", path_tolerance=tolerance)
-    for stage in process.stages if one_step else ():
-        stage.path = Increments(1)
-    return process
-
-
-def cost(model, samples: np.ndarray, bars: tuple[float, float, float]) -> tuple[str, ...]:
+def cost(followed: Process, one_step: Process, samples: np.ndarray, bars: tuple[float, float, float]) -> list[str]:
     """Times against their bars, steps and factorisations of the followed path."""
-    followed, one_step = process_of(model), process_of(model, one_step=True)
     found = followed.evaluate(samples)  # the first evaluation fills the caches
     one_step.evaluate(samples)
     times = np.array([[timed(process, samples) for process in (followed, one_step)] for _ in range(PAIRS)])
@@ -73,16 +65,16 @@ def cost(model, samples: np.ndarray, bars: tuple[float, float, float]) -> tuple[
     ratio = np.median(times[:, 0] / times[:, 1])
     traces = [resolution.trace for resolution in found.resolutions.values()]
     steps, factorisations = (sum(getattr(one, what).mean() for one in traces) for what in ("steps", "factorisations"))
-    shares = times.min(axis=0)
-    measured = judged(shares[0], bars[1]), f"{shares[1]:.2f}", judged(ratio, bars[0]), judged(alone, bars[2])
-    return *measured, f"{steps:.1f}", f"{factorisations:.0f}"
+    fastest = times.min(axis=0)
+    times_and_ratio = judged(fastest[0], bars[1]), f"{fastest[1]:.2f}", judged(ratio, bars[0]), judged(alone, bars[2])
+    return [*times_and_ratio, f"{steps:.1f}", f"{factorisations:.0f}"]
 
 
 def accuracy(model, samples: np.ndarray) -> tuple[str, str]:
     """Largest errors of positions and forces."""
-    found = process_of(model).evaluate(samples)
-    exact = process_of(model, tolerance=TIGHTER * model.scene.path.tolerance).evaluate(samples)
-    position, force = errors(found, exact)
+    tolerance = model.scene.path.tolerance
+    paths = [Process(model, "coulomb", path_tolerance=share * tolerance) for share in (1, TIGHTER)]
+    position, force = errors(*(process.evaluate(samples) for process in paths))
     return f"{position:.1e}", f"{100 * force:.2f}"
 
 
@@ -107,9 +99,8 @@ def timed(process: Process, samples: np.ndarray) -> float:
 
 
 def judged(value: float, bar: float) -> str:
-    """A number with its bar, bold if it misses it."""
-    text = f"{value:.2f}" + (f" (≤ {bar:g})" if np.isfinite(bar) else "")
-    return text if value <= bar else f"[bold]{text}[/bold]"
+    """A number, and how it compares with its bar."""
+    return f"{value:.2f}" + (f" {'≤' if value <= bar else '>'} {bar:g}" if np.isfinite(bar) else "")
 
 
 if __name__ == "__main__":

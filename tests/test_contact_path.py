@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy.linalg import block_diag
 
-from mic.contact import ContactSolver
-from mic.contact.native.slider_lag import lag
+from mic.contact import ContactSolver, tangent
+from mic.contact.native import slider_lag
 from mic.contact.path import Followed, Increments
 
 MU = 0.5
@@ -262,12 +262,14 @@ def test_a_repeated_path_counts_all_its_factorisations(path, monkeypatch):
     assert rescued.tolist() == [before[0] + sum(spent), before[1]]
 
 
-def test_the_lag_of_a_slider_is_accurate_for_any_distance():
-    for z in (1e-6, 0.3, 3.0, 30.0):
-        assert lag(z) == pytest.approx(1 / z - 1 / np.expm1(z), abs=1e-9)
-        assert lag(-z) == pytest.approx(1 - lag(z), rel=1e-12)
-    far = [lag(z) for z in (800.0, 1e6, -1e6)]
-    assert far == pytest.approx([1 / 800, 1e-6, 1 - 1e-6], rel=1e-12) and lag(0.0) == 0.5
+@pytest.mark.parametrize("lag", [tangent.lag, np.vectorize(slider_lag.lag, [float])], ids=["arrays", "compiled"])
+def test_the_lag_of_a_slider_is_accurate_for_any_distance(lag):
+    z = np.array([1e-6, 0.3, 3.0, 30.0])
+    with np.errstate(over="raise", invalid="raise", divide="raise"):
+        np.testing.assert_allclose(lag(z), 1 / z - 1 / np.expm1(z), atol=1e-9)
+        np.testing.assert_allclose(lag(-z), 1 - lag(z), rtol=1e-12)
+        np.testing.assert_allclose(lag(np.array([800.0, 1e6, -1e6])), [1 / 800, 1e-6, 1 - 1e-6], rtol=1e-12)
+    assert lag(np.zeros(1))[0] == 0.5
 
 
 @pytest.mark.parametrize("length, force", [(25.4, 1.0), (1e-3, 1e3)])

@@ -39,11 +39,13 @@ from mic.contact.path_record import PathRecord
 from mic.contact.solver import ContactSolver
 from mic.contact.states import OPEN, SLIP, STICK, classify
 
-__all__ = ["ComplianceDerivative", "Contact", "End", "Dual", "differentiate_path"]
+__all__ = ["ComplianceDerivative", "Contact", "End", "Dual", "lag", "differentiate_path"]
 
 #: Fallback if Newton's method fails: tolerance of the ladder, and fixed-point iterations of the sliders' shifts, at
 #: most this many, until they change by less than this fraction of the motion.
 FALLBACK_TOLERANCE, MAX_ITERATIONS, CONVERGED = 1e-12, 30, 1e-6
+#: Relative slip below which φ is evaluated by its Taylor series.
+SMALL = 1e-4
 
 
 @dataclass(frozen=True)
@@ -148,6 +150,23 @@ class End:
             return np.concatenate(arrays)
 
         return cls(**{field.name: joined([getattr(piece, field.name) for piece in pieces]) for field in fields(cls)})
+
+
+def lag(z: np.ndarray) -> np.ndarray:
+    """``φ(z) = 1/z - 1/(eᶻ - 1)``: lag of a slider's reference behind its slip, as a fraction of the slip.
+
+    Computed from ``φ(|z|)``, which cannot overflow, and ``φ(z) + φ(-z) = 1``.
+
+    Parameters
+    ----------
+    z : (n,) array
+        Slips of either sign, relative to ``½(c‖f_t⁰‖ + c‖f_t‖)``.
+    """
+    size = np.abs(z)
+    small = size < SMALL
+    long = np.where(small, 1.0, size)
+    value = np.where(small, 0.5 - size / 12.0, 1.0 / long + np.exp(-long) / np.expm1(-long))
+    return np.where(z < 0.0, 1.0 - value, value)
 
 
 def differentiate_path(
@@ -317,8 +336,6 @@ class _PathSolver:
         The whole ladder is used, in a fixed-point iteration of the sliders' shifts, which are zero unless the step is
         of `second` order.
         """
-        from mic.contact.native.slider_lag import lag  # compiles, or reads the cache, when it is called
-
         size, m = self.size, len(self.length)
         before = f0.reshape(m, size)
         slides = self._on_cone(before) & second
@@ -335,8 +352,7 @@ class _PathSolver:
             l = -(e * now[:, 1:]).sum(axis=1)
             z = np.where(rotates, l / (0.5 * self.length * np.where(rotates, t0 + t, 1.0)), 1.0)
             last, shift = shift, np.zeros((m, size))
-            lags = np.array([lag(of_contact) for of_contact in z])
-            shift[:, 1:] = -np.where(rotates, lags * l, 0.0)[:, None] * e
+            shift[:, 1:] = -np.where(rotates, lag(z) * l, 0.0)[:, None] * e
             if np.abs(shift - last).max() <= CONVERGED * max(np.abs(now).max(), 1e-300):
                 break
         return f

@@ -7,7 +7,7 @@ from numba import boolean, int64, types, void
 
 from mic.contact.native.kernel import BLOCKS, COUNTS, MATRIX, kernel
 from mic.contact.native.lapack import inverse_by_lapack
-from mic.contact.native.matrices import assign, system
+from mic.contact.native.matrices import assign, assign_block, system
 
 __all__ = ["DAMPING", "LARGE", "border", "change", "inverse_of", "inverted", "let_go"]
 
@@ -92,8 +92,7 @@ def inverted(matrix):
                 four[i, c] = M[i, k + c]
         if not _pivots(M, four, trial, place, k):
             return np.zeros((n, n))
-        for a in range(4):
-            assign(block[a], four[k + a])
+        assign_block(block, four[k : k + 4])
         _inverted_four(block, inner)
         row0, row1, row2, row3 = M[k], M[k + 1], M[k + 2], M[k + 3]
         for a in range(4):
@@ -114,8 +113,7 @@ def inverted(matrix):
                 x0, x1, x2, x3 = row0[j], row1[j], row2[j], row3[j]
                 one[j] -= f0 * x0 + f1 * x1 + f2 * x2 + f3 * x3
                 two[j] -= g0 * x0 + g1 * x1 + g2 * x2 + g3 * x3
-        for a in range(4):
-            assign(M[k + a], pivot[a])
+        assign_block(M[k : k + 4], pivot)
     for k in range(rows - 1, -1, -1):
         p = place[k]
         if p != k:
@@ -186,9 +184,8 @@ def change(W, A, B, closed, inverse, a, new_A, new_B):
             V[row, 3 * a + column] += (
                 new_A[row, column] - A[k, row, column] + DAMPING * (new_B[row, column] - B[k, row, column])
             )
-    for row in range(3):
-        assign(A[k, row], new_A[row])
-        assign(B[k, row], new_B[row])
+    assign_block(A[k], new_A)
+    assign_block(B[k], new_B)
     X = np.zeros((3, n))  # V times the inverse
     X0, X1, X2 = X[0], X[1], X[2]
     for j in range(n):

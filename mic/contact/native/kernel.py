@@ -17,7 +17,7 @@ from copy import copy
 from functools import cache
 from pathlib import Path
 
-from numba import float64, int64
+from numba import boolean, float64, int64
 from numba.core import caching
 from numba.core.codegen import ll
 from numba.core.compiler_lock import global_compiler_lock
@@ -25,10 +25,10 @@ from numba.core.registry import CPUDispatcher
 
 from mic.contact import states
 
-__all__ = ["BLOCKS", "COUNTS", "MATRIX", "NUMBER", "VECTOR", "Kernel", "kernel"]
+__all__ = ["BLOCKS", "COUNTS", "MASK", "MATRIX", "NUMBER", "VECTOR", "Kernel", "kernel"]
 
 NUMBER, VECTOR, MATRIX, BLOCKS = float64, float64[::1], float64[:, ::1], float64[:, :, ::1]
-COUNTS = int64[::1]
+COUNTS, MASK = int64[::1], boolean[::1]
 
 
 @cache

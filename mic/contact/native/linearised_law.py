@@ -14,16 +14,15 @@ from typing import NamedTuple
 import numpy as np
 from numba import boolean, int64, types, void
 
-from mic.contact.native.kernel import BLOCKS, COUNTS, MATRIX, NUMBER, VECTOR, kernel
+from mic.contact.native.kernel import BLOCKS, COUNTS, MASK, MATRIX, NUMBER, VECTOR, kernel
 from mic.contact.native.law_equation import EQUATION_POINTER
-from mic.contact.native.slider_lag import lag, lag_slope
+from mic.contact.native.slider_lag import lag_and_slope
 from mic.contact.states import LOADED, ON_CONE, OPEN, SLIP, STICK
 
-__all__ = ["CONTACTS", "EQUATIONS", "MASK", "Contacts", "Equations", "bound", "equations", "on_cone", "states"]
+__all__ = ["CONTACTS", "EQUATIONS", "Contacts", "Equations", "bound", "equations", "on_cone", "states"]
 
 #: A tangential force that is beyond every bound, in normal forces.
 BEYOND = 1e6
-MASK = types.Array(types.boolean, 1, "C")
 
 
 class Contacts(NamedTuple):
@@ -127,7 +126,7 @@ def _way(f, w, f0, turns, κ):
         e[0], e[1] = f0[1] / t0, f0[2] / t0
         l = -(e[0] * w[1] + e[1] * w[2])
         z = l / (0.5 * κ * (t0 + t))
-        φ, dφ = lag(z), lag_slope(z)
+        φ, dφ = lag_and_slope(z)
         λ, by_l, by_c, by_κ = φ * l, φ + dφ * z, -dφ * z * z * 0.5 * κ, -dφ * z * l / κ
         across = e[1] * w[1] - e[0] * w[2]  # of w_t
         for i in range(2):

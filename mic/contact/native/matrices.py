@@ -10,6 +10,7 @@ from mic.contact.native.kernel import BLOCKS, COUNTS, MATRIX, NUMBER, VECTOR, ke
 __all__ = [
     "TOGETHER",
     "assign",
+    "assign_block",
     "assign_sum",
     "block",
     "displace",
@@ -31,6 +32,13 @@ def assign(target, source):
     """``target[:] = source``, which Numba would compile anew at each place, with the words of its errors."""
     for i in range(len(target)):
         target[i] = source[i]
+
+
+@kernel(void(MATRIX, MATRIX))
+def assign_block(target, source):
+    """``target[:] = source``, of matrices."""
+    for row in range(len(target)):
+        assign(target[row], source[row])
 
 
 @kernel(void(VECTOR, VECTOR, NUMBER, VECTOR))

@@ -13,9 +13,9 @@ from typing import NamedTuple
 import numpy as np
 from numba import boolean, int64, types, void
 
-from mic.contact.native.kernel import BLOCKS, COUNTS, MATRIX, NUMBER, VECTOR, kernel
+from mic.contact.native.kernel import BLOCKS, COUNTS, MASK, MATRIX, NUMBER, VECTOR, kernel
 from mic.contact.native.linear_problem import bent, moved, solved
-from mic.contact.native.linearised_law import CONTACTS, EQUATIONS, MASK, Equations, bound, equations, on_cone, states
+from mic.contact.native.linearised_law import CONTACTS, EQUATIONS, Equations, bound, equations, on_cone, states
 from mic.contact.native.matrices import assign, assign_sum, system
 from mic.contact.native.touching import touching
 from mic.contact.states import OPEN, SLIP

@@ -10,7 +10,7 @@ from numba import int64, types, void
 from mic.contact.native.kept_inverse import border, change, inverse_of
 from mic.contact.native.kernel import BLOCKS, COUNTS, MATRIX, NUMBER, VECTOR, kernel
 from mic.contact.native.law_equation import derivative, linear_equation, statuses
-from mic.contact.native.matrices import assign, displace
+from mic.contact.native.matrices import assign, assign_block, displace
 from mic.contact.native.path_constants import NEAR
 from mic.contact.native.step_data import LAST_PROBLEM, PATH_PROBLEM, WORKSPACE, LastProblem
 from mic.contact.states import OPEN, SLIP, STICK
@@ -108,9 +108,8 @@ def anew(W, last, linear):
     assign(last.stretch, linear.scaling)
     for k in range(len(linear.state)):
         last.state[k] = linear.state[k]
-        for row in range(3):
-            assign(last.A[k, row], linear.A[k, row])
-            assign(last.B[k, row], linear.B[k, row])
+        assign_block(last.A[k], linear.A[k])
+        assign_block(last.B[k], linear.B[k])
     return LastProblem(last.state, last.stretch, last.A, last.B, own, inverse_of(W, last.A, last.B, own))
 
 
@@ -158,9 +157,9 @@ def facet(problem, y, w, y_new, k, A, B, right, e):
         e[c - 1] = at[c] / t
         back[c] = -NEAR * at[c]
     problem.equation(own, at, back, phi, blocks_A, blocks_B, found, True)
+    assign_block(A, blocks_A[0])
+    assign_block(B, blocks_B[0])
     for row in range(3):
-        assign(A[row], blocks_A[0, row])
-        assign(B[row], blocks_B[0, row])
         right[row] = -phi[row]
         for c in range(3):
             right[row] -= A[row, c] * (y[i + c] - at[c]) + B[row, c] * (w[i + c] - back[c])

@@ -8,9 +8,9 @@ import numpy as np
 from numba import int64, types, void
 
 from mic.contact.native.kept_inverse import LARGE, change, inverse_of, let_go
-from mic.contact.native.kernel import BLOCKS, COUNTS, MATRIX, NUMBER, VECTOR, kernel
+from mic.contact.native.kernel import BLOCKS, COUNTS, MASK, MATRIX, NUMBER, VECTOR, kernel
 from mic.contact.native.law_equation import derivative, statuses
-from mic.contact.native.matrices import assign, assign_sum
+from mic.contact.native.matrices import assign, assign_block, assign_sum
 from mic.contact.native.path_constants import FACTORISATIONS, LONGEST, NEAR, ROUNDING
 from mic.contact.native.slider_lag import lag
 from mic.contact.native.step_data import PATH_PROBLEM, PREDICTION, WORKSPACE
@@ -103,24 +103,35 @@ class Course(NamedTuple):
     found: np.ndarray
 
 
-MASK = types.Array(types.boolean, 1, "C")
 COURSE = types.NamedTuple(
     [*[VECTOR] * 4, COUNTS, MASK, *[BLOCKS] * 4, COUNTS, COUNTS, MATRIX, VECTOR, VECTOR, COUNTS], Course
 )
 
 
-@kernel(int64(PATH_PROBLEM, VECTOR, VECTOR, COUNTS, MASK, VECTOR, COUNTS))
-def first_breaking(problem, y, still, state, held, phi, found):
-    """A contact that sticks and whose force has left the cone, but for those that were just held; -1 if none does.
+@kernel(int64(int64, COURSE))
+def place_of(k, course):
+    """The place of contact k among the closed ones."""
+    a = 0
+    while course.closed[a] != k:
+        a += 1
+    return a
+
+
+@kernel(int64(PATH_PROBLEM, COURSE, NUMBER))
+def first_breaking(problem, course, advance):
+    """The first contact that sticks and whose force has left the cone after an ``advance``; -1 if none does.
+
+    Contacts that were just held are left out.
 
     One that has no normal force left and a tangential one has left it before.
     """
-    asked = False
+    y, state, held, found, asked = course.trial, course.state, course.held, course.found, False
+    assign_sum(y, course.y, advance, course.dy)
     for k in range(len(state)):
         asked = asked or (state[k] == STICK and not held[k])
     if not asked:
         return -1
-    statuses(problem.equation, problem.parameters, y, still, phi, found)
+    statuses(problem.equation, problem.parameters, y, np.zeros(len(y)), course.phi, found)
     for k in range(len(state)):
         if state[k] == STICK and not held[k]:
             if found[k] == SLIP:
@@ -227,7 +238,6 @@ def next_event(problem, y0, reached, left, limits, predicted, course):
         Whether it closes or breaks loose; else it opens.
     """
     y, w, dy, dw, state = course.y, course.w, course.dy, course.dw, course.state
-    trial, still, found = course.trial, np.zeros(len(y)), course.found
     advance, first, closes, breaks = left, -1, False, False
     for k in range(len(state)):
         i = 3 * k
@@ -239,18 +249,15 @@ def next_event(problem, y0, reached, left, limits, predicted, course):
                     advance, first, closes = touches, k, True
         elif state[k] != OPEN and dy[i] < 0.0 and max(y[i], 0.0) < -dy[i] * advance:
             advance, first, closes = max(y[i], 0.0) / -dy[i], k, False
-    assign_sum(trial, y, advance, dy)
-    if first_breaking(problem, trial, still, state, course.held, course.phi, found) >= 0:
+    if first_breaking(problem, course, advance) >= 0:
         low, high = 0.0, advance
         for _ in range(BISECTIONS):
             middle = 0.5 * (low + high)
-            assign_sum(trial, y, middle, dy)
-            if first_breaking(problem, trial, still, state, course.held, course.phi, found) >= 0:
+            if first_breaking(problem, course, middle) >= 0:
                 high = middle
             else:
                 low = middle
-        assign_sum(trial, y, high, dy)
-        first = first_breaking(problem, trial, still, state, course.held, course.phi, found)
+        first = first_breaking(problem, course, high)
         i = 3 * first
         # At the tip of its cone it opens, and does not slide.
         advance, closes, breaks = high, False, y[i] + high * dy[i] > NEAR * y0[i]
@@ -289,12 +296,9 @@ def break_loose(problem, k, reached, predicted, course):
     course.state[k], predicted.loose[k] = SLIP, reached
     predicted.grip[k] = np.sqrt(y[i + 1] ** 2 + y[i + 2] ** 2)
     predicted.e[k, 0], predicted.e[k, 1] = y[i + 1] / predicted.grip[k], y[i + 2] / predicted.grip[k]
-    for row in range(3):
-        assign(course.slide_A[k, row], A[k, row])
-        assign(course.slide_B[k, row], B[k, row])
-    for a in range(len(course.closed)):
-        if course.closed[a] == k:
-            change(problem.W, course.A, course.B, course.closed, course.inverse, a, A[k], B[k])
+    assign_block(course.slide_A[k], A[k])
+    assign_block(course.slide_B[k], B[k])
+    change(problem.W, course.A, course.B, course.closed, course.inverse, place_of(k, course), A[k], B[k])
 
 
 @kernel(void(VECTOR, int64, NUMBER, PREDICTION, COURSE))
@@ -307,9 +311,7 @@ def open_up(y0, k, reached, predicted, course):
         predicted.x[i + row] = -y0[i + row]
         course.y[i + row] = 0.0
     course.state[k] = OPEN
-    for a in range(len(course.closed)):
-        if course.closed[a] == k:
-            let_go(course.inverse, a)
+    let_go(course.inverse, place_of(k, course))
 
 
 @kernel(NUMBER(PATH_PROBLEM, VECTOR, NUMBER, LIMITS, PREDICTION, WORKSPACE, COUNTS))

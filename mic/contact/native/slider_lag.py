@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
+from numba import types
 
 from mic.contact.native.kernel import NUMBER, kernel
 
-__all__ = ["lag", "lag_slope"]
+__all__ = ["lag", "lag_and_slope"]
 
 
 @kernel(NUMBER(NUMBER), from_python=True)
@@ -19,13 +20,15 @@ def lag(z):
     return 1.0 / z - 1.0 / np.expm1(z)
 
 
-@kernel(NUMBER(NUMBER))
-def lag_slope(z):
-    """``φ'(z)``."""
+@kernel(types.UniTuple(NUMBER, 2)(NUMBER))
+def lag_and_slope(z):
+    """``φ(z)``, to the last bit for small z too, and ``φ'(z)``."""
     if abs(z) < 0.05:
         z2 = z * z
-        return -1.0 / 12.0 + z2 * (1.0 / 240.0 - z2 * (1.0 / 6048.0 - z2 / 172800.0))
+        value = 0.5 - z * (1.0 / 12.0 - z2 * (1.0 / 720.0 - z2 * (1.0 / 30240.0 - z2 / 1209600.0)))
+        return value, -1.0 / 12.0 + z2 * (1.0 / 240.0 - z2 * (1.0 / 6048.0 - z2 / 172800.0))
+    value = lag(z)
     if z > 300.0:
-        return -1.0 / (z * z)
+        return value, -1.0 / (z * z)
     below = np.expm1(z)
-    return (below + 1.0) / (below * below) - 1.0 / (z * z)
+    return value, (below + 1.0) / (below * below) - 1.0 / (z * z)

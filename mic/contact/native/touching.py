@@ -7,9 +7,9 @@ from typing import NamedTuple
 import numpy as np
 from numba import types, void
 
-from mic.contact.native.kernel import BLOCKS, COUNTS, MATRIX, NUMBER, VECTOR, kernel
+from mic.contact.native.kernel import BLOCKS, COUNTS, MASK, MATRIX, NUMBER, VECTOR, kernel
 from mic.contact.native.linear_problem import bent, moved, solved
-from mic.contact.native.linearised_law import CONTACTS, MASK, bound
+from mic.contact.native.linearised_law import CONTACTS, bound
 from mic.contact.native.matrices import assign, system
 
 __all__ = ["touching"]
