@@ -43,17 +43,17 @@ def main() -> None:
     parser.add_argument("--samples", type=int, default=10)
     arguments = parser.parse_args()
     costs = Table("scene", "followed", "one step", "ratio", "alone", "steps", "factorisations", title="ms, per sample")
-    errors = Table("scene", "positions, mm", "forces, %", title="error of the default tolerance")
+    accuracies = Table("scene", "positions, mm", "forces, %", title="error of the default tolerance")
     for path in arguments.scenes:
         scene = mic.load_scene(path)
         model, name = mic.reduce(scene), scene.folder.name
         samples, bars = draw(model.scene, 1, 0, arguments.samples), BARS.get(name, (np.inf, np.inf, np.inf))
         one_step = mic.reduce(with_path(scene, "one-step"))
         costs.add_row(name, *cost(Process(model, "coulomb"), Process(one_step, "coulomb"), samples, bars))
-        errors.add_row(name, *accuracy(model, samples))
+        accuracies.add_row(name, *accuracy(model, samples))
     console = Console(width=110)
     console.print(costs)
-    console.print(errors)
+    console.print(accuracies)
 
 
 def cost(followed: Process, one_step: Process, samples: np.ndarray, bars: tuple[float, float, float]) -> list[str]:
