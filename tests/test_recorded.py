@@ -1,4 +1,4 @@
-"""The shipped scenes give the numbers that they gave; recorded/README.md says what is held, and how it may change."""
+"""The shipped scenes give the recorded numbers; recorded/README.md states which, and when they may change."""
 
 import functools
 
