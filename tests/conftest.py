@@ -65,7 +65,7 @@ def lap_scene():
     return with_stated_pairs(mic.load_scene(ROOT / "meshes" / "lap_joint"))
 
 
-# Where no finite elements are installed, the compliance that tests/support/shipped.py provides takes their place.
+# Without finite elements, tests/support/shipped.py provides the compliance.
 
 
 @pytest.fixture(scope="session")

@@ -134,7 +134,7 @@ for _ in range(2):  # before and after it is loaded
 
 
 def test_a_run_calls_no_kernel_of_derivatives():
-    """What is compiled for a run alone is complete: it calls nothing beyond, and the rest is that of derivatives."""
+    """The kernels compiled for a run call no others, and all others belong to derivatives."""
     for_a_run = compilation.kernels(derivatives=False)
     beyond = set(compilation.kernels(derivatives=True)) - set(for_a_run)
     assert {one.__module__.rpartition(".")[2] for one in beyond} == compilation.DERIVATIVES

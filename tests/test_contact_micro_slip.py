@@ -98,7 +98,7 @@ def half_plane(strips, a, modulus):
 
     d = x[:, None] - x
     influence = primitive(d + 0.5 * h) - primitive(d - 0.5 * h)
-    # Of unit traction on a strip: -(2/(π E')) ∫ ln|x - s| ds; a rigid motion makes it positive, and moves nothing else.
+    # Displacement under unit traction on a strip: -(2/(π E')) ∫ ln|x - s| ds; a rigid motion makes it positive.
     return x, h, (-2.0 / (np.pi * modulus) * influence) / h + 2.0 * np.log(10.0 * a) / (np.pi * modulus)
 
 

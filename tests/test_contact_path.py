@@ -314,7 +314,10 @@ def test_contacts_whose_load_goes_back_the_way_it_came_open_without_slip():
 
 
 def test_forces_are_as_exact_as_their_estimate():
-    """What sticks is stiff: positions alone would let friction be wrong. Their error is relative to the load's 2 mm."""
+    """Sticking contacts are stiff, so exact positions may leave wrong friction.
+
+    The error of positions is relative to the load's 2 mm.
+    """
     rng = np.random.default_rng(5)
     true, estimate, size = [], [], []
     for _ in range(20):

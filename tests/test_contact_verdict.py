@@ -30,7 +30,7 @@ def broken_condition(S, b, mu, force, law):
     F, U = np.abs(f).max() or np.longdouble(1), max(np.abs(u).max(), np.abs(b).max()) or np.longdouble(1)
     mu = mu if LAWS[law].frictional else 0.0
     slip, traction = np.hypot(u[:, 1], u[:, 2]), np.hypot(f[:, 1], f[:, 2])
-    # What is complementary to the normal force: under the associated law slipping contacts open by μ times their slip.
+    # Complementary to the normal force: under the associated law slipping contacts open by μ times their slip.
     gap = u[:, 0] - (mu * slip if law == "associated" else 0.0)
     breaches = [
         -f[:, 0] / F,

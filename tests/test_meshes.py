@@ -145,7 +145,7 @@ def test_meshed_flanges_are_one_thickness_apart_and_resolve_a_contact_patch():
     for part in wheelhouse.PARTS:
         surface = sheet("wheelhouse", part)
         foot = surface.project((inner + outer) / 2)
-        # What remains is the height of arcs over chords, h^2 / 8 R.
+        # The remaining difference is the height of arcs over chords, h^2 / 8 R.
         assert np.abs(foot.distance - wheelhouse.THICKNESS / 2).max() < 0.01
         sides = np.sqrt(surface.areas[foot.triangle] * 4 / np.sqrt(3))
         assert sides.max() < 4.0  # a patch 12 mm across spans at least three elements

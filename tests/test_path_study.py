@@ -1,4 +1,4 @@
-"""What the path left in a run's results: its first samples on a tighter path, against the same by another route."""
+"""Path errors in the results of a run: its first samples on a tighter path, compared with another computation."""
 
 import shutil
 
@@ -62,7 +62,7 @@ def on_both(lap_model):
 
 
 def zone_rms(moved):
-    """Of the scene's one zone."""
+    """RMS over the pairs of the scene's only zone."""
     return np.sqrt((moved**2).sum(axis=2).mean(axis=1))
 
 

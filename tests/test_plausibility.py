@@ -176,7 +176,7 @@ def test_no_plausible_input_is_warned_of(name, case, assemblies):
 
 
 def test_tongs_that_press_a_stack_pair_by_pair_are_not_askew():
-    """Of three sheets, the jaws on the lowest two push alike, and so do those on the upper two."""
+    """Three sheets: the jaws on the lowest two push the same way, and so do those on the upper two."""
     names = [row["name"] for row in TABLES["lap_joint"]["locators"] if row["part"] == "upper"]
     stacked = [["like", f"locators.{name}", {"name": f"top-{name}", "part": "top"}] for name in names]
     stacked += [

@@ -51,7 +51,7 @@ SAMPLES = 40
 
 
 class _Page:
-    """What a page holds and what it would load."""
+    """Collects the elements of a page and what it would load."""
 
     def __init__(self, path):
         self.source = path.read_text(encoding="utf-8")

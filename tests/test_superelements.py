@@ -190,7 +190,7 @@ def test_rigid_motions_are_read_exactly_between_nodes_and_by_the_arm_of_the_near
 
 
 def test_compliances_and_other_units_give_the_same_body(tmp_path, sheet, K):
-    """That of the pseudoinverse, for balanced forces."""
+    """The compliance by the pseudoinverse, for balanced forces."""
     market(tmp_path / "mm.mtx", K, sheet.points)
     part, mm = coefficients(tmp_path / "mm.mtx", sheet)
     L = part.superelement.readings(part).toarray()

@@ -94,7 +94,7 @@ def turned(table):
     return table.assign(mean=-table["mean"], six_sigma=-table["six_sigma"])
 
 
-# What better samples have left of an error: half a mesh at orders 1.4 to 3, a share of the distance at 1 to 2.
+# Share of an error that better samples leave: half a mesh at orders 1.4 to 3, a share of the distance at 1 to 2.
 LEFT = [("mesh", 2.0**-1.4), ("mesh", 2.0**-3), (min(SHARES), min(SHARES) ** 2), (max(SHARES), max(SHARES)),
         ("path", 0.25), ("increments", 1 / 4)]  # fmt: skip
 

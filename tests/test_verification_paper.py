@@ -38,7 +38,7 @@ def test_a_zone_counts_its_own_pairs_only():
 
 
 def test_the_six_coefficients_of_variation_of_the_paper_are_alike(published):
-    """What one factor common to all corrective forces would give; the forces of the scene have it."""
+    """They agree as if one factor were common to all corrective forces, as it is in the scene."""
     variation = published[:, 1] / 6 / published[:, 0]
     assert variation.min() > 0.045 and variation.max() < 0.054
     scene = nearest("coarse")

@@ -319,7 +319,7 @@ def test_a_list_may_have_decimal_commas_where_commas_do_not_separate_its_cells(t
 
 
 def test_no_tong_presses_on_a_weld(tmp_path):
-    """Of a lap that has room for a weld alone, the weld; its pad would lie on the nugget."""
+    """A lap with room for a weld alone gets the weld only; a pad would lie on the nugget."""
     sheets = {"a": grid(80, 50, 7), "b": grid(80, 12, 6, z=1.0, x=66, y=20)}
     scene = load_scene(propose(sheets, tmp_path)[0])
     assert len(scene.welds) == 1 and scene.clamps == []

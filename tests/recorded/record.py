@@ -1,4 +1,4 @@
-"""The outcome of the shipped scenes, as ``test_recorded`` compares it and as it is recorded.
+"""Results of the shipped scenes, for ``test_recorded`` and for recording them.
 
 ``PYTHONPATH=tests python -m recorded.record`` records anew, into this folder; with ``--add`` only what is not recorded
 yet, a new law or scene. README.md says when that is allowed.
@@ -54,7 +54,7 @@ def drawn(name: str) -> np.ndarray:
 
 
 def outcome(model: ReducedModel, increments: int, deviations: np.ndarray) -> dict[str, np.ndarray]:
-    """What is recorded of a scene with so many increments in every stage, by key: ``law/increments/stage/quantity``."""
+    """The recorded arrays of a scene with so many increments in every stage, by ``law/increments/stage/quantity``."""
     stages = [stage.model_copy(update={"increments": increments}) for stage in model.scene.stages]
     model = replace(model, scene=model.scene.model_copy(update={"stages": stages}))
     arrays = {f"pairs/{quantity}": getattr(model.contacts, quantity) for quantity in PAIRS}
@@ -68,7 +68,7 @@ def outcome(model: ReducedModel, increments: int, deviations: np.ndarray) -> dic
 
 
 def platform() -> str:
-    """What the last digits depend on: the finite elements, and whose products and factorisations they use."""
+    """The versions that decide the last digits: finite elements, numpy and BLAS."""
     elements = "none"
     if find_spec("dolfinx"):
         from fem_reference.shell.versions import installed

@@ -1,1 +1,1 @@
-"""What several test modules need; no test stands in here."""
+"""Code that several test modules share; it contains no test."""

@@ -58,7 +58,7 @@ class Case:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What became of a case.
+    """Outcome of a case.
 
     Attributes
     ----------
@@ -112,7 +112,7 @@ def compliance(rng, m: int, shape: str) -> np.ndarray:
 
 
 def friction_of(rng, m: int, law: str, mu, force: float, soft):
-    """What the program and what the judge take for a law's friction."""
+    """Friction of a law, for the program and for the judge."""
     if law == "micro-slip":
         c = soft * spread(rng, m) * (rng.random(m) < 0.8)
         return Friction(mu, None, c), dict(compliance=c)
@@ -289,7 +289,7 @@ def _judged_path(case, found, sample):
 
 
 def check(case: Case) -> list[str]:
-    """What is wrong with the answer to a case."""
+    """The error of the program's result for a case."""
     return outcome(case).failures
 
 

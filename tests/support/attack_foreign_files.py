@@ -178,7 +178,7 @@ def damaged(content: bytes, rng: np.random.Generator) -> bytes:
 
 
 def trouble(path: Path) -> str | None:
-    """What is wrong with the way in which a file is read; None if it is read, or refused in one sentence."""
+    """The fault in reading a file; None if it is read, or refused in one sentence."""
     started = time.monotonic()
     try:
         READERS_OF[path.name.partition("-")[0].partition(".")[0]](path)

@@ -166,7 +166,7 @@ def _breach(problem, f, w, b, row, stiff):
     carried = np.linalg.norm(f, axis=-1)
     mu = problem.coefficient(f_n)
     pull = np.maximum(-f_n, 0)
-    # What must vanish for a contact that carries force, and not be negative for one that does not.
+    # Zero for a contact that carries force, not negative for one that does not.
     gap, per_gap, reach = w_n, np.broadcast_to(rho_n, w_n.shape), np.abs(w_n)
     if problem.law == "associated":  # it slips only while it opens: w_n = μ‖w_t‖
         gap, reach = w_n - mu * slip, np.maximum(np.abs(w_n), mu * slip)

@@ -1,4 +1,4 @@
-"""What the studies of a model return, made up: numbers that pictures and pages can be held against."""
+"""Synthetic results of a model's studies, with which pictures and pages can be compared."""
 
 from dataclasses import fields
 
@@ -111,7 +111,7 @@ def order(names):
 
 
 def optimum(names):
-    """What was found, and its tables; the k-th mean goes up by 2 (k + 1) % of its tolerance, 6σ down by 4 %."""
+    """The result and its tables; the k-th mean goes up by 2 (k + 1) % of its tolerance, 6σ down by 4 %."""
     whole = {"law": "coulomb", "objective": "cpk", "before": 1.25, "after": 1.5, "gained": True, "found": 1.625}
     whole |= around("gain", 0.25, 0.125) | {"samples": 60, "fresh": 400, "evaluations": 1234}
     change = {"law": "coulomb", "kind": "force", "targets": "C1", "before": "60", "after": "75"}
