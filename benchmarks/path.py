@@ -13,10 +13,10 @@ their forces, likewise, in % of the largest force of the sample.
 from __future__ import annotations
 
 import argparse
-import time
 from pathlib import Path
 
 import numpy as np
+from measurement import timed
 from rich.console import Console
 from rich.table import Table
 
@@ -60,8 +60,8 @@ def cost(followed: Process, one_step: Process, samples: np.ndarray, bars: tuple[
     """Times against their bars, steps and factorisations of the followed path."""
     found = followed.evaluate(samples)  # the first evaluation fills the caches
     one_step.evaluate(samples)
-    times = np.array([[timed(process, samples) for process in (followed, one_step)] for _ in range(PAIRS)])
-    alone = np.median([min(timed(one_step, sample[None]) for _ in range(PAIRS)) for sample in samples])
+    times = np.array([[per_sample(process, samples) for process in (followed, one_step)] for _ in range(PAIRS)])
+    alone = np.median([min(per_sample(one_step, sample[None]) for _ in range(PAIRS)) for sample in samples])
     ratio = np.median(times[:, 0] / times[:, 1])
     traces = [resolution.trace for resolution in found.resolutions.values()]
     steps, factorisations = (sum(getattr(one, what).mean() for one in traces) for what in ("steps", "factorisations"))
@@ -91,11 +91,9 @@ def errors(found: Evaluation, exact: Evaluation) -> tuple[float, float]:
     return tuple(worst)
 
 
-def timed(process: Process, samples: np.ndarray) -> float:
+def per_sample(process: Process, samples: np.ndarray) -> float:
     """Milliseconds of processor time per sample."""
-    start = time.process_time()
-    process.evaluate(samples)
-    return 1e3 * (time.process_time() - start) / len(samples)
+    return 1e3 * timed(process.evaluate, samples)[1] / len(samples)
 
 
 def judged(value: float, bar: float) -> str:

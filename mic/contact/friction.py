@@ -64,7 +64,7 @@ class Friction:
         return padded
 
     def _mapped(self, function: Callable[[np.ndarray], np.ndarray]) -> Friction:
-        """A copy with ``function(values)`` in place of the values of each field that has any."""
+        """A copy in which ``function(values)`` replaces the values of each field; fields without values stay None."""
         values = {field.name: getattr(self, field.name) for field in fields(self)}
         return replace(self, **{name: function(value) for name, value in values.items() if value is not None})
 

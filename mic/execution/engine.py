@@ -97,7 +97,7 @@ def choose(name: str | None = None) -> Engine:
         from mic.execution.mpi import Mpi
 
         if kind not in ("", "mpi"):
-            raise RunError(f"engine {name}: MPI processes share the work already; leave out mpirun or the engine")
+            raise RunError(f"engine {name}: mpirun has started this process; leave out mpirun or the engine")
         return Mpi(world)
     if kind == "":
         return Local(None if START_METHOD == "fork" else 1)

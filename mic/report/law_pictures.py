@@ -1,4 +1,4 @@
-"""Pictures that compare the contact laws: errors of the associated law, and all laws against friction."""
+"""Pictures that compare the contact laws: errors of the associated law, results over the friction."""
 
 from __future__ import annotations
 

@@ -39,7 +39,7 @@ class Improved:
     better : (k,) bool array
         Whether they are better than those of the samples alone.
     limits : dict of str to (float, float)
-        Of each key characteristic.
+        Lower and upper limit of each key characteristic, mm.
     """
 
     keys: tuple[Key, ...]

@@ -71,9 +71,16 @@ def largest_uncertainty(
         needed for an accuracy of ``slip`` only.
     required : dict of str to float
         Half-widths by key of :class:`mic.scene.schema.Accuracy`.
+
+    Raises
+    ------
+    ValueError
+        If an accuracy of ``slip`` is required and the estimates of zones are missing.
     """
     found = [*_of_characteristics(measurements, required)]
-    if zones is not None and "slip" in required:
+    if "slip" in required:
+        if zones is None:
+            raise ValueError("an accuracy of slip needs the estimates of zones")
         found += _of_slips(zones, required["slip"])
     return max(found, key=lambda item: item.ratio, default=Uncertainty(math.inf, 1.0, "six_sigma", "no sample"))
 
