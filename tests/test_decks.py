@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from support.gmsh_files import gmsh_model, rectangles
-from support.mesh_texts import POINTS, deck_text
+from support.mesh_texts import AREA, POINTS, deck_text
 
 from mic.errors import FormatError
 from mic.geometry.readers import Sheet, read_mesh
@@ -31,7 +31,7 @@ def written(tmp_path, text, name="deck.inp"):
 def test_a_deck_gives_its_sets_and_the_sheet_of_each(tmp_path, name, text, sheets):
     surface, deck = read_mesh(written(tmp_path, text, name))
     assert deck.parts == ("left plate", "right")
-    for part, sheet, area in zip(("left plate", "right"), sheets, (1, 0.5)):
+    for part, sheet, area in zip(("left plate", "right"), sheets, (1.25, 0.625)):
         triangles = deck.element_sets[part]
         assert surface.areas[triangles].sum() == pytest.approx(area)
         (found,) = deck.distinct_sheets(triangles)
@@ -55,7 +55,7 @@ def test_node_numbers_and_sets_are_those_of_the_deck(tmp_path):
 def test_a_part_is_selected_from_a_deck_by_its_set(tmp_path):
     for name, text, sets in (("a.inp", ABAQUS, ["RIGHT"]), ("a.bdf", NASTRAN, ["2"]), ("a.bdf", NASTRAN, ["right"])):
         surface, deck = read_mesh(written(tmp_path, text, name), sets)
-        assert surface.areas.tolist() == pytest.approx([0.5]) and len(surface.points) == 3
+        assert surface.areas.tolist() == pytest.approx([0.625]) and len(surface.points) == 3
         assert len(deck.points_of(1)) == 0 and len(deck.points_of(10)) == 1
         assert [sheet.thickness for sheet in deck.distinct_sheets()] == [0.8] and "left plate" not in deck.element_sets
     _, deck = read_mesh(tmp_path / "a.inp", ["left plate"])
@@ -66,20 +66,20 @@ def test_a_part_is_selected_from_a_deck_by_its_set(tmp_path):
 
 def test_parts_of_one_deck_that_touch_are_not_merged(tmp_path):
     """Two sheets drawn onto each other, on nodes of their own."""
-    other = ABAQUS.replace("*Material", "*Node\n21, 0., 0., 0.\n22, 1., 0., 0.\n23, 1., 1., 0.\n24, 0., 1., 0.\n"
+    other = ABAQUS.replace("*Material", "*Node\n21, 0., 0., 0.\n22, 1., 0., 0.75\n23, 1., 1., 0.75\n24, 0., 1., 0.\n"
                            "*Element, type=S4R, elset=upper\n21, 21, 22, 23, 24\n*Material")  # fmt: skip
     path = written(tmp_path, other)
     assert read_mesh(path)[1].repair.triangles_repeated == 2
     for name in ("left plate", "upper"):
         surface, deck = read_mesh(path, [name])
-        assert surface.areas.sum() == pytest.approx(1)
+        assert surface.areas.sum() == pytest.approx(1.25)
         assert not deck.repair.triangles_repeated and not deck.repair.points_merged
 
 
 def test_a_deck_in_another_unit_is_converted_to_mm_and_mpa(tmp_path):
     surface, deck = read_mesh(written(tmp_path, ABAQUS.replace("210000.", "2.1e11")), ["left plate"], "m")
     (sheet,) = deck.distinct_sheets()
-    assert surface.areas.sum() == pytest.approx(1e6) and sheet.thickness == pytest.approx(1500)
+    assert surface.areas.sum() == pytest.approx(1.25e6) and sheet.thickness == pytest.approx(1500)
     assert sheet.young == pytest.approx(210e3) and sheet.offset == -0.5
     _, deck = read_mesh(written(tmp_path, ABAQUS.replace("210000.", "3.0e7")), ["left plate"], "in")
     (sheet,) = deck.distinct_sheets()
@@ -114,11 +114,11 @@ def test_instances_are_placed_and_have_their_own_sets(tmp_path):
     assert deck.parts == ("first", "second") and deck.repair.pieces == 2
     assert [sheet.young for sheet in deck.distinct_sheets()] == [210e3]
     # shifted along z, then turned about y: z goes to x, x to −z
-    assert surface.points[deck.node_sets["pins"]] == pytest.approx(np.array([[7, 0, -2.0]]))
+    assert surface.points[deck.node_sets["pins"]] == pytest.approx(np.array([[8.5, 0, -2.0]]))
     assert len(deck.points_of(10)) == 2 and len(deck.node_sets["corner"]) == 3
     assert len(deck.element_sets["both"]) == 6 and len(deck.element_sets["second.both"]) == 3
     surface, _ = read_mesh(tmp_path / "deck.inp", ["second"])
-    assert np.ptp(surface.points[:, 0]) == pytest.approx(0) and surface.areas.sum() == pytest.approx(1.5)
+    assert np.ptp(surface.points[:, 0]) == pytest.approx(1.5) and surface.areas.sum() == pytest.approx(AREA)
 
 
 def test_elements_other_than_shells_are_ignored_and_counted(tmp_path):
@@ -145,7 +145,9 @@ def test_elements_other_than_shells_are_ignored_and_counted(tmp_path):
 
 def test_repairs_are_reported_and_usual_steps_are_not(tmp_path):
     assert read_mesh(written(tmp_path, ABAQUS), ["right"])[1].notes() == []
-    torn = ABAQUS.replace("2, 2, 10, 3", "2, 3, 10, 12").replace(" 10, 2., 0., 0.", " 10, 2., 0., 0.\n 12, 1., 0., 0.")
+    torn = ABAQUS.replace("2, 2, 10, 3", "2, 3, 10, 12").replace(
+        " 10, 2., 0., 1.5", " 10, 2., 0., 1.5\n 12, 1., 0., 0.75"
+    )
     notes = "; ".join(read_mesh(written(tmp_path, torn))[1].notes())
     assert notes == "1 points merged with coincident ones; 1 triangles reversed to agree with their neighbours"
 
@@ -232,8 +234,8 @@ def test_included_files_are_read(tmp_path):
     nodes, _, rest = ABAQUS.partition("*Element, type=S4R")
     (tmp_path / "sub" / "nodes.inp").write_text(nodes)
     text = "*Include, input=sub/nodes.inp\n*Element, type=S4R" + rest
-    assert read_mesh(written(tmp_path, text))[0].areas.sum() == pytest.approx(1.5)
+    assert read_mesh(written(tmp_path, text))[0].areas.sum() == pytest.approx(AREA)
     grids, _, rest = NASTRAN.partition("CQUAD4")
     (tmp_path / "sub" / "rest.bdf").write_text("CQUAD4" + rest.replace("ENDDATA\n", ""))
     path = written(tmp_path, grids + "INCLUDE 'sub/\nrest.bdf'\n", "a.bdf")  # and ENDDATA is missing
-    assert read_mesh(path)[0].areas.sum() == pytest.approx(1.5)
+    assert read_mesh(path)[0].areas.sum() == pytest.approx(AREA)

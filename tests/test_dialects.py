@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 from support.gmsh_files import gmsh_model
-from support.mesh_texts import deck_text
+from support.mesh_texts import AREA, deck_text
 
 from mic.errors import FormatError
 from mic.geometry.readers import READERS, gmsh_program, read_mesh
@@ -29,7 +29,7 @@ def written(tmp_path, text, name):
 
 def test_ls_dyna_decks_give_parts_sections_materials_and_sets(tmp_path):
     surface, deck = read_mesh(written(tmp_path, DYNA, "a.k"))
-    assert deck.parts == ("pocket", "rib") and surface.areas[deck.element_sets["pocket"]].sum() == pytest.approx(1)
+    assert deck.parts == ("pocket", "rib") and surface.areas[deck.element_sets["pocket"]].sum() == pytest.approx(1.25)
     (pocket,), (rib,) = (deck.distinct_sheets(deck.element_sets[name]) for name in deck.parts)
     assert (pocket.thickness, pocket.offset, pocket.young, pocket.poisson) == (1.5, -0.5, 210e3, 0.29)
     assert (rib.thickness, rib.offset, rib.young) == (0.8, pytest.approx(0.5), 210e3)
@@ -47,17 +47,17 @@ def test_ls_dyna_decks_give_parts_sections_materials_and_sets(tmp_path):
 
 def test_ansys_decks_give_sections_materials_and_components(tmp_path):
     surface, deck = read_mesh(written(tmp_path, ANSYS, "a.cdb"))
-    assert deck.parts == ("PID 3", "PID 4") and surface.areas[deck.element_sets["POCKET"]].sum() == pytest.approx(1)
+    assert deck.parts == ("PID 3", "PID 4") and surface.areas[deck.element_sets["POCKET"]].sum() == pytest.approx(1.25)
     (thick,), (thin,) = (deck.distinct_sheets(deck.element_sets[name]) for name in deck.parts)
     assert (thick.thickness, thick.offset, thick.young, thick.poisson) == (1.5, -0.5, 210e3, 0.29)
     assert (thin.thickness, thin.offset, thin.material) == (0.8, None, "1")
     assert len(deck.node_sets["ROW"]) == 3 and len(deck.points_of(10)) == 1 and deck.ignored_elements == {"type 21": 1}
-    assert read_mesh(tmp_path / "a.cdb", ["4"])[0].areas.sum() == pytest.approx(0.5)
+    assert read_mesh(tmp_path / "a.cdb", ["4"])[0].areas.sum() == pytest.approx(0.625)
 
 
 def test_universal_files_give_groups(tmp_path):
     surface, deck = read_mesh(written(tmp_path, UNIVERSAL, "a.unv"), ["pocket"])
-    assert surface.areas.sum() == pytest.approx(1) and len(deck.node_sets["pocket"]) == 2
+    assert surface.areas.sum() == pytest.approx(1.25) and len(deck.node_sets["pocket"]) == 2
     assert deck.ignored_elements == {"kind 11": 1}
 
 
@@ -112,7 +112,7 @@ def test_decks_with_other_encodings_line_ends_and_cases_are_read(tmp_path):
     for name, text in (("a.inp", small), ("a.bdf", NASTRAN.lower()), ("a.k", DYNA), ("a.unv", UNIVERSAL)):
         for mark, end in ((b"\xef\xbb\xbf", "\n"), (b"", "\r\n"), (b"\xef\xbb\xbf", "\r\n")):
             (tmp_path / name).write_bytes(mark + text.replace("\n", end).encode())
-            assert read_mesh(tmp_path / name)[0].areas.sum() == pytest.approx(1.5), name
+            assert read_mesh(tmp_path / name)[0].areas.sum() == pytest.approx(AREA), name
     tabs = "GRID\t1\t\t0.\t0.\t0.\nGRID\t2\t\t1.+0\t0.\t0.\nGRID\t3\t\t1.0D+0\t1.\t0.\nCTRIA3\t1\t1\t1\t2\t3\n"
     assert read_mesh(written(tmp_path, tabs, "tabs.nas"))[0].areas.sum() == pytest.approx(0.5)
 
@@ -188,7 +188,7 @@ MALFORMED = {
     "k": (
         DYNA,
         [
-            ("1.0             1.0             0.0", "1.0            zero             0.0", "of this .NODE is no"),
+            ("1.0             1.0            0.75", "1.0            zero            0.75", "of this .NODE is no"),
             ("       3             1.0", "       2             1.0", "node 2 is defined twice"),
             ("       2       8", "       1       8", "element 1 is defined twice"),
             ("      10       3       3", "      11       3       3", "uses the node 11, which is not defined"),
@@ -263,4 +263,4 @@ def test_a_deck_without_any_one_line_is_read_or_refused(tmp_path, suffix):
             except FormatError as problem:
                 assert "\n" not in str(problem) and "cannot be read" not in str(problem)
             else:
-                assert surface.areas.sum() < 1.5 + 1e-9 and np.ptp(surface.points, axis=0).max() <= 2
+                assert surface.areas.sum() < AREA + 1e-9 and np.ptp(surface.points, axis=0).max() <= 2

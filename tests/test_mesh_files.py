@@ -6,7 +6,7 @@ import meshlane
 import numpy as np
 import pytest
 from support.gmsh_files import gmsh_model, rectangles
-from support.mesh_texts import ABAQUS, FILES, NASTRAN_FREE, OBJ, PLY, POINTS, VTK
+from support.mesh_texts import ABAQUS, AREA, FILES, NASTRAN_FREE, OBJ, PLY, POINTS, VTK
 
 from mic.errors import FormatError
 from mic.geometry.normals import Rule
@@ -30,7 +30,7 @@ def test_a_file_that_a_library_wrote_is_read(tmp_path, suffix):
     sheet = meshlane.Mesh(POINTS, [("triangle", np.array([[0, 1, 2], [0, 2, 3], [1, 4, 2]]))])
     meshlane.write(tmp_path / f"sheet{suffix}", sheet)
     surface, _ = read_mesh(tmp_path / f"sheet{suffix}")
-    assert surface.points == pytest.approx(POINTS) and surface.areas.sum() == pytest.approx(1.5)
+    assert surface.points == pytest.approx(POINTS) and surface.areas.sum() == pytest.approx(AREA)
 
 
 @pytest.mark.parametrize("name", FILES)
@@ -39,7 +39,7 @@ def test_a_file_of_each_format_is_read(tmp_path, name):
     surface, deck = read_mesh(tmp_path / name)
     points = surface.points
     assert len(surface.triangles) == 3 and deck.repair.pieces == 1 and not deck.repair.triangles_turned
-    assert surface.areas.sum() == pytest.approx(1.5) and surface.normals[:, 2] == pytest.approx(1)
+    assert surface.areas.sum() == pytest.approx(AREA) and surface.normals[:, 2] == pytest.approx(0.8)
     assert points[np.lexsort(points.T)] == pytest.approx(POINTS[np.lexsort(POINTS.T)])
 
 
@@ -57,7 +57,7 @@ def test_points_keep_the_order_of_the_file_whatever_their_numbers(tmp_path, name
     assert numbered.count("30") == 3
     (tmp_path / name).write_text(numbered)
     surface, _ = read_mesh(tmp_path / name)
-    assert surface.points == pytest.approx(POINTS) and surface.areas.sum() == pytest.approx(1.5)
+    assert surface.points == pytest.approx(POINTS) and surface.areas.sum() == pytest.approx(AREA)
 
 
 @pytest.mark.slow
@@ -113,7 +113,7 @@ def test_a_deck_s_normals_are_those_of_the_corners(tmp_path, name):
 def test_normals_follow_instances_and_repair(tmp_path):
     """Two placed instances of a part with a quadrilateral and a triangle that runs the other way round."""
     part = ABAQUS.replace("2, 2, 10, 3", "2, 3, 10, 2").replace(
-        "*Elset", "*Normal\n2, 10, 0., .6, .8\n1, 4, .6, 0., .8\n*Elset"
+        "*Elset", "*Normal\n2, 10, 0., .6, .8\n1, 4, 0., -.6, .8\n*Elset"
     )
     instances = "".join(f"*Instance, name=P-{z}, part=P\n 0., 0., {z}.\n*End Instance\n" for z in (0, 7))
     (tmp_path / "a.inp").write_text(f"{part}*Assembly, name=A\n{instances}*End Assembly\n")
@@ -122,9 +122,9 @@ def test_normals_follow_instances_and_repair(tmp_path):
     given = surface.curvature.rule == Rule.GIVEN
     x = surface.points[surface.triangles]
     assert given.sum() == np.sum((x[given][:, 0] == 2) | (x[given][:, 0] == 0))
-    for place, normal in (((2, 0), (0, 0.6, 0.8)), ((0, 1), (0.6, 0, 0.8))):
+    for place, z, normal in (((2, 0), 1.5, (0, 0.6, 0.8)), ((0, 1), 0, (0, -0.6, 0.8))):
         here = given & (x[..., :2] == place).all(axis=2)
-        assert np.unique(x[here][:, 2]).tolist() == [0, 7] and surface.corner_normals[here] == pytest.approx(
+        assert np.unique(x[here][:, 2]).tolist() == [z, z + 7] and surface.corner_normals[here] == pytest.approx(
             np.tile(normal, (here.sum(), 1))
         )
 
@@ -144,7 +144,7 @@ BAD = {
         "CELLS 1 5\n4 0 1 2 3\nCELL_TYPES 1\n10\n",
         r"solid elements \(tetra\)",
     ),
-    "not finite.obj": (OBJ.replace("v 2 0 0", "v nan 0 0"), "not finite"),
+    "not finite.obj": (OBJ.replace("v 2 0 1.5", "v nan 0 1.5"), "not finite"),
     "of no format.docx": ("", "there is no reader of .docx; .* .bdf, "),
     "of no suffix": ("", "files without a suffix"),
 }

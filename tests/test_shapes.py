@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -18,7 +19,7 @@ from mic.geometry.surface import Surface
 from mic.model.random_field import correlation, modes_of
 from mic.model.shape import controlling_forces
 from mic.model.shape_modes import expand_modes
-from mic.model.sources import KnownShape
+from mic.model.sources import KnownShape, sources
 from mic.statistics.draw import draw
 
 X = np.array([0.0, 7.0, 11.0, 30.0, 42.0, 55.0, 71.0, 80.0, 100.0])  # mm along a beam
@@ -385,6 +386,22 @@ def test_samples_of_a_field_have_its_variance_and_correlation(angle):
     np.testing.assert_allclose(shapes.std(axis=0), 0.2, rtol=0.06)
     R = correlation(angle, spread(angle, 15.0), 45.0)
     assert np.abs(np.corrcoef(shapes.T) - R).max() < 2 * 0.05 + 4 / np.sqrt(4000)  # modes left out, and sampling
+
+
+def test_messages_name_the_entry_of_the_scene_file(angle, lap_model, tmp_path):
+    """Before and after the expansion of a field, and in a model that was saved."""
+    scene = scene_of(None, kind="field", sigma=0.2, length=45.0)
+    friction = mic.scene.deviation.FrictionDeviation(name="m1", kind="friction", target="z", sigma=0.01)
+    scene.deviations = [friction, *scene.deviations, friction.model_copy(update={"name": "m2"})]
+    found = expanded(angle, scene).scene
+    first, *modes, last = [one.label for one in sources(found)]
+    assert first == "deviations[0] (m1)" and last == "deviations[2] (m2)"
+    assert modes == [f"deviations[1] (S.{k + 1})" for k in range(len(modes))] and len(modes) > 1
+    modes = mic.scene.deviation.DeviationKeys.with_entries(lap_model.scene.deviations, (0, 2, 2))
+    model = replace(lap_model, scene=lap_model.scene.model_copy(update={"deviations": modes}))
+    model.save(tmp_path / "model.npz")
+    again = mic.ReducedModel.load(tmp_path / "model.npz").scene
+    assert [one.key for one in sources(again)] == ["deviations[0]", "deviations[2]", "deviations[2]"]
 
 
 def test_a_field_through_control_points_has_their_sigma_and_correlation(angle):

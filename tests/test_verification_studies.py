@@ -210,6 +210,12 @@ def test_mesh_sequences_without_an_order():
     assert converge((4, 2, 1), (1.0, 2.0, 4.0)).index > 4  # it diverges, which the band shows
 
 
+def test_meshes_that_are_divided_at_nuggets_are_not_extrapolated(lap, monkeypatch):
+    monkeypatch.setattr(mesh, "reduced_and_assembly", lambda scene, cache: lap)
+    with pytest.raises(RuntimeError, match="lap_joint: elements of 8.0 mm are divided at nuggets; begin with smaller"):
+        mesh.on_mesh(SimpleNamespace(cache=None), "lap_joint", 8.0, 3, lap[1].contacts)
+
+
 @pytest.mark.slow
 def test_contact_pairs_read_the_same_on_all_meshes(cache):
     """Cells that are divided anew on each mesh have other positions and sizes, by some hundredths."""

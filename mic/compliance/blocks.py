@@ -93,10 +93,6 @@ class Blocks:
         """(n, F) readings ``q Gᵀ`` of rigid motions (n, 6P), one sample per row."""
         return np.hstack([motions[:, block] @ G.T for block, G in zip(self.motions, self.G)])
 
-    def resultants(self, forces: np.ndarray) -> np.ndarray:
-        """(n, 6P) resultants ``f G`` of forces (n, F) on each part, one sample per row; zero in equilibrium."""
-        return np.hstack([forces[:, block] @ G for block, G in zip(self.functionals, self.G)])
-
     def fit(self, readings: np.ndarray) -> np.ndarray:
         """(n, 6P) least-squares rigid motions of each part for readings (n, F)."""
         return np.hstack(

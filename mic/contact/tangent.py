@@ -273,11 +273,13 @@ class _PathSolver:
         state, first = np.zeros((n, m), dtype=np.int64), np.zeros(n, dtype=np.int64)
         if not m:  # no contact carries force
             return f, F, state, np.ones(n, dtype=bool)
-        from mic.contact.native.linearised_law import Contacts  # compiles, or reads the cache, when it is called
+        from mic.contact.native.linearised_law import LinearisedContacts  # compiles, or reads the cache, when called
         from mic.contact.native.path_derivative import Loads, Records, differentiate
 
-        law = self.equation, self.law.varies, float(self.law.shift)
-        contacts = Contacts(*law, self.S, self.length, self.parameters, self.friction_slope, *self.compliance_slope)
+        law = self.equation, self.law.coefficient_varies, float(self.law.shift)
+        contacts = LinearisedContacts(
+            *law, self.S, self.length, self.parameters, self.friction_slope, *self.compliance_slope
+        )
         followed = np.array([record.order == 2 for record in records])
         edges = np.concatenate([[0], np.cumsum([len(record.ends) for record in records])]).astype(np.int64)
         ends = np.concatenate([record.ends for record in records]).astype(float)

@@ -12,7 +12,7 @@ from mic.compliance.part import Part
 from mic.contact.friction import Friction
 from mic.geometry.deck import Deck
 from mic.geometry.surface import Surface
-from mic.model.rows import Joints
+from mic.model.rows import WithWelds
 from mic.scene import Scene
 
 __all__ = ["Assembly", "AssemblyRows", "Contacts", "GapPoints"]
@@ -125,7 +125,7 @@ class GapPoints:
 
 
 @dataclass(frozen=True)
-class AssemblyRows:
+class AssemblyRows(WithWelds):
     """The costly part of an :class:`Assembly`, cached on disk.
 
     Attributes
@@ -157,11 +157,6 @@ class AssemblyRows:
     weld_gap: np.ndarray
     spacing: tuple[float | None, ...]
     position_gap: np.ndarray
-
-    @property
-    def joints(self) -> Joints:
-        """The rows of each weld."""
-        return Joints(self.weld_size)
 
 
 @dataclass(frozen=True)

@@ -23,11 +23,12 @@ from mic.compliance.thickness import Thicknesses
 from mic.errors import ArgumentError
 from mic.model.assembly_types import Assembly, Contacts, GapPoints
 from mic.model.characteristics import Characteristics
-from mic.model.rows import Joints
+from mic.model.rows import WithWelds
 from mic.model.shape import shape_readings
 from mic.model.shape_derivatives import ShapeDerivatives
 from mic.model.sources import thickness_changes, with_deviations
 from mic.scene import Scene
+from mic.scene.deviation import DeviationKeys
 from mic.system import files
 from mic.system.arguments import LARGEST, checked, did_you_mean, real_array
 from mic.system.matrix_product import one_thread
@@ -45,7 +46,7 @@ FROM_ASSEMBLY = tuple("scene rows labels contacts between weld_size weld_gap inp
 
 
 @dataclass(frozen=True)
-class Reduction:
+class Reduction(WithWelds):
     """Compliance, rows and deviations of an assembly.
 
     Attributes
@@ -112,11 +113,6 @@ class Reduction:
             thicknesses={one.part: one.thicknesses for one in coefficients if one.thicknesses is not None},
             **{name: getattr(assembly, name) for name in FROM_ASSEMBLY},
         )
-
-    @property
-    def joints(self) -> Joints:
-        """The rows of each weld."""
-        return Joints(self.weld_size)
 
     @property
     def parameters(self) -> list[str]:
@@ -260,7 +256,8 @@ class Reduction:
         large |= {f"G_{p}": G for p, G in enumerate(self.compliance.G)}
         content = {item.name: getattr(self, item.name) for item in fields(self)}
         packed, arrays = pack(content, {"scene": self.scene, **large})
-        header = {"scene": json.loads(self.scene.model_dump_json()), "content": packed}
+        entries = [item.entry(j) for j, item in enumerate(self.scene.deviations)]
+        header = {"scene": json.loads(self.scene.model_dump_json()), "entries": entries, "content": packed}
         files.save_arrays(Path(path), FORMAT, header, large | arrays)
 
     @classmethod
@@ -276,5 +273,7 @@ class Reduction:
         """
         with files.reading(Path(path), FORMAT):
             header, arrays = files.load_arrays(Path(path), FORMAT)
-            known = {"scene": Scene(**header["scene"]), **arrays}
+            scene = Scene(**header["scene"])
+            items = DeviationKeys.with_entries(scene.deviations, header.get("entries", ()))
+            known = {"scene": scene.model_copy(update={"deviations": items}), **arrays}
             return cls(**unpack(header["content"], arrays, CLASSES, known))

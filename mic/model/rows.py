@@ -20,7 +20,7 @@ from mic.geometry.pairing import Side
 from mic.geometry.surface import Patch, Projection, Surface
 from mic.scene import Scene
 
-__all__ = ["AXES", "KINDS", "NORMAL", "REACH", "SHARE", "Joints", "Row", "Rows", "on_part", "xyz"]
+__all__ = ["AXES", "KINDS", "NORMAL", "REACH", "SHARE", "Joints", "Row", "Rows", "WithWelds", "on_part", "xyz"]
 
 #: Kinds of rows. "between": points between contact pairs; "position": growth of other rows as an item moves.
 KINDS = ("locator", "clamp", "weld", "contact", "between", "force", "measurement", "position")
@@ -175,6 +175,17 @@ class Joints:
     def normals(self) -> np.ndarray:
         """(k,) the normal rows of all welds."""
         return np.array([row for weld in range(len(self.size)) for row in self.normal(weld)], dtype=int)
+
+
+class WithWelds:
+    """What has the rows of welds: an assembly and its reduction."""
+
+    weld_size: tuple[int, ...]
+
+    @property
+    def joints(self) -> Joints:
+        """The rows of each weld."""
+        return Joints(self.weld_size)
 
 
 def on_part(key: str, part: str, surface: Surface, points, name: str = "") -> Projection:

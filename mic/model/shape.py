@@ -181,8 +181,8 @@ def shape_readings(assembly, compliance: Blocks) -> tuple[np.ndarray, np.ndarray
         (p,) = _loaded_parts(R, compliance)
         functionals = compliance.functionals[p]
         reading, force = response(R, p)
-        name = f"deviations[{columns[0]}] ({assembly.scene.deviations[columns[0]].name})"
-        f = controlling_forces(R[:, functionals] @ reading, R[:, functionals] @ compliance.G[p], shapes, name)
+        label = of_scene[columns[0]].label
+        f = controlling_forces(R[:, functionals] @ reading, R[:, functionals] @ compliance.G[p], shapes, label)
         shape[np.arange(F)[functionals, None], columns] = reading @ f
         forces[np.arange(F)[functionals, None], columns] = force @ f
     return shape, forces

@@ -38,7 +38,7 @@ from mic.model.random_field import correlation, modes_of
 from mic.model.rows import on_part
 from mic.scene import Scene
 from mic.scene.checks import entry
-from mic.scene.deviation import FieldDeviation, MeasuredDeviation, ShapeDeviation
+from mic.scene.deviation import DeviationKeys, FieldDeviation, MeasuredDeviation, ShapeDeviation
 from mic.system.files import fingerprint
 
 __all__ = ["EXPANDED", "ExpandedScene", "expand_modes"]
@@ -96,11 +96,13 @@ def expand_modes(
         Collects each :class:`SceneError`.
     """
     expanded: list[Any] = []
+    entries: list[int] = []
     messages: list[str] = []
     inputs: dict[str, str | None] = {}
     for i, item in enumerate(scene.deviations):
         if not isinstance(item, MeasuredDeviation | FieldDeviation):
             expanded.append(item)
+            entries.append(i)
             continue
         at = entry("deviations", i, item)
         with problems:
@@ -114,9 +116,11 @@ def expand_modes(
                 inputs |= {f"{item.name}: {file.name}": fingerprint(file.read_bytes()) for file, _ in pieces}
                 modes, message = _measured(at, item, surfaces[item.part], pieces)
             expanded += modes
+            entries += [i] * len(modes)
             messages.append(message)
     if len(expanded) == len(scene.deviations) and not messages:
         return ExpandedScene(scene, {}, ())
+    expanded = DeviationKeys.with_entries(expanded, entries)
     return ExpandedScene(scene.model_copy(update={"deviations": expanded}), inputs, tuple(messages))
 
 

@@ -324,7 +324,7 @@ class DifferentiatedProcess:
         stops = stage.stops(eliminated)
         friction = stops.friction(contacts.friction_in(stage.plan.name))
         friction_slope = np.concatenate([self.inputs.friction, np.zeros((stops.count, self.p))])
-        if law.varies and friction.pressure is not None:
+        if law.coefficient_varies and friction.pressure is not None:
             friction_slope[: stops.contacts][~np.isnan(contacts.pressure[:, 0, 0])] = 0.0
         return Contact(
             law,

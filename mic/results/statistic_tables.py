@@ -97,7 +97,7 @@ def _coefficient(zone, law, stage: str) -> float:
     """μ of a zone under a law in a stage; NaN where it depends on pressure."""
     if not law.frictional:
         return 0.0
-    return math.nan if law.varies and zone.pressure_pieces() is not None else zone.coefficient(stage)
+    return math.nan if law.coefficient_varies and zone.pressure_pieces() is not None else zone.coefficient(stage)
 
 
 def contact_statistics(outcome: RunSamples) -> pd.DataFrame:

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
 from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
-from pydantic import AfterValidator, Field, model_validator
+from pydantic import AfterValidator, Field, PrivateAttr, model_validator
 
 from mic.scene.distribution import check_distribution
 from mic.scene.keys import (
@@ -70,6 +71,22 @@ class DeviationKeys(Table):
 
     #: Whether it becomes several modes, each with the distribution.
     several: ClassVar[bool] = False
+
+    _entry: int | None = PrivateAttr(None)
+
+    def entry(self, index: int) -> int:
+        """Index in the scene file of the deviation, or of the one that it is a mode of; `index` is its own."""
+        return index if self._entry is None else self._entry
+
+    @staticmethod
+    def with_entries(deviations: Sequence[Any], entries: Iterable[int]) -> list[Any]:
+        """Deviations with their indices in the scene file."""
+        found = list(deviations)
+        for index, entry in enumerate(entries):
+            if entry != found[index].entry(index):
+                found[index] = found[index].model_copy()
+                found[index]._entry = entry
+        return found
 
     @model_validator(mode="after")
     def _distributed(self):

@@ -164,7 +164,7 @@ def _check_units(at: str, scene: Scene, values: np.ndarray) -> None:
     distance = np.sqrt(((values - mean) ** 2).mean(axis=0))
     errors = [
         f"{at}: column {item.name}: its values are {distance[j]:.3g} off the mean, and sigma is {item.sigma:g}; give "
-        f"{entry('deviations', j, item)} and the column in the same unit"
+        f"{entry('deviations', item.entry(j), item)} and the column in the same unit"
         for j, item in enumerate(items)
         if item.sigma > 0 and distance[j] > FAR * item.sigma
     ]

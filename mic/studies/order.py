@@ -140,7 +140,7 @@ def _variant(scene: Scene, key: str, entry: dict) -> Order:
     for name, keys in entry["stages"].items():
         stages[name].update({key: None if value == [] else value for key, value in keys.items()})
     try:
-        changed = Scene(**dumped).model_copy(update={"folder": scene.folder})
+        changed = Scene(**dumped).model_copy(update={"folder": scene.folder, "deviations": scene.deviations})
     except ValidationError as error:
         first = error.errors()[0]
         place = ".".join(map(str, first["loc"]))

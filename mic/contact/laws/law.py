@@ -125,7 +125,7 @@ class Law:
         return hash(self.name)
 
     @property
-    def varies(self) -> bool:
+    def coefficient_varies(self) -> bool:
         """Whether the coefficient changes with the normal force."""
         return self.coefficient is not _constant
 

@@ -19,18 +19,18 @@ from mic.contact.native.law_equation import EQUATION_POINTER
 from mic.contact.native.slider_lag import lag_and_slope
 from mic.contact.states import LOADED, ON_CONE, OPEN, SLIP, STICK
 
-__all__ = ["CONTACTS", "EQUATIONS", "Contacts", "Equations", "bound", "equations", "on_cone", "states"]
+__all__ = ["CONTACTS", "EQUATIONS", "Equations", "LinearisedContacts", "bound", "equations", "on_cone", "states"]
 
 #: A tangential force that is beyond every bound, in normal forces.
 BEYOND = 1e6
 
 
-class Contacts(NamedTuple):
+class LinearisedContacts(NamedTuple):
     """m contacts of d rows, 1 without friction and otherwise 3, with derivatives by p inputs.
 
     Attributes
     ----------
-    equation, varies, shift
+    equation, coefficient_varies, shift
         The law's.
     S : (d m, d m) array
         mm/N, symmetric.
@@ -45,7 +45,7 @@ class Contacts(NamedTuple):
     """
 
     equation: Callable
-    varies: bool
+    coefficient_varies: bool
     shift: float
     S: np.ndarray
     length: np.ndarray
@@ -95,7 +95,9 @@ class Way(NamedTuple):
     by_length: float
 
 
-CONTACTS = types.NamedTuple([EQUATION_POINTER, boolean, NUMBER, MATRIX, VECTOR, *5 * (MATRIX,), COUNTS], Contacts)
+CONTACTS = types.NamedTuple(
+    [EQUATION_POINTER, boolean, NUMBER, MATRIX, VECTOR, *5 * (MATRIX,), COUNTS], LinearisedContacts
+)
 EQUATIONS = types.NamedTuple([BLOCKS, BLOCKS, BLOCKS, MATRIX, BLOCKS], Equations)
 WAY = types.NamedTuple([VECTOR, VECTOR, MATRIX, MATRIX, MATRIX, NUMBER], Way)
 #: κ, μ, 1 - σ, g and g' of a slider.
@@ -105,7 +107,7 @@ SLIDER = types.UniTuple(NUMBER, 5)
 @kernel(types.UniTuple(NUMBER, 2)(CONTACTS, int64, NUMBER))
 def bound(contacts, k, normal):
     """``g(f_n)`` of contact k, and ``g'``: the law's equation tells both where it varies, of a force far outside."""
-    if not contacts.varies:
+    if not contacts.coefficient_varies:
         return contacts.parameters[k, 0] * normal, contacts.parameters[k, 0]
     y, phi, state = np.zeros(3), np.zeros(3), np.zeros(1, np.int64)
     A, B = np.zeros((1, 3, 3)), np.zeros((1, 3, 3))

@@ -284,7 +284,7 @@ def differentiate(contacts, records, loads, first, forced, f, F, state, q):
 
     Parameters
     ----------
-    contacts : Contacts
+    contacts : LinearisedContacts
     records : Records
     loads : Loads
     first : (n,) int array

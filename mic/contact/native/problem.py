@@ -93,7 +93,7 @@ class ScaledProblem:
 
     def renewed(self, y: np.ndarray) -> ScaledProblem:
         """The same contacts, with the friction that belongs to the forces ``y`` where it depends on them."""
-        if not (self.law.varies and np.isfinite(y).all()):
+        if not (self.law.coefficient_varies and np.isfinite(y).all()):
             return self
         parameters = self.parameters.copy()
         parameters[:, 0] = self.law.coefficient(self.parameters, y[::3])

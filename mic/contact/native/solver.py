@@ -296,7 +296,7 @@ class NativeSolver:
     def infeasible(self, b: np.ndarray) -> bool:
         """See :meth:`mic.contact.backends.Backend.infeasible`."""
         law = self.problem.law
-        fixed = law.frictional and not law.varies
+        fixed = law.frictional and not law.coefficient_varies
         dilatancy = (1.0 - law.shift) * self.problem.friction if fixed else None
         return infeasible(self.problem.W, self._scaled(b), self._size, dilatancy)
 

@@ -130,7 +130,7 @@ def _force_rate_slopes(contacts, rates, drate, f0, F0):
             by_force = κ * (e[a, 0] * df[i + 2] - e[a, 1] * df[i + 1]) / t0
             by_way = -(e[a, 0] * dw[i + 1] + e[a, 1] * dw[i + 2]) / t0
             bends = 0.0
-            if contacts.varies:
+            if contacts.coefficient_varies:
                 step = SHARE * f0[i]
                 above, below = bound(contacts, k, f0[i] + step), bound(contacts, k, f0[i] - step)
                 bends = (above[1] - below[1]) / (2.0 * step)
@@ -154,7 +154,7 @@ def touching(contacts, rate, drate, f0, F0, on_cone, closing, h, gap, dgap):
 
     Parameters
     ----------
-    contacts : Contacts
+    contacts : LinearisedContacts
     rate, drate : (3 m,), (3 m, p) array
         Of the displacements without contact forces.
     f0, F0, on_cone : (3 m,), (3 m, p), (m,) array

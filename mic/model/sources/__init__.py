@@ -45,8 +45,8 @@ SOURCES: dict[str, type[Source]] = {
 
 
 def sources(scene) -> list[Source]:
-    """The sources of a scene, in the order of its deviations."""
-    return [SOURCES[item.kind](item, f"deviations[{i}]", scene) for i, item in enumerate(scene.deviations)]
+    """The sources of a scene, in the order of its deviations; their keys name entries of the scene file."""
+    return [SOURCES[item.kind](item, f"deviations[{item.entry(i)}]", scene) for i, item in enumerate(scene.deviations)]
 
 
 def thickness_changes(scene, deviations: np.ndarray) -> dict[str, float]:
