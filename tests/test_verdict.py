@@ -166,13 +166,17 @@ def test_each_source_of_error_shows_its_estimate(copied):
     said = verdict(outcome).sentences[-1]
     total = float(np.sqrt(sum(one.six_sigma**2 for one in budget.values())))
     assert f"±{change(total).lstrip('+')} on 6σ, mostly from samples." in said
+    orders["mean_change"] = [0.0, 40.0]
+    ORDERS.write(copied, pd.DataFrame(orders)[ORDERS.names])
+    said = verdict(outcome).sentences[-1]
+    assert "on means (mostly order of the process), ±" in said and said.endswith("on 6σ (mostly samples).")
 
 
 def test_thirty_samples_claim_less_than_95_per_cent(copied, no_pictures):
     """In verdict, report, summary and tables; 15 of 30 samples show what half of the assemblies do."""
     outcome = read_outcome(copied)
     (said,) = [one for one in verdict(outcome).sentences if one.startswith("Intervals: ")]
-    assert "at least 90 % contain the true value, for effects in at least 50.0 % of the assemblies; 30 samples" in said
+    assert "contain the true value if each effect occurs in at least 50.0 % of the assemblies; 30 samples" in said
     assert outcome.summary()["confidence_level"] == 0.9
     characteristics = outcome.summary()["laws"]["coulomb"]["measurements"].values()
     assert all((one["confidence"], one["rarest_event"]) == (0.9, 0.5) for one in characteristics)

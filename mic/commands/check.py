@@ -291,7 +291,7 @@ def _print_normals(console, assembly):
         counts = np.bincount(assembly.surfaces[part.name].curvature.rule.ravel(), minlength=len(Rule))
         origin = "the geometry" if scene_part.geometry is not None else "the deck"
         rows.append((part.name, origin if counts[Rule.GIVEN] else "none", *(counts[rule] for rule in Rule)))
-    heads = ("part", "given by", "given", "estimated", "flat", "flat, since implausible")
+    heads = ("part", "given by", "given", "estimated", "flat", "implausible, replaced")
     console.table("Normals at the corners of triangles", heads, rows)
     coarse = f"with a bend of more than {COARSE:g}°, too coarse for its curvature: refine the mesh"
     single = (

@@ -27,8 +27,8 @@ SAMPLES = 200
 USED = {
     "nominal": "the nominal one",
     "first-order": (
-        "each sample's to first order (two sets of influence coefficients for each source and part that it shapes, and "
-        "several times the work for each sample)"
+        "that of each sample's shape, to first order (two sets of influence coefficients for each source and part that "
+        "it shapes, and several times the work for each sample)"
     ),
 }
 
@@ -69,7 +69,7 @@ class StiffnessChoice:
         """The deviation in words."""
         if not self.part:
             return "no part deviates in shape"
-        return f"part {self.part} deviates by {self.deviation:.2g} of its thickness"
+        return f"part {self.part} deviates by {self.deviation:.2g} times its thickness"
 
 
 def choose_stiffness(assembly: Assembly, nominal: Reduction) -> StiffnessChoice:

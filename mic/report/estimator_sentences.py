@@ -55,9 +55,10 @@ def interval_claim(outcome: Outcome, law: str) -> str:
     if samples < FEWEST:
         return f"Fewer than {FEWEST} samples give no intervals."
     share = float(rarest_event(samples))
-    effects = f"effects in at least {percent(share, 1)} of the assemblies" if share < 1 else "effects in all assemblies"
+    assemblies = f"at least {percent(share, 1)} of the assemblies" if share < 1 else "all assemblies"
     return (
-        f"Intervals: at least {percent(float(confidence(samples)))} contain the true value, for {effects}; "
+        f"Intervals: at least {percent(float(confidence(samples)))} contain the true value if each effect occurs in "
+        f"{assemblies}; "
         f"{samples} samples may miss rarer effects."
     )
 

@@ -106,8 +106,8 @@ def _first(judged: CapabilityVerdict, rows: list[dict[Any, Any]], count_in_words
     sentence = f"{opening}: {text}, required {required}"
     failing = sum(row["verdict"] == MARKS[NOT_CAPABLE] for row in rows)
     if failing > 1:
-        which = f"all {count}" if failing == count else f"{failing} of {count}"
-        sentence += f"; {which} key characteristics are not capable"
+        all_fail = f"none of the {count} key characteristics is capable"
+        sentence += f"; {all_fail if failing == count else f'{failing} of {count} key characteristics are not capable'}"
     if judged.verdict != NOT_DECIDED:
         return f"{sentence}."
     if judged.needed is not None:
@@ -205,11 +205,13 @@ def _trust(outcome: Outcome, law: str, budget: list[Source]) -> list[str]:
     if known:
         each = np.array([[one.mean, one.six_sigma] for one in known])
         mean, six_sigma = (change(float(x)).lstrip("+") for x in np.sqrt(np.nansum(each**2, axis=0)))
-        most = max(known, key=lambda one: np.nan_to_num(one.six_sigma))
+        of_mean, of_six_sigma = (known[int(np.argmax(np.nan_to_num(column)))].name for column in each.T)
         missing = [one.name for one in budget if not one.measured]
         unknown = f" Not estimated: {', '.join(missing)}." if missing else ""
-        errors = f"±{mean} on means, ±{six_sigma} on 6σ".replace("±≤", "≤")
-        sentences.append(f"Estimated error: {errors}, mostly from {most.name}.{unknown}")
+        errors = f"±{mean} on means (mostly {of_mean}), ±{six_sigma} on 6σ (mostly {of_six_sigma})"
+        if of_mean == of_six_sigma:
+            errors = f"±{mean} on means, ±{six_sigma} on 6σ, mostly from {of_mean}"
+        sentences.append(f"Estimated error: {errors}.{unknown}".replace("±≤", "≤"))
     groups = len(outcome.sample_numbers(law)) // outcome.together
     if outcome.together > 1 and groups < FEW:
         sentences.append(

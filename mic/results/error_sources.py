@@ -96,7 +96,7 @@ def _sources(outcome: Outcome, law: str, rows: pd.DataFrame) -> Iterator[Source]
     if orders is not None:
         changes = orders.set_index("quantity")[["mean_change", "six_sigma_change"]].abs()
         most = changes.groupby("quantity").max().reindex(rows.index)
-        how = "largest change with another order, if the fixture is adapted to it"
+        how = "largest change with another order"
         yield _source("order of the process", most["mean_change"], most["six_sigma_change"], how)
     else:
         yield _unknown("order of the process", "mic order")

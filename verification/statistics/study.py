@@ -354,7 +354,7 @@ STUDY = Study(
     title="Statistics",
     claim=(
         "Intervals of samples hold as often as the run states, for kinks, jumps and skewness, correlated and truncated "
-        "sources, if 15 samples show what happens; errors fall at the theoretical rate."
+        "sources, if 15 samples show each effect; errors fall at the theoretical rate."
     ),
     reference=(
         "Populations whose mean, σ and distribution are integrals over one variable, 200 of them random; a large set "
