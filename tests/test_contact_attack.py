@@ -4,7 +4,7 @@ import warnings
 
 import numpy as np
 import pytest
-from support.attack_contacts import draw, outcome
+from support.attack_contacts import attack, draw, outcome
 from support.contact_judge import OWN, WHOLE, Problem, judge, judge_increments
 
 from mic.contact import ContactSolver, Friction, Status, certify, solve
@@ -34,6 +34,12 @@ def test_large_random_problems_are_solved_right_or_reported():
     found = [outcome(draw(number, large=True), work=10) for number in LARGE]
     assert not [line for one in found for line in one.failures]
     assert {law for law in LAWS for one in found if one.about.startswith(law) and one.solved} == set(LAWS)
+
+
+@pytest.mark.slow
+def test_an_attack_solves_its_problems(tmp_path):
+    """On three small problems, and a large one."""
+    assert attack(np.random.default_rng(0), tmp_path, problems=3) == []
 
 
 MU, SPRING, POINTS = 0.3, 0.5, [(0.5, 0.5), (1.0, 0.4), (2.0, 0.3)]

@@ -73,7 +73,7 @@ def test_check_reports_and_draws_the_overlap(tmp_path, cache, monkeypatch):
         app, ["check", str(folder), "--overlap", str(tmp_path / "map.png"), "--page", str(tmp_path / "check.html")]
     )
     assert done.exit_code == 0, done.output
-    assert "0.060 mm deep, over 1000 mm²: closed" in done.output
+    assert "0.060 mm deep, over 1000 mm²: set to zero" in done.output
     assert (tmp_path / "map.png").read_bytes().startswith(b"\x89PNG")
 
 

@@ -339,10 +339,10 @@ def _friction(zone) -> str:
 
 
 def _overlap(zone, depth, area) -> str:
-    """Depth and area of the nominal overlap in a zone, and whether it is kept or closed."""
+    """Depth and area of the nominal overlap in a zone, and whether it is kept or set to zero."""
     if not depth.any():
         return "none"
-    treatment = "kept" if zone.nominal_overlap == "keep" else "closed"
+    treatment = "kept" if zone.nominal_overlap == "keep" else "set to zero"
     return f"{depth.max():.3f} mm deep, over {area.sum():.0f} mm²: {treatment}"
 
 

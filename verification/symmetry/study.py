@@ -126,7 +126,7 @@ STUDY = Study(
         "A scene that is scaled in length or in stiffness and force, rotated, mirrored, renumbered or permuted has the "
         "same key characteristics, forces and slips."
     ),
-    reference="None but the homogeneity of physics and of space: each scene is compared with itself.",
+    reference="The homogeneity of physics and space: each scene is compared with itself.",
     acceptance=(
         Acceptance(
             "plain",
