@@ -7,7 +7,9 @@ import sys
 from pathlib import Path
 
 from docutils import nodes
+from jinja2.sandbox import SandboxedEnvironment
 from latex2mathml.converter import convert
+from numpydoc import docscrape_sphinx
 
 import mic
 
@@ -55,6 +57,7 @@ html_static_path = ["site.css"]
 html_css_files = ["site.css"]
 html_math_renderer = "mathml"  # typeset by browsers, without scripts or downloads
 html_theme_options = {
+    "collapse_navigation": True,  # the whole tree of the API on each page takes most of the time to write it
     "header_links_before_dropdown": 6,
     "navigation_with_keys": False,
     "secondary_sidebar_items": ["page-toc"],
@@ -62,6 +65,28 @@ html_theme_options = {
     "footer_start": ["copyright"],
     "footer_end": [],
 }
+
+
+templates = SandboxedEnvironment()
+
+
+def one_environment(loader):
+    """The Jinja environment of all docstrings; numpydoc makes one for each, and compiles its template again."""
+    templates.loader = templates.loader or loader
+    return templates
+
+
+docscrape_sphinx.SandboxedEnvironment = one_environment
+
+
+def own_document(app, doctree):
+    """Make a page the document of all its nodes.
+
+    Those of an ``eval-rst`` block name a document of their own, which holds Sphinx's environment: each page would be
+    stored with the tables of contents of all pages before it.
+    """
+    for node in doctree.findall():
+        node.document = doctree
 
 
 def mathml(display):
@@ -115,6 +140,7 @@ def references(app, what, name, obj, options, lines):
 def setup(app):
     """Write the generated pages before Sphinx looks for sources."""
     pages.write(Path(__file__).parent / "_generated")
+    app.connect("doctree-read", own_document)
     app.connect("autodoc-process-docstring", references, priority=100)  # before numpydoc
     app.connect("autodoc-process-docstring", equations, priority=110)
     app.add_html_math_renderer("mathml", inline_renderers=mathml("inline"), block_renderers=mathml("block"))

