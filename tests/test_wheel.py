@@ -66,11 +66,16 @@ def python(wheel, tmp_path_factory):
     install = "install --quiet --no-compile --disable-pip-version-check --constraint".split()
     needed = [ROOT / "script" / "constraints.txt", wheel, "pytest", "hypothesis"]
     run([sys.executable, "-m", "pip", "--python", python, *install, *needed], folder)
-    (native,) = folder.glob("**/site-packages/mic/contact/native")
-    (native / "__pycache__").mkdir()
-    # Compiled kernels depend on their sources, Numba and the processor alone. Those that this tree lacks are compiled.
-    for kernel in (ROOT / "mic" / "contact" / "native" / "__pycache__").glob("*.nb?"):
-        shutil.copy(kernel, native / "__pycache__")
+    (installed,) = folder.glob("**/site-packages/mic")
+    # Compiled kernels depend on their sources, Numba and the processor alone, where Numba's own cache looks at the time
+    # of a source. Those that this tree lacks are compiled.
+    for kernel in (ROOT / "mic").glob("**/__pycache__/*.nb?"):
+        source = kernel.parents[1] / f"{kernel.name.partition('.')[0]}.py"
+        there = installed / kernel.parent.relative_to(ROOT / "mic")
+        there.mkdir(exist_ok=True)
+        shutil.copy(kernel, there)
+        if source.is_file():
+            shutil.copystat(source, there.parent / source.name)
     return python
 
 
