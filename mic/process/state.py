@@ -33,6 +33,9 @@ class Names:
         return len(self.column)
 
 
+NO_NAMES = Names(())  # of every initial state
+
+
 class Values:
     """(n,) values by name: views of the columns of one array, so that a step reads or writes them all at once.
 
@@ -112,7 +115,7 @@ class ProcessState:
     def start(cls, n: int, m: int, d: int, rows: Mapping[str, int]) -> ProcessState:
         """Free, unloaded parts: n assemblies, m contacts of dimension d, and the number of rows of each kind."""
         reading = {kind: np.zeros((n, count)) for kind, count in rows.items()}
-        zero, empty = np.zeros((n, m, d)), dict.fromkeys(ROW_VALUES, Values(Names(()), np.zeros((n, 0))))
+        zero, empty = np.zeros((n, m, d)), dict.fromkeys(ROW_VALUES, Values(NO_NAMES, np.zeros((n, 0))))
         anchor, failed = np.zeros((n, m, d - 1)), np.zeros(n, dtype=bool)
         error, force_error = np.zeros((2, n))
         return cls(reading, zero, zero.copy(), anchor, failed, error, force_error, **empty)

@@ -9,13 +9,35 @@ from numba import boolean, int64, types, void
 
 from mic.contact.native.follower import follow
 from mic.contact.native.kernel import BLOCKS, COUNTS, MATRIX, VECTOR, kernel
+from mic.contact.native.law_equation import EQUATION_POINTER
 from mic.contact.native.matrices import assign, block
-from mic.contact.native.step_data import CONTROL, PATH_PROBLEM, Control, Outcome, PathProblem, Record
+from mic.contact.native.step_data import CONTROL, Control, Outcome, PathProblem, Record
 
-__all__ = ["Found", "Samples", "follow_among"]
+__all__ = ["Contacts", "Found", "Samples", "follow_among"]
 
 #: Sweeps where a forecast of the forces is what they begin with: they do what thirty do from the forces before.
 FORECAST = 10
+
+
+class Contacts(NamedTuple):
+    """The k contacts of a solver, among all m.
+
+    Attributes
+    ----------
+    W, P, parameters : (3k, 3k), (k, 7), (k, p) array
+        As :class:`mic.contact.native.step_data.PathProblem` has them; the law's equation is no attribute, because Numba
+        finds the type of a tuple with a function in it a hundred times as slowly as of one with arrays.
+    D : (3k,) array
+        Units of the scaled forces.
+    among : (k,) int array
+        Their numbers.
+    """
+
+    W: np.ndarray
+    P: np.ndarray
+    parameters: np.ndarray
+    D: np.ndarray
+    among: np.ndarray
 
 
 class Samples(NamedTuple):
@@ -53,31 +75,30 @@ class Found(NamedTuple):
     share: np.ndarray
 
 
+CONTACTS = types.NamedTuple([MATRIX, MATRIX, MATRIX, VECTOR, COUNTS], Contacts)
 SAMPLES = types.NamedTuple([BLOCKS, MATRIX, BLOCKS, types.Array(boolean, 2, "C"), MATRIX], Samples)
 FOUND = types.NamedTuple([MATRIX, MATRIX, BLOCKS, BLOCKS, MATRIX, MATRIX, BLOCKS], Found)
 
 
 @kernel(
-    void(PATH_PROBLEM, VECTOR, COUNTS, COUNTS, CONTROL, SAMPLES, boolean, FOUND, types.Array(int64, 2, "C")),
+    void(EQUATION_POINTER, CONTACTS, COUNTS, CONTROL, SAMPLES, boolean, FOUND, types.Array(int64, 2, "C")),
     from_python=True,
 )
-def follow_among(problem, D, among, some, control, samples, near, found, counts):
+def follow_among(equation, contacts, some, control, samples, near, found, counts):
     """One step of first order of samples, each with the contacts of its own working set alone.
 
     As :func:`follow` with one sample at a time and what :func:`block` takes of W; but loads, forces and all that is
-    found are those of a batch over all contacts, in mm and N, of which W has some.
+    found are those of a batch over all contacts, in mm and N.
 
     Parameters
     ----------
-    D : (3k,) array
-        Units of the scaled forces of W's contacts.
-    among, some : (k,), (l,) int array
-        Numbers of W's contacts among all m, and of the samples in the batch.
+    some : (l,) int array
+        Numbers of the samples in the batch.
     near : bool
         Whether the guess is taken as it is; else it is a forecast, with which few sweeps begin.
     counts : (n, 3) int array
     """
-    W, P, parameters = problem.W, problem.P, problem.parameters
+    W, P, parameters, D, among = contacts
     b, force, anchor, working, guess = samples
     forces, Q, L, slip, length, work, share = found
     none, nothing, sums = np.empty((1, 0)), np.empty((1, 0, 0)), np.zeros((1, 2))
@@ -103,7 +124,7 @@ def follow_among(problem, D, among, some, control, samples, near, found, counts)
             for c in range(2):
                 anchors[0, 2 * a + c] = anchor[s, among[k], c] * D[3 * k + 1]
         slips, lengths, works, shares = np.zeros((1, m, 2)), np.zeros((1, m)), np.zeros((1, m)), np.zeros((1, m, 3))
-        own_problem = PathProblem(problem.equation, block(W, own, 3), some_P, some_parameters, unit)
+        own_problem = PathProblem(equation, block(W, own, 3), some_P, some_parameters, unit)
         sweeps = min(control.sweeps, FORECAST) if guessed and not near else control.sweeps
         step = Control(control.order, control.ends, 0.0, 0.0, 0.0, control.tol, sweeps)
         outcome = Outcome(q, Record(slips, lengths, works, shares), sums, done, none, nothing)

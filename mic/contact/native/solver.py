@@ -16,7 +16,7 @@ from mic.contact.laws import Law
 from mic.contact.lazy_memory import lazy_zeros
 from mic.contact.native import follower, path_constants
 from mic.contact.native.batch import Batch
-from mic.contact.native.candidate_increment import Found, Samples, follow_among
+from mic.contact.native.candidate_increment import Contacts, Found, Samples, follow_among
 from mic.contact.native.frictionless import active_set
 from mic.contact.native.infeasibility import infeasible
 from mic.contact.native.landing import Landing
@@ -247,10 +247,12 @@ class NativeSolver:
         samples = Samples(*map(np.ascontiguousarray, (b, force, anchor, working, guess)))
         found = Found(leg.force, leg.b, leg.anchor, leg.slip, leg.length, leg.work, leg.share)
         counts = np.zeros((len(b), 3), dtype=np.int64)
-        problem, control = self._path_problem(), self._control(1, np.ones(1), (0.0, 0.0, 0.0), SWEEPS)
+        own, control = self.problem, self._control(1, np.ones(1), (0.0, 0.0, 0.0), SWEEPS)
+        assert own.factors is not None  # of a law with friction
+        contacts = Contacts(own.W, own.factors, own.parameters, self.scaling, among)
 
-        def chunk(own):
-            follow_among(problem, self.scaling, among, some[own], control, samples, near, found, counts)
+        def chunk(part):
+            follow_among(own.equation, contacts, some[part], control, samples, near, found, counts)
 
         self._each(chunk, len(some))
         leg.factorisations[some] += counts[some, path_constants.FACTORISATIONS]
