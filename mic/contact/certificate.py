@@ -193,14 +193,13 @@ def residual(S, b, parameters, force, law, stiffness, dimension, displacement=No
     displacement = product(force, S) + b if displacement is None else displacement
     n, m = len(b), len(S) // dimension
     f, u, u0 = (as_contacts(a, n, m, dimension) for a in (force, displacement, b))
-    # Coefficients at the force and at zero force.
-    mu, mu0 = (law.coefficient(parameters, normal) for normal in (f[..., 0], np.zeros((n, m))))
+    # The force and zero force together, which is faster.
+    both, moved = np.concatenate([f, np.zeros_like(f)]), np.concatenate([u, u0])
+    μ = law.coefficient(parameters, both[..., 0])
     if not law.frictional:
-        u, u0 = u * [1.0, 0.0, 0.0], u0 * [1.0, 0.0, 0.0]
+        moved *= [1.0, 0.0, 0.0]
 
     with np.errstate(invalid="ignore", over="ignore", divide="ignore"):
-        # F of the force and of zero force together, which is faster.
-        both, moved, μ = np.concatenate([f, np.zeros_like(f)]), np.concatenate([u, u0]), np.concatenate([mu, mu0])
         value = both - law.projection(both - stiffness[:, None] * law.complementary(moved, μ), μ)
         # Free contacts satisfy every law exactly: avoid rounding.
         free = (both == 0.0).all(-1) & (law.opening(moved, μ) >= 0.0)

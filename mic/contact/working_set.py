@@ -308,8 +308,7 @@ class WorkingSetSolver:
             )
             if self.law.frictional:
                 trace = trace.with_slip(stands - anchor, before, now)
-        return replace(
-            self._open(n, m),
+        return PathSolution(
             force=leg.force,
             displacement=u,
             anchor=stands,

@@ -75,12 +75,15 @@ class DriveTerms:
         Kind and number of a row, number of a deviation, and how far its unit moves the row's target.
     push : tuple of (int, int, float)
         Number of a clamp row, number of a deviation, and how much its unit adds to the force.
+    normal : (w,) int array
+        Weld rows along a normal.
     """
 
     stroke: np.ndarray
     force: np.ndarray
     target: tuple[tuple[str, int, int, float], ...]
     push: tuple[tuple[int, int, float], ...]
+    normal: np.ndarray
 
     @classmethod
     def of(cls, assembly) -> DriveTerms:
@@ -92,7 +95,7 @@ class DriveTerms:
         numbered = list(enumerate(sources(scene)))
         target = ((*row, j, share) for j, source in numbered for row, share in source.target(labels).items())
         push = ((row, j, share) for j, source in numbered for (_, row), share in source.push(labels).items())
-        return cls(stroke, force, tuple(target), tuple(push))
+        return cls(stroke, force, tuple(target), tuple(push), assembly.joints.normals)
 
 
 def drive(assembly, deviations: np.ndarray, shape: Mapping[str, np.ndarray], terms: DriveTerms | None = None) -> Drive:
@@ -116,7 +119,7 @@ def drive(assembly, deviations: np.ndarray, shape: Mapping[str, np.ndarray], ter
         target[kind][:, row] += share * deviations[:, j]
     for row, j, share in terms.push:
         push[:, row] += share * deviations[:, j]
-    contacts, normal = assembly.contacts, assembly.joints.normals
+    contacts, normal = assembly.contacts, terms.normal
     weld_gap = np.tile(assembly.weld_gap, (len(deviations), 1))
     weld_gap[:, normal] += shape["weld"][:, normal]
     return Drive(

@@ -11,7 +11,7 @@ from mic.contact.native.kernel import BLOCKS, COUNTS, MATRIX, NUMBER, VECTOR, ke
 from mic.contact.native.lapack import solution
 from mic.contact.states import SLIP
 
-__all__ = ["LARGE", "linear_step"]
+__all__ = ["linear_step"]
 
 
 class Unknowns(NamedTuple):

@@ -11,8 +11,7 @@ from mic.contact.ladder import Rung
 from mic.contact.native.batch import BATCH, Batch
 from mic.contact.native.kernel import MATRIX, NUMBER, VECTOR, kernel
 from mic.contact.native.law_equation import EQUATION_POINTER, starting_scale
-from mic.contact.native.linear_step import LARGE
-from mic.contact.native.matrices import TOGETHER, assign, displace, times, times_together
+from mic.contact.native.matrices import TOGETHER, assign, displace, times_together
 from mic.contact.native.newton import COUPLING, Coupling, NewtonSettings, newton
 from mic.contact.native.problem import ScaledProblem
 
@@ -52,45 +51,35 @@ def _split(shift, q, parameters, rho, z, l, r, x):
 def solve_by_splitting(equation, coupling, resolvent, rho, shift, batch, tol, steps, rounds):
     """Every sample of the batch: splitting, then Newton, in rounds with twice the splitting ``steps`` each.
 
-    Above :data:`LARGE` rows some samples take the steps of the splitting together; each remains what it is alone.
+    Some samples take the steps of the splitting together, in one pass over the resolvent; each remains what it is
+    alone.
     """
     W, _, parameters = coupling
     Q, Y, errors, iterations, factorisations = batch
-    m, size = len(parameters), len(W)
+    crowd = float(len(parameters))
     for first in range(0, len(Q), TOGETHER):
-        own = Q[first : first + TOGETHER]
-        count, left = len(own), len(own)
-        Z, L, X = Y[first : first + count].copy(), np.zeros_like(own), np.empty_like(own)
-        R, best, run = rho * Z - own, np.full(count, np.inf), steps
+        own = np.arange(first, min(first + TOGETHER, len(Q)))
+        Z, run = Y[own], steps
+        L, X, R = np.zeros_like(Z), np.empty_like(Z), rho * Z - Q[own]
+        errors[own] = np.inf
         for _ in range(rounds):
-            if size > LARGE:
-                for _ in range(run):
-                    times_together(resolvent, R, X)
-                    for s in range(count):
-                        _split(shift, own[s], parameters, rho, Z[s], L[s], R[s], X[s])
-            else:
-                for s in range(count):
-                    q, z, l, r, x = own[s], Z[s], L[s], R[s], X[s]
-                    for _ in range(run if best[s] > tol else 0):
-                        times(resolvent, r, x)
-                        _split(shift, q, parameters, rho, z, l, r, x)
-            for s in range(count):
-                if best[s] <= tol:
-                    continue
-                q, y, w = own[s], Z[s].copy(), np.empty(size)
-                scale = starting_scale(q)
-                displace(W, y, q, w)
-                error, more = newton(equation, coupling, q, y, w, NewtonSettings(1e-12, scale, tol, float(m), 15, 0))
-                iterations[first + s] += run + more
-                factorisations[first + s] += more
-                if error < best[s]:
-                    best[s] = error
-                    assign(Y[first + s], y)
-                left -= error <= tol
-            if left == 0:
-                break
+            for _ in range(run):
+                times_together(resolvent, R, X)
+                for s in range(len(own)):
+                    _split(shift, Q[own[s]], parameters, rho, Z[s], L[s], R[s], X[s])
+            for s in range(len(own)):
+                k, y, w = own[s], Z[s].copy(), np.empty(len(W))
+                scale = starting_scale(Q[k])
+                displace(W, y, Q[k], w)
+                error, more = newton(equation, coupling, Q[k], y, w, NewtonSettings(1e-12, scale, tol, crowd, 15, 0))
+                iterations[k] += run + more
+                factorisations[k] += more
+                if error < errors[k]:
+                    errors[k] = error
+                    assign(Y[k], y)
+            left = np.flatnonzero(errors[own] > tol)
+            own, Z, L, R, X = own[left], Z[left], L[left], R[left], X[left]
             run *= 2
-        assign(errors[first : first + count], best)
 
 
 def splitting(problem: ScaledProblem, rung: Rung, tol: float) -> Callable[[Batch], None]:
