@@ -297,7 +297,7 @@ def test_uncoupled_groups_of_contacts_are_solved_separately():
 
 
 def test_each_group_of_contacts_starts_from_the_solutions_of_the_others():
-    heaps = [rock_heap(12, np.random.default_rng(k)).problem(0.6, np.random.default_rng(k), 0.2) for k in (2, 4, 7)]
+    heaps = [rock_heap(12, np.random.default_rng(k)).problem(0.6, np.random.default_rng(k), 0.2) for k in (2, 7, 10)]
     S, b = block_diag(*(heap.S for heap in heaps)), np.hstack([heap.b for heap in heaps])
     rungs = {*np.concatenate([solve(heap.S, heap.b, 0.6).rung for heap in heaps])}
     together = solve(S, b, 0.6)

@@ -38,7 +38,7 @@ from typing import Any
 
 import numpy as np
 
-from mic.contact.contact_residual import as_contacts, contact_residuals
+from mic.contact.contact_residual import as_contacts, contact_residuals, directional_stiffness
 from mic.contact.friction import Friction
 from mic.contact.laws import Law, find
 from mic.contact.units import out_of_range, unit
@@ -138,7 +138,8 @@ def certify(S, b, mu, force, law: str | Law = "coulomb", dimension: int = 3) -> 
         length, compliance = unit(rows), float(unit(S.ravel()))
     S, rows, forces = S / compliance, rows / length[:, None], forces * (compliance / length)[:, None]
     stiffness = contact_stiffness(S, law, dimension)
-    certificate, _ = measure(S, rows, parameters, forces, law, stiffness, dimension, series)
+    rho = directional_stiffness(S, law, dimension)
+    certificate, _ = measure(S, rows, parameters, forces, law, stiffness, dimension, series, rho)
     certificate = replace(certificate, **in_units(certificate, length, length / compliance))
     if b.ndim == 2:
         return certificate
@@ -161,13 +162,15 @@ def series_compliance(law: Law, friction: Friction, dimension: int = 3) -> np.nd
     return series.ravel()
 
 
-def measure(S, b, parameters, force, law, stiffness, dimension, series, each=True):
+def measure(S, b, parameters, force, law, stiffness, dimension, series, rho):
     """Certificate of a batch, for checked arguments and ``S`` that includes the ``series`` compliance.
 
-    Returns the certificate and the displacement of the contacts (n, d m), without ``series``.
+    Each contact is certified with its ``rho``, :func:`mic.contact.contact_residual.directional_stiffness`, unless it is
+    None. Returns the certificate and the displacement of the contacts (n, d m), without ``series``.
     """
     displacement = product(force, S) + b
     found = residual(S, b, parameters, force, law, stiffness, dimension, displacement)
+    each = None if rho is None else contact_residuals(S, b, parameters, force, law, dimension, rho, displacement)
     n, m = len(b), len(S) // dimension
     f, u = (as_contacts(a, n, m, dimension) for a in (force, displacement))
     if not law.frictional:
@@ -183,7 +186,7 @@ def measure(S, b, parameters, force, law, stiffness, dimension, series, each=Tru
             cone_violation=np.max(traction - bound, axis=1, initial=0.0),
             complementarity=np.max(np.abs(f[..., 0] * u[..., 0]), axis=1, initial=0.0),
             slip_error=np.max(np.abs(work), axis=1, initial=0.0),
-            contact_residual=contact_residuals(S, b, parameters, force, law, dimension, displacement) if each else None,
+            contact_residual=each,
         )
     return certificate, displacement - force * series if series.any() else displacement
 

@@ -33,14 +33,13 @@ EPS = float(np.finfo(float).eps)
 ROWS_AT_ONCE = 200
 
 
-def contact_residuals(S, b, parameters, force, law: Law, dimension: int, displacement) -> np.ndarray:
+def contact_residuals(S, b, parameters, force, law: Law, dimension: int, rho, displacement) -> np.ndarray:
     """(n, m) residuals of the contacts; arguments as :func:`mic.contact.certificate.measure` has them.
 
     Exact to a few digits above :data:`RESOLVED`; those below are bounds by double precision.
     """
     n, m = len(b), len(S) // dimension
     f, u, b3 = (as_contacts(a, n, m, dimension) for a in (force, displacement, b))
-    rho = directional_stiffness(S, law, dimension)
     with np.errstate(all="ignore"):
         found = _relative(f, u, b3[..., 0], law.coefficient(parameters, f[..., 0]), rho, law)
         # Cauchy and Schwarz: |S_kj| ≤ (S_kk S_jj)^½ bounds the terms of a row.

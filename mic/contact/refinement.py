@@ -32,7 +32,8 @@ def refined(S, b, force, parameters, law: Law, dimension: int) -> np.ndarray:
     law : Law
     dimension : {3, 1}
     """
-    every, unit = np.arange(len(S) // dimension), np.sqrt(directional_stiffness(S, law, dimension))
+    every, rho = np.arange(len(S) // dimension), directional_stiffness(S, law, dimension)
+    unit = np.sqrt(rho)
     if law.frictional:
         scaled = np.ascontiguousarray(law.scaled(parameters, unit[:, 0], unit[:, 1]))
     else:  # the normal rows alone
@@ -41,7 +42,7 @@ def refined(S, b, force, parameters, law: Law, dimension: int) -> np.ndarray:
     best, least = force, np.inf
     for _ in range(STEPS):
         w = displacement_of(S, b, force, every, dimension)
-        known = parameters, force[None], law, dimension, w.astype(float).reshape(1, -1)
+        known = parameters, force[None], law, dimension, rho, w.astype(float).reshape(1, -1)
         largest = contact_residuals(S, b[None], *known).max()
         if not largest < least:
             break

@@ -12,7 +12,7 @@ import numpy as np
 from mic.contact import ladder
 from mic.contact.backends import BACKENDS
 from mic.contact.certificate import contact_stiffness, in_units, measure, residual, series_compliance
-from mic.contact.contact_residual import RESOLVED, as_contacts, contact_residuals
+from mic.contact.contact_residual import RESOLVED, as_contacts, contact_residuals, directional_stiffness
 from mic.contact.friction import Friction, finite
 from mic.contact.large_increment import forces_without_friction
 from mic.contact.laws import Law, find
@@ -124,6 +124,7 @@ class ContactSolver:
         # The law relates the force to the sliders' displacement S' f + b, S' = S + C.
         self._sliding = self.S + np.diag(self._series) if self._series.any() else self.S
         self._stiffness = contact_stiffness(self._sliding, self.law, dimension)
+        self._rho = directional_stiffness(self._sliding, self.law, dimension) if certify_each else None
         # S is semidefinite: its largest entry lies on the diagonal.
         self._rigid, self._scaled = not self.S.any(), bool(out_of_range(self.S.diagonal()))
         self._settings: dict[str, Any] = {"backend": backend, "threads": int(threads), "dimension": dimension}
@@ -161,6 +162,7 @@ class ContactSolver:
         some._rigid, some._scaled = not diagonal.any(), bool(out_of_range(diagonal))
         some.mu, some.compliance, some._parameters = self.mu[own], self.compliance[own], self._parameters[own]
         some._series, some._stiffness = self._series[rows], self._stiffness[own]
+        some._rho = None if self._rho is None else self._rho[own]
         some.backend = self.backend.subset(own)
         return some
 
@@ -352,10 +354,10 @@ class ContactSolver:
     def unresolved(self, b: np.ndarray, force: np.ndarray, response: np.ndarray) -> np.ndarray | None:
         """(n, m) contacts that violate their law on their own scale, :attr:`ContactSolution.unresolved`; arguments
         as :meth:`check_convergence` has them."""
-        if not self.certify_each:
+        if self._rho is None:
             return None
         displacement = response + force * self._series + b
-        known = self._parameters, force, self.law, self.dimension, displacement
+        known = self._parameters, force, self.law, self.dimension, self._rho, displacement
         return ~(contact_residuals(self._sliding, b, *known) <= RESOLVED)
 
     @one_thread
@@ -393,7 +395,7 @@ class ContactSolver:
 
     def _measure(self, rows, force):
         known = self._parameters, force, self.law, self._stiffness, self.dimension, self._series
-        return measure(self._sliding, rows, *known, self.certify_each)
+        return measure(self._sliding, rows, *known, self._rho)
 
     def _residual(self, rows, force):
         return residual(self._sliding, rows, self._parameters, force, self.law, self._stiffness, self.dimension)
