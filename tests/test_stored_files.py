@@ -5,6 +5,7 @@ import json
 import logging
 import os
 import shutil
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -151,3 +152,11 @@ def test_parts_and_fields_of_another_run_are_not_used(run):
 def test_a_summary_is_read_by_any_json_reader(run):
     content = json.loads((run / "summary.json").read_text())
     assert content["kind"] == "summary of a run" and len(content["checksum"]) == 64
+
+
+def test_only_a_copy_of_stored_files_is_renewed(tmp_path):
+    """What renews them removes a folder first: anything else with a root, such as a path, must keep it."""
+    (tmp_path / "kept").touch()
+    with pytest.raises(AttributeError, match="renew"):
+        attack_files(SimpleNamespace(root=tmp_path), [1])
+    assert (tmp_path / "kept").exists()

@@ -477,6 +477,11 @@ class Stored:
         for name in self.names:
             self.by_kind.setdefault(_kind(name), []).append(name)
 
+    def renew(self) -> None:
+        """Undo all attacks."""
+        shutil.rmtree(self.root)
+        shutil.copytree(self.pristine, self.root)
+
     def attack(self, rng: np.random.Generator) -> str | None:
         """One attack on a file of a random kind; returns what failed."""
         kinds = list(self.by_kind)
@@ -540,8 +545,7 @@ def attack_files(stored: Stored, seeds) -> list[str]:
         finally:
             child.kill()
             child.join()
-            shutil.rmtree(stored.root)
-            shutil.copytree(stored.pristine, stored.root)
+            stored.renew()
     return failures
 
 
