@@ -8,7 +8,9 @@ from scipy.linalg import block_diag
 
 from mic.contact import ContactSolver, tangent
 from mic.contact.native import slider_lag
+from mic.contact.native.kept_factors import MANY, changed_rates, factors_of, respond
 from mic.contact.path import Followed, Increments
+from mic.contact.states import OPEN, SLIP, STICK
 
 MU = 0.5
 
@@ -341,3 +343,45 @@ def test_friction_is_exact_to_a_hundredth_of_the_largest_force_where_positions_m
         follow(loads, path, S=0.01 * np.eye(3)).force[0] for path in (Followed(least=100.0), Followed(1e-6))
     )
     assert np.linalg.norm(found - exact) < 0.01 * exact.max()
+
+
+@pytest.mark.parametrize("seed", [4, 11, 14])
+def test_many_closed_contacts_are_followed_as_few_are(seed):
+    """Ten equal pairs of sheets in one problem: many contacts have another linear algebra, and the same path."""
+    copies = 10
+    solver, b = sheets(24, 1, seed)
+    few = solver.follow(b)
+    many = ContactSolver(block_diag(*[solver.S] * copies), 0.3).follow(np.tile(b, copies))
+    assert copies * (few.force[:, ::3] > 0.0).sum() > MANY and many.rung[0] == "followed"
+    for name in ("force", "displacement"):
+        one = getattr(few, name)
+        np.testing.assert_allclose(getattr(many, name), np.tile(one, copies), atol=1e-5 * np.abs(one).max())
+    for name in ("steps", "factorisations", "error", "force_error"):
+        np.testing.assert_allclose(getattr(many.trace, name), getattr(few.trace, name), rtol=0.1, err_msg=name)
+
+
+def test_rates_after_changes_of_many_contacts_are_those_of_their_new_equations():
+    """Some of eight contacts begin to stick, to slide or open; against a dense solution of the equations."""
+    rng, m, e = np.random.default_rng(2), 8, np.array([0.6, 0.8])
+    root = rng.normal(size=(3 * m, 3 * m))
+    W, rate = root @ root.T / m, rng.normal(size=3 * m)
+    nothing, unity = np.zeros((3, 3)), np.eye(3)
+    across = np.array([-e[1], e[0]])
+    slides = np.array([[0, 0, 0], [-0.3, *e], [0, *(0.2 * across)]]), np.array([[1, 0, 0], [0, 0, 0], [0, *across]])
+    equations = {OPEN: (unity, nothing), STICK: (nothing, unity), SLIP: slides}
+
+    def of(state):
+        return [np.array([equations[k][part] for k in state], dtype=float) for part in (0, 1)]
+
+    state = np.array([SLIP, STICK, OPEN, SLIP, SLIP, STICK, SLIP, STICK])
+    kept = factors_of(W, *of(state), state, True)
+    dy, dw = np.empty(3 * m), np.empty(3 * m)
+    for k, new in ((None, None), (0, STICK), (1, SLIP), (3, OPEN), (0, SLIP), (7, OPEN)):
+        if k is not None:
+            respond(W, kept, k)
+            state[k] = new
+        A, B = of(state)
+        changed_rates(W, kept, A, B, rate, dy, dw)
+        exact = np.linalg.solve(block_diag(*A) + block_diag(*B) @ W, -block_diag(*B) @ rate)
+        np.testing.assert_allclose(dy, exact, atol=1e-8 * np.abs(exact).max())
+        np.testing.assert_allclose(dw, W @ exact + rate, atol=1e-8 * np.abs(dw).max())

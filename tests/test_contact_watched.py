@@ -14,8 +14,9 @@ from mic.contact.friction import Friction
 from mic.contact.native import landing
 from mic.contact.native.solver import NativeSolver
 from mic.contact.path import Followed, Increments
+from mic.contact.path_forecast import PathForecast
 from mic.contact.states import OPEN
-from mic.contact.working_set import PENETRATION, PathForecast, WorkingSetSolver
+from mic.contact.working_set import PENETRATION, WorkingSetSolver
 from verification.contact_problems import compliant
 
 REACH = 15.0  # radius of neighbourhoods

@@ -47,8 +47,9 @@ print(f"{len(ends) - 1} steps")
 # **A step** (`path_step.py`) has four parts.
 #
 # 1. *Prediction* (`prediction.py`). With the states held, rates are one linear problem. `pivots.py` finds which
-#    contacts on the cone slide forward; a change of state changes the kept inverse by rank 3 (`kept_inverse.py`). The
-#    step ends behind the first contact that closes.
+#    contacts on the cone slide forward; a change of state changes the kept inverse by rank 3 (`kept_inverse.py`).
+#    More than 150 closed contacts have factors instead (`kept_factors.py`). The step ends behind the first contact
+#    that closes.
 # 2. *Slip origins* (`slip_origins.py`). Backward Euler's method measures slip from where the step began, which is of
 #    first order. The origin is moved: of a slider by how far it forgets its old direction, of a closing contact by its
 #    motion until it touches. That makes the step of second order.

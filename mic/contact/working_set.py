@@ -9,9 +9,10 @@ Working sets only grow, so the iteration ends. Then every contact outside W sati
 that penetrate by more than `PATH_PENETRATION` allows at the end of a step of the last leg join as well.
 
 The initial working set holds the candidates that carry force, and those that did in a few pilot samples
-(`PathForecast`). From more than `MAX_INITIAL` of these, only those that carry force at an end of the path are taken.
-With more than `MANY_CANDIDATES` candidates, screening ignores friction. A path of one increment starts from the forces'
-change in the nearest pilot sample; with more than `MAX_INITIAL` candidates, from forces without friction
+(:mod:`mic.contact.path_forecast`). From more than `MAX_INITIAL` of these, only those that carry force at an end of the
+path are taken. With more than `MANY_CANDIDATES` candidates, screening ignores friction, and a path in many steps takes
+those at the end of one increment with friction too. A path of one increment starts from the forces' change in the
+nearest pilot sample; with more than `MAX_INITIAL` candidates, from forces without friction
 (:mod:`mic.contact.large_increment`). A sample does not depend on others of its batch.
 """
 
@@ -19,12 +20,11 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from copy import copy
-from dataclasses import dataclass, fields, replace
+from dataclasses import fields, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from scipy.spatial import cKDTree
-from scipy.spatial.distance import cdist
 
 from mic.contact.compliance_columns import Columns
 from mic.contact.friction import Friction
@@ -32,6 +32,7 @@ from mic.contact.ladder import MARGIN
 from mic.contact.large_increment import end_forces, forces_without_friction
 from mic.contact.laws import Law
 from mic.contact.path import Followed, Increments, Leg, Path, PathSolution, Trace, end_state, from_solution
+from mic.contact.path_forecast import PathForecast
 from mic.contact.path_record import PathRecord, record_array
 from mic.contact.solution import Status
 from mic.contact.solver import ContactSolver
@@ -40,7 +41,7 @@ from mic.contact.states import LOADED, OPEN, classify
 if TYPE_CHECKING:
     from mic.contact.native.landing import Landing
 
-__all__ = ["PENETRATION", "PathForecast", "WorkingSetSolver"]
+__all__ = ["PENETRATION", "WorkingSetSolver"]
 
 # Relative to the radius of the candidate's neighbourhood, some 10 mm on a car body:
 PENETRATION = 1e-7  # largest penetration of a candidate outside the working set
@@ -54,38 +55,6 @@ MAX_RECORDED = 2000  # contacts, over all samples, whose steps are recorded at a
 ROUGH = 1e-5  # error of Newton's method, relative, while many contacts join
 FAR = 1e8  # neighbourhood radii: a gap that never closes
 MANY_CANDIDATES = 1000  # candidates above which screening ignores friction, to be cheaper than a sample
-
-
-@dataclass(frozen=True)
-class PathForecast:
-    """Closed contacts and force changes of a few pilot samples with m contacts, as the start of further samples.
-
-    Attributes
-    ----------
-    touching : (m,) bool array
-        Contacts that carried force at the end in any pilot sample.
-    load : (k, m) array
-        Gaps without contact forces at the end of the path, in k pilot samples, mm.
-    change : (k, d m) array
-        Changes of the contact forces along the path, N.
-    """
-
-    touching: np.ndarray
-    load: np.ndarray
-    change: np.ndarray
-
-    @classmethod
-    def empty(cls, m: int, d: int) -> PathForecast:
-        """Forecast from no samples."""
-        return cls(np.zeros(m, dtype=bool), np.empty((0, m)), np.empty((0, d * m)))
-
-    def forces(self, load: np.ndarray, force: np.ndarray) -> np.ndarray:
-        """(n, d m) forecast at the end of a path that starts with forces (n, d m) and ends with gaps `load` (n, m): the
-        change is that of the pilot sample with the nearest gaps; no force at contacts without pressure."""
-        if not len(self.load):
-            return np.zeros_like(force)
-        forecast = (force + self.change[cdist(load, self.load).argmin(axis=1)]).reshape(*load.shape, -1)
-        return np.where(forecast[:, :, :1] > 0.0, forecast, 0.0).reshape(force.shape)
 
 
 class WorkingSetSolver:
@@ -335,11 +304,13 @@ class WorkingSetSolver:
         """Paths along loads b (n, k + 1, d m), or solutions of the last load alone, with growing working sets."""
         n, m, d = len(b), len(self._start), self._d
         normal = force.reshape(n, m, d)[:, :, 0]
-        working = self._start | self._allowed & _loaded(normal)
+        working, checks_path = self._start | self._allowed & _loaded(normal), self._checks_path(path)
         if path is not None and not self._screening and self._start.sum() > MAX_INITIAL:
             working = self._initially_loaded(b, force, anchor) | self._allowed & _loaded(normal)
+            if checks_path and self._many and self._native:  # each that joins lets a path begin again
+                increment = self._solve_large_increment(b[:, [0, -1]], force, anchor)
+                working |= _loaded(increment.force.reshape(n, m, d)[:, :, 0])
         recorded = path is not None and path.recorded
-        checks_path = self._checks_path(path)
         many = checks_path or self._many and not self._screening  # another round of a path is expensive
         recorded_path = replace(path, recorded=True) if path is not None and checks_path else path
         found, on_path = self._open(n, m, recorded), np.zeros((n, m))

@@ -12,7 +12,7 @@ import numpy as np
 
 from mic.compliance.coefficients import InfluenceCoefficients
 from mic.contact import laws
-from mic.contact.working_set import PathForecast
+from mic.contact.path_forecast import PathForecast
 from mic.errors import ArgumentError, SceneError
 from mic.model.assembly import Assembly
 from mic.model.reduction import Reduction

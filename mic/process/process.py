@@ -13,7 +13,8 @@ from mic.contact import ContactSolver, laws
 from mic.contact.compliance_columns import Columns
 from mic.contact.friction import Friction
 from mic.contact.path import Increments, Path, PathSolution, Trace
-from mic.contact.working_set import PathForecast, WorkingSetSolver
+from mic.contact.path_forecast import PathForecast
+from mic.contact.working_set import WorkingSetSolver
 from mic.errors import ImpossibleSample, SceneError
 from mic.model.sources import sources
 from mic.process.drive import Drive, DriveTerms, drive

@@ -9,7 +9,7 @@ import pandas as pd
 
 from mic.contact.friction import Friction
 from mic.contact.law_comparison import compare_laws
-from mic.contact.working_set import PathForecast
+from mic.contact.path_forecast import PathForecast
 from mic.process.process import contact_solver
 from mic.results.run_samples import RunSamples
 

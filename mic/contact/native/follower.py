@@ -37,6 +37,7 @@ from __future__ import annotations
 import numpy as np
 from numba import boolean, int64, types, void
 
+from mic.contact.native.kept_factors import no_factors
 from mic.contact.native.kernel import COUNTS, MATRIX, NUMBER, VECTOR, kernel
 from mic.contact.native.law_equation import starting_scale
 from mic.contact.native.matrices import assign, assign_sum, displace
@@ -54,6 +55,7 @@ from mic.contact.native.path_step import (
     right_hand_side,
     step_end,
 )
+from mic.contact.native.pivots import forgotten
 from mic.contact.native.step_data import (
     CONTROL,
     LAST_PROBLEM,
@@ -109,7 +111,7 @@ def arrays(m):
     x, motion, opened, gone = np.zeros(3 * m), np.zeros(3 * m), np.ones(m), np.zeros((m, 2))
     predicted = Prediction(state0, e0, grip, loose, x, motion, opened, gone)
     kept, stretch, A, B = np.zeros(m, np.int64), np.ones(m), np.zeros((m, 3, 3)), np.zeros((m, 3, 3))
-    return work, predicted, LastProblem(kept, stretch, A, B, np.empty(0, np.int64), np.empty((0, 0)))
+    return work, predicted, LastProblem(kept, stretch, A, B, np.empty(0, np.int64), np.empty((0, 0)), no_factors())
 
 
 @kernel(
@@ -226,7 +228,7 @@ def follow(problem, loads, control, L, Y, outcome, guess, near):
         assign(work.y, Y[i])
         assign_sum(rate, loads[1][i], -1.0, loads[0][i])
         leg = SampleLeg(loads[0][i], rate, L[i], 0.0)
-        last = LastProblem(last.state, last.stretch, last.A, last.B, np.empty(0, np.int64), np.empty((0, 0)))
+        last = forgotten(last)
         solved, leg, last = begin(problem, control, leg, work, last, counts[i])
         if solved == 0:
             counts[i, FAILED] += 1

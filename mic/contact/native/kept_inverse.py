@@ -9,7 +9,7 @@ from mic.contact.native.kernel import BLOCKS, COUNTS, MATRIX, kernel
 from mic.contact.native.lapack import inverse_by_lapack
 from mic.contact.native.matrices import assign, assign_block, system
 
-__all__ = ["DAMPING", "LARGE", "border", "change", "inverse_of", "inverted", "let_go"]
+__all__ = ["DAMPING", "border", "change", "inverse_of", "inverted", "let_go"]
 
 #: Of the compliance's diagonal, so that a singular one does no harm.
 DAMPING = 1e-12

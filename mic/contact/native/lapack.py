@@ -8,11 +8,11 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import boolean, float64, int32, types
+from numba import boolean, float64, int32, types, void
 
-from mic.contact.native.kernel import MATRIX, NUMBER, kernel
+from mic.contact.native.kernel import COUNTS, MATRIX, NUMBER, kernel
 
-__all__ = ["inverse_by_lapack", "least_squares", "solution"]
+__all__ = ["factors", "inverse_by_lapack", "least_squares", "solution", "substitute"]
 
 #: Kind of numbers, the first argument of a routine: double precision.
 DOUBLE = ord("d")
@@ -64,6 +64,41 @@ def inverse_by_lapack(matrix):
     if _invert(DOUBLE, n, found.ctypes, n, pivots.ctypes) != 0:
         return np.zeros((n, n))
     return found
+
+
+@kernel(types.Tuple((MATRIX, COUNTS))(MATRIX))
+def factors(columns):
+    """Factors L U of a matrix given by its columns, by columns, and the rows that change places; none if it is singular
+    to the last bit, or not finite."""
+    n, found, pivots = len(columns), columns.copy(), np.empty(len(columns), np.int32)
+    if n == 0 or not _finite(found) or _factorise(DOUBLE, n, n, found.ctypes, n, pivots.ctypes) != 0:
+        return np.empty((0, 0)), np.empty(0, np.int64)
+    rows = np.empty(n, np.int64)
+    for i in range(n):
+        rows[i] = pivots[i] - 1
+    return found, rows
+
+
+@kernel(void(MATRIX, COUNTS, MATRIX))
+def substitute(lu, rows, X):
+    """Solve ``L U x = b`` for each row of X, in place, with what :func:`factors` returns."""
+    n = len(rows)
+    for x in X:
+        for i in range(n):
+            x[i], x[rows[i]] = x[rows[i]], x[i]
+    for j in range(n):
+        column = lu[j]
+        for x in X:
+            value = x[j]
+            for i in range(j + 1, n):
+                x[i] -= value * column[i]
+    for j in range(n - 1, -1, -1):
+        column = lu[j]
+        for x in X:
+            x[j] /= column[j]
+            value = x[j]
+            for i in range(j):
+                x[i] -= value * column[i]
 
 
 @kernel(MATRIX(MATRIX, MATRIX, NUMBER))

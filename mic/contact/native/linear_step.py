@@ -8,10 +8,10 @@ import numpy as np
 from numba import boolean, int64, typeof, types, void
 
 from mic.contact.native.kernel import BLOCKS, COUNTS, MATRIX, NUMBER, VECTOR, kernel
-from mic.contact.native.lapack import solution
+from mic.contact.native.lapack import factors, solution, substitute
 from mic.contact.states import SLIP
 
-__all__ = ["linear_step"]
+__all__ = ["factorised", "linear_step", "steps_by_factors"]
 
 
 class Unknowns(NamedTuple):
@@ -247,6 +247,49 @@ def _columns(W, unknowns, C, D, damping, size):
     return columns
 
 
+@kernel(types.Tuple((UNKNOWNS, VECTOR, BLOCKS, BLOCKS))(MATRIX, BLOCKS, BLOCKS, VECTOR, COUNTS, int64, VECTOR, VECTOR))
+def _reduced(W, A, B, phi, state, known, z, x):
+    """The unknowns of :func:`linear_step`, their right-hand side and what their matrix is made of; ``x`` receives what
+    is known of the solution."""
+    contacts = np.flatnonzero(state != known)
+    for i in range(len(x)):
+        x[i] = -z[i] if state[i // 3] == known else 0.0
+    unknowns = _unknowns(A, B, phi, state, contacts, x)
+    r, C, D = _projected(A, B, phi, unknowns, x, _known_response(W, state, known, contacts, x))
+    return unknowns, r, C, D
+
+
+@kernel(void(UNKNOWNS, VECTOR, VECTOR))
+def _add(unknowns, d, x):
+    """Add the unknowns ``d`` to what is known of ``x``."""
+    for a in range(len(unknowns.contacts)):
+        for q in range(unknowns.some[a]):
+            for c in range(3):
+                x[3 * unknowns.contacts[a] + c] += unknowns.N[a, c, q] * d[unknowns.place[q, a]]
+
+
+@kernel(types.Tuple((MATRIX, COUNTS))(MATRIX, BLOCKS, BLOCKS, COUNTS, int64, NUMBER))
+def factorised(W, A, B, state, known, damping):
+    """Factors of the matrix of :func:`linear_step`, as :func:`mic.contact.native.lapack.factors` has them."""
+    nothing = np.zeros(3 * len(state))
+    unknowns, r, C, D = _reduced(W, A, B, nothing, state, known, nothing, np.empty_like(nothing))
+    return factors(_columns(W, unknowns, C, D, damping, len(r)))
+
+
+@kernel(void(MATRIX, BLOCKS, BLOCKS, types.Tuple((MATRIX, COUNTS)), MATRIX, COUNTS, int64, VECTOR, MATRIX))
+def steps_by_factors(W, A, B, found, phi, state, known, z, X):
+    """As :func:`linear_step`, for each row of ``phi`` one of ``X``, with factors that :func:`factorised` found for the
+    same A, B and state."""
+    right = np.empty((len(phi), len(found[1])))
+    for s in range(len(phi)):
+        _, r, _, _ = _reduced(W, A, B, phi[s], state, known, z, X[s])
+        right[s] = r
+    substitute(found[0], found[1], right)
+    unknowns = _unknowns(A, B, np.zeros(len(z)), state, np.flatnonzero(state != known), np.empty(len(z)))
+    for s in range(len(phi)):
+        _add(unknowns, right[s], X[s])
+
+
 @kernel(boolean(MATRIX, BLOCKS, BLOCKS, VECTOR, COUNTS, int64, VECTOR, NUMBER, boolean, VECTOR), from_python=True)
 def linear_step(W, A, B, phi, state, known, z, damping, approach, x):
     """Solve ``A_k x_k + B_k (W x)_k = -Φ_k`` for all contacts, given that ``x = -z`` where ``state`` is ``known``.
@@ -256,21 +299,13 @@ def linear_step(W, A, B, phi, state, known, z, damping, approach, x):
     than :data:`LARGE` unknowns are solved by GMRES, which no factorisation takes where the contacts are about as stiff
     as what couples them; returned is ``approach``, False once that was in vain.
     """
-    contacts = np.flatnonzero(state != known)
-    for i in range(len(x)):
-        x[i] = -z[i] if state[i // 3] == known else 0.0
-    if len(contacts) == 0:
+    unknowns, r, C, D = _reduced(W, A, B, phi, state, known, z, x)
+    if len(r) == 0:
         return approach
-    unknowns = _unknowns(A, B, phi, state, contacts, x)
-    product = _known_response(W, state, known, contacts, x)
-    r, C, D = _projected(A, B, phi, unknowns, x, product)
     columns, d = _columns(W, unknowns, C, D, damping, len(r)), np.empty(len(r))
     large = approach and len(r) > LARGE
     approach = approach and (not large or _approached(columns, r, d))
     if not large or not approach:
         d = solution(columns, r.reshape((len(r), 1))).ravel()
-    for a in range(len(contacts)):
-        for q in range(unknowns.some[a]):
-            for c in range(3):
-                x[3 * contacts[a] + c] += unknowns.N[a, c, q] * d[unknowns.place[q, a]]
+    _add(unknowns, d, x)
     return approach

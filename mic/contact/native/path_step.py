@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import boolean, int64, types, void
 
+from mic.contact.native.kept_factors import are_many
 from mic.contact.native.kernel import COUNTS, MATRIX, NUMBER, VECTOR, kernel
 from mic.contact.native.law_equation import starting_scale, statuses
 from mic.contact.native.matrices import assign, assign_sum, displace
@@ -202,12 +203,13 @@ def euler_step(problem, control, leg, place, guess, predicted, work, last, count
 def guess_end(y0, yp, predicted, y):
     """Fill the forces from which the solution of a step begins, from the predicted end."""
     assign(y, yp)
+    many = are_many(y0)
     for k in range(len(predicted.state)):
         i = 3 * k
         if predicted.opened[k] < 1.0:
             y[i : i + 3] = 0.0
-        # Linear rates overrun a slider that turns fast: it starts from its old direction.
-        if predicted.state[k] == SLIP and y0[i] > 0.0:
+        # Linear rates overrun a slider that turns fast: it starts from its old direction.  Many would move others.
+        if predicted.state[k] == SLIP and y0[i] > 0.0 and not many:
             grown = max(y[i], 0.0) / y0[i]
             y[i + 1], y[i + 2] = grown * y0[i + 1], grown * y0[i + 2]
 

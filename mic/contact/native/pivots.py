@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import int64, types, void
 
+from mic.contact.native.kept_factors import factors_of, no_factors
 from mic.contact.native.kept_inverse import border, change, inverse_of
 from mic.contact.native.kernel import BLOCKS, COUNTS, MATRIX, NUMBER, VECTOR, kernel
 from mic.contact.native.law_equation import derivative, linear_equation, statuses
@@ -15,7 +16,7 @@ from mic.contact.native.path_constants import NEAR
 from mic.contact.native.step_data import LAST_PROBLEM, PATH_PROBLEM, WORKSPACE, LastProblem
 from mic.contact.states import OPEN, SLIP, STICK
 
-__all__ = ["anew", "linearise", "linearised", "pivots", "updated"]
+__all__ = ["anew", "factorised_anew", "forgotten", "linearise", "linearised", "pivots", "updated"]
 
 #: Changes of statuses within a step, of all contacts and of one: more, and they go round in a circle.
 PIVOTS, TURNS = 100, 10
@@ -99,18 +100,41 @@ def linearise(problem, work, last, serves, linear):
     return changed
 
 
+@kernel(LAST_PROBLEM(LAST_PROBLEM))
+def forgotten(last):
+    """No last problem."""
+    none = np.empty(0, np.int64), np.empty((0, 0))
+    return LastProblem(last.state, last.stretch, last.A, last.B, none[0], none[1], no_factors())
+
+
+@kernel(void(LINEARISED, LAST_PROBLEM))
+def take(linear, last):
+    """The last problem's equations become those of the linearised one."""
+    assign(last.stretch, linear.scaling)
+    for k in range(len(linear.state)):
+        last.state[k] = linear.state[k]
+        assign_block(last.A[k], linear.A[k])
+        assign_block(last.B[k], linear.B[k])
+
+
 @kernel(LAST_PROBLEM(MATRIX, LAST_PROBLEM, LINEARISED))
 def anew(W, last, linear):
     """The linearised problem with an inverse of its own."""
     own = np.flatnonzero(linear.place >= 0)
     for a in range(len(own)):
         linear.place[own[a]] = a
-    assign(last.stretch, linear.scaling)
-    for k in range(len(linear.state)):
-        last.state[k] = linear.state[k]
-        assign_block(last.A[k], linear.A[k])
-        assign_block(last.B[k], linear.B[k])
-    return LastProblem(last.state, last.stretch, last.A, last.B, own, inverse_of(W, last.A, last.B, own))
+    take(linear, last)
+    inverse = inverse_of(W, last.A, last.B, own)
+    return LastProblem(last.state, last.stretch, last.A, last.B, own, inverse, no_factors())
+
+
+@kernel(LAST_PROBLEM(MATRIX, LAST_PROBLEM, LINEARISED))
+def factorised_anew(W, last, linear):
+    """The linearised problem of many contacts with factors of its own."""
+    take(linear, last)
+    factors, own = factors_of(W, last.A, last.B, last.state, False), np.flatnonzero(last.state != OPEN)
+    own = own if len(factors.lu) > 0 else own[:0]
+    return LastProblem(last.state, last.stretch, last.A, last.B, own, np.empty((0, 0)), factors)
 
 
 @kernel(LAST_PROBLEM(MATRIX, LAST_PROBLEM, LINEARISED, int64))
@@ -119,7 +143,7 @@ def joined(W, last, linear, k):
     linear.place[k] = len(last.own)
     own, inverse = border(W, last.B, last.own, last.inverse, k)
     linear_equation(last.A[k], last.B[k], 1.0)
-    return LastProblem(last.state, last.stretch, last.A, last.B, own, inverse)
+    return LastProblem(last.state, last.stretch, last.A, last.B, own, inverse, last.factors)
 
 
 @kernel(LAST_PROBLEM(MATRIX, LAST_PROBLEM, LINEARISED))

@@ -7,7 +7,17 @@ from typing import NamedTuple
 import numpy as np
 from numba import int64, types, void
 
-from mic.contact.native.kept_inverse import LARGE, change, inverse_of, let_go
+from mic.contact.native.kept_factors import (
+    FACTORS,
+    MANY,
+    Factors,
+    changed_rates,
+    factors_of,
+    is_full,
+    no_factors,
+    respond,
+)
+from mic.contact.native.kept_inverse import change, inverse_of, let_go
 from mic.contact.native.kernel import BLOCKS, COUNTS, MASK, MATRIX, NUMBER, VECTOR, kernel
 from mic.contact.native.law_equation import derivative, statuses
 from mic.contact.native.matrices import assign, assign_block, assign_sum
@@ -80,7 +90,9 @@ class Course(NamedTuple):
     closed : (c,) int array
         Contacts that are closed at the start.
     inverse : (3c, 3c) array
-        Of the equations over them.
+        Of the equations over them, unless there are many.
+    factors : Factors
+        Of the equations of many contacts.
     trial, phi, found : (3m,), (3m,), (m,) array
         Scratch.
     """
@@ -98,13 +110,14 @@ class Course(NamedTuple):
     turned: np.ndarray
     closed: np.ndarray
     inverse: np.ndarray
+    factors: Factors
     trial: np.ndarray
     phi: np.ndarray
     found: np.ndarray
 
 
 COURSE = types.NamedTuple(
-    [*[VECTOR] * 4, COUNTS, MASK, *[BLOCKS] * 4, COUNTS, COUNTS, MATRIX, VECTOR, VECTOR, COUNTS], Course
+    [*[VECTOR] * 4, COUNTS, MASK, *[BLOCKS] * 4, COUNTS, COUNTS, MATRIX, FACTORS, VECTOR, VECTOR, COUNTS], Course
 )
 
 
@@ -170,9 +183,28 @@ def begin_course(problem, step, slack, predicted, work):
         loose[k] = 0.0 if state0[k] == SLIP else 1.0
         grip[k] = np.sqrt(y[3 * k + 1] ** 2 + y[3 * k + 2] ** 2)
     state, closed, dy, dw = state0.copy(), np.flatnonzero(state0 != OPEN), np.empty(3 * m), np.empty(3 * m)
-    inverse, held, turned = inverse_of(problem.W, A, B, closed), np.zeros(m, np.bool_), np.zeros(m, np.int64)
-    trial = np.empty(3 * m)
-    return Course(y, w, dy, dw, state, held, A, B, A.copy(), B.copy(), turned, closed, inverse, trial, phi, found)
+    held, turned, trial = np.zeros(m, np.bool_), np.zeros(m, np.int64), np.empty(3 * m)
+    inverse, factors = np.empty((0, 0)), no_factors()
+    if len(closed) > MANY:
+        factors = factors_of(problem.W, A, B, state, True)
+    if len(factors.lu) == 0:
+        inverse = inverse_of(problem.W, A, B, closed)
+    slide_A, slide_B = A.copy(), B.copy()
+    return Course(
+        y, w, dy, dw, state, held, A, B, slide_A, slide_B, turned, closed, inverse, factors, trial, phi, found
+    )
+
+
+@kernel(void(MATRIX, COURSE, int64, MATRIX, MATRIX))
+def change_equations(W, course, a, new_A, new_B):
+    """The contact ``closed[a]`` begins or ceases to slide, or opens."""
+    k = course.closed[a]
+    if len(course.factors.lu) == 0:
+        change(W, course.A, course.B, course.closed, course.inverse, a, new_A, new_B)
+        return
+    respond(W, course.factors, k)
+    assign_block(course.A[k], new_A)
+    assign_block(course.B[k], new_B)
 
 
 @kernel(void(MATRIX, VECTOR, VECTOR, PREDICTION, COURSE))
@@ -183,9 +215,12 @@ def sliding_rates(W, rate, y0, predicted, course):
     worst changes.  One may do neither whichever it is, as others turn it: of many it is left.
     """
     dy, dw, state, held, closed, e = course.dy, course.dw, course.state, course.held, course.closed, predicted.e
-    large = 3 * len(closed) > LARGE  # where changes of the inverse are dear
+    large = len(course.factors.lu) > 0
     for _ in range(PASSES):
-        rates(W, course.B, closed, course.inverse, rate, dy, dw)
+        if large:
+            changed_rates(W, course.factors, course.A, course.B, rate, dy, dw)
+        else:
+            rates(W, course.B, closed, course.inverse, rate, dy, dw)
         hardest, worst = 0.0, -1
         for a in range(len(closed)):
             k = closed[a]
@@ -204,16 +239,16 @@ def sliding_rates(W, rate, y0, predicted, course):
                 continue
             if wrong > hardest:
                 hardest, worst = wrong, a
-        if worst < 0:
+        if worst < 0 or (large and is_full(course.factors)):
             break
         k = closed[worst]
         course.turned[k] += 1
         if held[k]:
             state[k], held[k] = SLIP, False
-            change(W, course.A, course.B, closed, course.inverse, worst, course.slide_A[k], course.slide_B[k])
+            change_equations(W, course, worst, course.slide_A[k], course.slide_B[k])
         else:
             state[k], held[k] = STICK, True
-            change(W, course.A, course.B, closed, course.inverse, worst, np.zeros((3, 3)), np.eye(3))
+            change_equations(W, course, worst, np.zeros((3, 3)), np.eye(3))
 
 
 @kernel(
@@ -298,11 +333,11 @@ def break_loose(problem, k, reached, predicted, course):
     predicted.e[k, 0], predicted.e[k, 1] = y[i + 1] / predicted.grip[k], y[i + 2] / predicted.grip[k]
     assign_block(course.slide_A[k], A[k])
     assign_block(course.slide_B[k], B[k])
-    change(problem.W, course.A, course.B, course.closed, course.inverse, place_of(k, course), A[k], B[k])
+    change_equations(problem.W, course, place_of(k, course), A[k], B[k])
 
 
-@kernel(void(VECTOR, int64, NUMBER, PREDICTION, COURSE))
-def open_up(y0, k, reached, predicted, course):
+@kernel(void(MATRIX, VECTOR, int64, NUMBER, PREDICTION, COURSE))
+def open_up(W, y0, k, reached, predicted, course):
     """Contact k opens."""
     i = 3 * k
     predicted.opened[k] = reached
@@ -311,7 +346,10 @@ def open_up(y0, k, reached, predicted, course):
         predicted.x[i + row] = -y0[i + row]
         course.y[i + row] = 0.0
     course.state[k] = OPEN
-    let_go(course.inverse, place_of(k, course))
+    if len(course.factors.lu) == 0:
+        let_go(course.inverse, place_of(k, course))
+    else:
+        change_equations(W, course, place_of(k, course), np.eye(3), np.zeros((3, 3)))
 
 
 @kernel(NUMBER(PATH_PROBLEM, VECTOR, NUMBER, LIMITS, PREDICTION, WORKSPACE, COUNTS))
@@ -352,12 +390,13 @@ def predict(problem, rate, step, limits, predicted, work, counts):
         advance, first, closes, breaks = next_event(problem, y0, reached, step - reached, limits, predicted, course)
         go_on(problem, advance, predicted, course)
         reached += advance
-        if closes or first < 0 or event == EVENTS - 1:
+        full = len(course.factors.lu) > 0 and is_full(course.factors)
+        if closes or first < 0 or full or event == EVENTS - 1:
             break
         if breaks:
             break_loose(problem, first, reached, predicted, course)
             continue
-        open_up(y0, first, reached, predicted, course)
+        open_up(problem.W, y0, first, reached, predicted, course)
         # Where it was counts, if it slid so far that the time of its opening does.
         way = unit[3 * first + 1] * np.sqrt(gone[first, 0] ** 2 + gone[first, 1] ** 2)
         if way > limits.allowed * np.sqrt(m):

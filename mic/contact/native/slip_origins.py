@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 from numba import boolean, void
 
+from mic.contact.native.kept_factors import answers
 from mic.contact.native.kept_inverse import inverted
 from mic.contact.native.kernel import MATRIX, NUMBER, kernel
-from mic.contact.native.matrices import assign
+from mic.contact.native.matrices import assign, assign_sum
 from mic.contact.native.slider_lag import lag
 from mic.contact.native.step_data import LAST_PROBLEM, PREDICTION, WORKSPACE
 from mic.contact.states import OPEN, SLIP
@@ -16,6 +17,8 @@ __all__ = ["closings", "crossing", "origins"]
 
 #: Contacts that close in a step are looked at one by one, but those after so many.
 ONE_BY_ONE = 8
+#: Of many closed contacts so many may close in a step, or the others do not answer.
+TOGETHER = 32
 
 
 @kernel(NUMBER(NUMBER, NUMBER))
@@ -74,17 +77,31 @@ def closings(W, last, predicted, work):
         for c in range(3):
             at[a, c] = w0[3 * new[a] + c]
     late = np.ones(count, np.bool_)  # those that have not closed yet
+    many = len(last.factors.lu) > 0
+    found = answers(W, last.factors, new if many and count <= TOGETHER else new[:0])
+    known = len(found) > 0
+    for a in range(count):
+        known = known and place[new[a]] >= 0
     for turn in range(count):
         left = np.flatnonzero(late)
         if turn < ONE_BY_ONE:
             n, change, right = 3 * len(left), np.zeros(len(y)), np.zeros(len(inverse))
+            column = np.empty(n, np.int64)
             forces, rows, inner = np.empty(n), np.empty(n, np.int64), np.empty((n, n))
             for a in range(n):
                 k = new[left[a // 3]]
                 change[3 * k + a % 3] = -y[3 * k + a % 3]
                 forces[a] = change[3 * k + a % 3]
-                rows[a] = 3 * place[k] + a % 3
-            if rows.min() >= 0:
+                rows[a], column[a] = 3 * place[k] + a % 3, 3 * left[a // 3] + a % 3
+            if known:
+                for a in range(n):
+                    for b in range(n):
+                        inner[a, b] = found[column[b], 3 * new[left[a // 3]] + a % 3]
+                share = np.dot(inverted(inner), forces)
+                change[:] = 0.0
+                for b in range(n):
+                    assign_sum(change, change, share[b], found[column[b]])
+            elif not many and rows.min() >= 0:
                 for a in range(n):
                     for b in range(n):
                         inner[a, b] = inverse[rows[a], rows[b]]

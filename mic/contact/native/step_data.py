@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numba import boolean, int64, types
 
+from mic.contact.native.kept_factors import FACTORS, Factors
 from mic.contact.native.kernel import BLOCKS, COUNTS, MATRIX, NUMBER, VECTOR
 from mic.contact.native.law_equation import EQUATION_POINTER
 
@@ -180,6 +181,8 @@ class LastProblem(NamedTuple):
     own : (c,) int array
         The contacts that it is over, none if there was none.
     inverse : (3c, 3c) array
+        None of many contacts, which have factors.
+    factors : Factors
     """
 
     state: np.ndarray
@@ -188,6 +191,7 @@ class LastProblem(NamedTuple):
     B: np.ndarray
     own: np.ndarray
     inverse: np.ndarray
+    factors: Factors
 
 
 class Record(NamedTuple):
@@ -231,7 +235,7 @@ CONTROL = types.NamedTuple([int64, VECTOR, NUMBER, NUMBER, NUMBER, NUMBER, int64
 AIM = types.NamedTuple([NUMBER, NUMBER, int64, int64, boolean, boolean], Aim)
 WORKSPACE = types.NamedTuple([*[VECTOR] * 5, COUNTS, *[VECTOR] * 2, *[MATRIX] * 2, *[VECTOR] * 4], Workspace)
 PREDICTION = types.NamedTuple([COUNTS, MATRIX, VECTOR, VECTOR, VECTOR, VECTOR, VECTOR, MATRIX], Prediction)
-LAST_PROBLEM = types.NamedTuple([COUNTS, VECTOR, BLOCKS, BLOCKS, COUNTS, MATRIX], LastProblem)
+LAST_PROBLEM = types.NamedTuple([COUNTS, VECTOR, BLOCKS, BLOCKS, COUNTS, MATRIX, FACTORS], LastProblem)
 RECORD = types.NamedTuple([MATRIX, VECTOR, VECTOR, MATRIX], Record)
 RECORDS = types.NamedTuple([BLOCKS, MATRIX, MATRIX, BLOCKS], Record)
 OUTCOME = types.NamedTuple([MATRIX, RECORDS, MATRIX, types.Array(int64, 2, "C"), MATRIX, BLOCKS], Outcome)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numba import void
 
+from mic.contact.native.kept_factors import answer
 from mic.contact.native.kernel import BLOCKS, COUNTS, MATRIX, NUMBER, VECTOR, kernel
 from mic.contact.native.matrices import displace
 from mic.contact.native.path_constants import ROUNDING
@@ -129,6 +130,13 @@ def force_error(W, last, doubt, unit):
     Where the linear problem that was solved last is not to be had, each contact answers by its own compliance.
     """
     dy, dw = doubt.copy(), np.empty_like(doubt)
-    if len(last.own) > 0:
+    if len(last.factors.lu) > 0:
+        for k in range(len(last.state)):
+            for row in range(3):
+                dw[3 * k + row] = 0.0
+                for c in range(3):
+                    dw[3 * k + row] += last.factors.B[k, row, c] * doubt[3 * k + c]
+        answer(W, last.factors, dw, np.zeros(len(doubt)), dy)
+    elif len(last.own) > 0:
         rates(W, last.B, last.own, last.inverse, doubt, dy, dw)
     return mean_force(dy, unit)

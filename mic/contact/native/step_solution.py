@@ -6,13 +6,14 @@ import numpy as np
 from numba import boolean, int64, types, void
 
 from mic.contact.native.gauss_seidel import gauss_seidel
+from mic.contact.native.kept_factors import answer, are_many
 from mic.contact.native.kernel import COUNTS, NUMBER, VECTOR, kernel
 from mic.contact.native.law_equation import derivative, force_scale
-from mic.contact.native.matrices import assign, displace
+from mic.contact.native.matrices import assign, assign_sum, displace
 from mic.contact.native.newton import Coupling, NewtonSettings, newton
 from mic.contact.native.path_constants import FACTORISATIONS
-from mic.contact.native.pivots import anew, linearise, linearised, pivots, updated
-from mic.contact.native.step_data import AIM, LAST_PROBLEM, PATH_PROBLEM, WORKSPACE, LastProblem
+from mic.contact.native.pivots import anew, factorised_anew, forgotten, linearise, linearised, pivots, updated
+from mic.contact.native.step_data import AIM, LAST_PROBLEM, PATH_PROBLEM, WORKSPACE
 from mic.contact.states import OPEN
 
 __all__ = ["lands", "solve"]
@@ -24,6 +25,8 @@ STEPS_OF_NEWTON, NEWTON = 40, 10
 CHORD, CHANGES = 0.3, 0.3
 #: Newton's steps in a call for help.
 PATIENCE = 40
+#: Steps without a gain before it is given up for many contacts.
+PATIENT = 6
 
 SOLVED = types.Tuple((int64, LAST_PROBLEM))
 
@@ -96,8 +99,56 @@ def newton_by_pivots(problem, work, aim, last, counts):
         before = error
         settled, last = pivots(problem, work, 0.1 * aim.tol * size, last, linear)
         if not settled:
-            return 0, LastProblem(last.state, last.stretch, last.A, last.B, np.empty(0, np.int64), last.inverse)
+            return 0, forgotten(last)
     return 0, last
+
+
+@kernel(boolean(PATH_PROBLEM, LAST_PROBLEM, COUNTS))
+def are_those(problem, last, state):
+    """Whether the last problem has factors, and these statuses."""
+    if len(last.factors.lu) == 0:
+        return False
+    for k in range(len(state)):
+        if state[k] != last.state[k]:
+            return False
+    return True
+
+
+@kernel(SOLVED(PATH_PROBLEM, WORKSPACE, AIM, LAST_PROBLEM, COUNTS))
+def newton_by_factors(problem, work, aim, last, counts):
+    """Newton's method for many contacts, from the guess (work.y, work.w); arguments and results as
+    :func:`newton_by_pivots`.
+
+    Sliders are linearised as there.  Statuses are those at the last point: many change at once.  While none changes,
+    factors serve again as long as every step brings the error down by :data:`CHORD`.
+    """
+    y, w, q, linear = work.y, work.w, work.q, linearised(len(problem.parameters))
+    step, least, gained, before = np.empty_like(y), np.inf, 0, np.inf
+    for iteration in range(STEPS_OF_NEWTON):
+        derivative(problem.equation, problem.parameters, y, w, linear.phi, linear.A, linear.B, linear.state)
+        error = np.sqrt(np.dot(linear.phi, linear.phi)) / force_scale(aim.scale, q, y, w)
+        if not error < np.inf or iteration - gained > PATIENT:
+            break
+        if error < least or iteration == 1:  # a guess may be near, and the way from it lead through larger errors
+            least, gained = error, iteration
+        solved, same = error <= aim.tol, are_those(problem, last, linear.state)
+        if solved and (same or not aim.current):
+            return 1, last
+        serves = same and error <= CHORD * before
+        before = error
+        changed = linearise(problem, work, last, serves, linear)
+        if not serves or changed > 0:
+            last = factorised_anew(problem.W, last, linear)
+            counts[FACTORISATIONS] += 1
+            if len(last.factors.lu) == 0:
+                break
+        if solved:
+            return 1, last
+        assign_sum(linear.phi, np.zeros(len(y)), -1.0, linear.right)
+        answer(problem.W, last.factors, linear.phi, y, step)
+        assign_sum(y, y, 1.0, step)
+        displace(problem.W, y, q, w)
+    return 0, forgotten(last)
 
 
 @kernel(SOLVED(PATH_PROBLEM, WORKSPACE, AIM, LAST_PROBLEM, COUNTS))
@@ -115,7 +166,17 @@ def solve(problem, work, aim, last, counts):
         sweep(problem, work, slip, sweeps)
         if again:
             assign(best, y)
-    if aim.near:
+    many = are_many(y)
+    if many != (len(last.factors.lu) > 0):
+        last = forgotten(last)
+    if many:
+        z = y.copy()
+        solved, last = newton_by_factors(problem, work, aim, last, counts)
+        if solved == 1:
+            return 1, last
+        assign(y, z)
+        displace(problem.W, y, q, w)
+    elif aim.near:
         solved, last = newton_by_pivots(problem, work, aim, last, counts)
         if solved == 1:
             return 1, last
@@ -131,7 +192,7 @@ def solve(problem, work, aim, last, counts):
             sweep(problem, work, slip, run)
             assign(best, y)
         run *= 2
-        if not aim.near and call == 0:
+        if not aim.near and not many and call == 0:
             solved, last = newton_by_pivots(problem, work, aim, last, counts)
             if solved == 1:
                 return 1, last
