@@ -345,6 +345,15 @@ def test_friction_is_exact_to_a_hundredth_of_the_largest_force_where_positions_m
     assert np.linalg.norm(found - exact) < 0.01 * exact.max()
 
 
+def test_a_contact_that_creeps_beside_another_takes_few_steps():
+    """It breaks loose again in each step; as exact as 4096 increments."""
+    solver, b = sheets(2, 30, seed=6)
+    found, fine = solver.follow(b[[10]]), solver.follow(b[[10]], path=Increments(4096))
+    assert found.trace.steps[0] < 100
+    np.testing.assert_allclose(found.anchor, fine.anchor, atol=2e-4)
+    np.testing.assert_allclose(found.force, fine.force, atol=2e-4)
+
+
 @pytest.mark.parametrize("seed", [4, 11, 14])
 def test_many_closed_contacts_are_followed_as_few_are(seed):
     """Ten equal pairs of sheets in one problem: many contacts have another linear algebra, and the same path."""

@@ -24,7 +24,7 @@ from mic.contact.native.step_error import (
     position_error,
 )
 from mic.contact.native.step_solution import lands, solve
-from mic.contact.states import OPEN, SLIP
+from mic.contact.states import OPEN, SLIP, STICK
 
 __all__ = [
     "HELP",
@@ -214,6 +214,19 @@ def guess_end(y0, yp, predicted, y):
             y[i + 1], y[i + 2] = grown * y0[i + 1], grown * y0[i + 2]
 
 
+@kernel(boolean(PREDICTION, WORKSPACE))
+def rests_short(predicted, work):
+    """Whether a contact that was predicted to break loose on the way sticks where its slip is measured from.
+
+    It would end inside its cone and break loose on the way of the next step, too, and so on in steps that never grow.
+    """
+    for k in range(len(work.state)):
+        moved = work.shift[k, 0] != 0.0 or work.shift[k, 1] != 0.0
+        if moved and 0.0 < predicted.loose[k] < 1.0 and work.state[k] == STICK:
+            return True
+    return False
+
+
 @kernel(
     types.Tuple((int64, LAST_PROBLEM, NUMBER, NUMBER, NUMBER))(
         PATH_PROBLEM, CONTROL, SAMPLE_LEG, TRIAL, PREDICTION, WORKSPACE, LAST_PROBLEM, COUNTS
@@ -264,11 +277,12 @@ def solve_with_shifts(problem, control, leg, trial, predicted, work, last, count
         unsure = 0.0 if shortest else opening_doubt(predicted, work, unit)
         error = error if shortest else np.hypot(error, unsure)
         bearing = max(bearing, control.bearable * mean_force(y, unit))  # nothing pressed before
-        if solved == 1 and (turn == 1 if given else over_allowed(error, allowed, force, bearing) <= 1.0):
+        again = turn == 0 and rests_short(predicted, work)
+        if solved == 1 and not again and (turn == 1 if given else over_allowed(error, allowed, force, bearing) <= 1.0):
             return solved, last, error, force, bearing
         left = np.hypot(position_error(predicted, work, other, unit), unsure)
         left = over_allowed(left, allowed, force_error(W, last, doubt, unit), bearing)
-        if turn == 0 and solved == 1 and (given or shortest or left <= 1.0):
+        if turn == 0 and solved == 1 and (again or given or shortest or left <= 1.0):
             turn = 1
             for k in range(len(state)):
                 assign(shift[k], other[k])
