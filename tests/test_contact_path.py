@@ -8,7 +8,7 @@ from scipy.linalg import block_diag
 
 from mic.contact import ContactSolver, tangent
 from mic.contact.native import slider_lag
-from mic.contact.native.kept_factors import MANY, changed_rates, factors_of, respond
+from mic.contact.native.kept_factors import MANY, add_responses, changed_rates, factors_of
 from mic.contact.path import Followed, Increments
 from mic.contact.states import OPEN, SLIP, STICK
 
@@ -387,7 +387,7 @@ def test_rates_after_changes_of_many_contacts_are_those_of_their_new_equations()
     dy, dw = np.empty(3 * m), np.empty(3 * m)
     for k, new in ((None, None), (0, STICK), (1, SLIP), (3, OPEN), (0, SLIP), (7, OPEN)):
         if k is not None:
-            respond(W, kept, k)
+            add_responses(W, kept, k)
             state[k] = new
         A, B = of(state)
         changed_rates(W, kept, A, B, rate, dy, dw)

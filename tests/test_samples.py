@@ -297,7 +297,7 @@ def test_a_run_of_a_design_gives_intervals_from_its_groups(lap_scene, cache, tmp
         assert bounds and table[bounds].isna().all(axis=None)
         assert table[[name.removesuffix("_low") for name in bounds if name.endswith("_low")]].notna().any(axis=None)
     page = write_report(tmp_path / "out").read_text(encoding="utf-8")
-    assert "2 samples at a time are made together" in page and "grouped jackknife" in page
+    assert "Groups of 2 samples are drawn together" in page and "grouped jackknife" in page
     assert "Clopper–Pearson" not in page and "(Wilks)" not in page
 
 

@@ -55,7 +55,7 @@ from mic.contact.native.path_step import (
     right_hand_side,
     step_end,
 )
-from mic.contact.native.pivots import forgotten
+from mic.contact.native.pivots import without_problem
 from mic.contact.native.step_data import (
     CONTROL,
     LAST_PROBLEM,
@@ -228,7 +228,7 @@ def follow(problem, loads, control, L, Y, outcome, guess, near):
         assign(work.y, Y[i])
         assign_sum(rate, loads[1][i], -1.0, loads[0][i])
         leg = SampleLeg(loads[0][i], rate, L[i], 0.0)
-        last = forgotten(last)
+        last = without_problem(last)
         solved, leg, last = begin(problem, control, leg, work, last, counts[i])
         if solved == 0:
             counts[i, FAILED] += 1

@@ -22,14 +22,14 @@ __all__ = [
     "FACTORS",
     "MANY",
     "Factors",
-    "answer",
-    "answers",
+    "solve_with_factors",
+    "unit_solutions",
     "are_many",
     "changed_rates",
     "factors_of",
     "is_full",
     "no_factors",
-    "respond",
+    "add_responses",
 ]
 
 #: Closed contacts that are many.
@@ -97,7 +97,7 @@ def factors_of(W, A, B, state, changing):
 
 
 @kernel(void(MATRIX, FACTORS, VECTOR, VECTOR, VECTOR))
-def answer(W, kept, phi, z, x):
+def solve_with_factors(W, kept, phi, z, x):
     """Fill ``x`` with ``A x + B W x = -Φ``, as the equations were when they were factorised, ``x = -z`` where contacts
     are open."""
     size = (1, len(x))
@@ -105,7 +105,7 @@ def answer(W, kept, phi, z, x):
 
 
 @kernel(MATRIX(MATRIX, FACTORS, COUNTS))
-def answers(W, kept, contacts):
+def unit_solutions(W, kept, contacts):
     """(3k, 3m) ``x`` for a unit of each equation of some contacts."""
     phi, n = np.zeros((3 * len(contacts), len(W))), len(W)
     for a in range(len(phi)):
@@ -122,7 +122,7 @@ def is_full(kept):
 
 
 @kernel(void(MATRIX, FACTORS, int64), from_python=True)
-def respond(W, kept, k):
+def add_responses(W, kept, k):
     """Contact k will change: how all contacts respond to its equations."""
     count, n = kept.size[0], len(W)
     for a in range(count):
@@ -130,7 +130,7 @@ def respond(W, kept, k):
             return
     kept.changed[count] = k
     kept.size[0] = count + 1
-    found = answers(W, kept, kept.changed[count : count + 1])
+    found = unit_solutions(W, kept, kept.changed[count : count + 1])
     for c in range(3):
         assign(kept.responses[3 * count + c], found[c])
     for a in range(3 * count + 3):
@@ -157,7 +157,7 @@ def changed_rates(W, kept, A, B, rate, dy, dw):
             for row in range(3):
                 for c in range(3):
                     phi[3 * k + row] += kept.B[k, row, c] * rate[3 * k + c]
-        answer(W, kept, phi, nothing, x)
+        solve_with_factors(W, kept, phi, nothing, x)
     assign(dy, x)
     if count > 0:
         matrix, right, here = np.empty((count, count)), np.empty((count, 1)), np.empty(3)

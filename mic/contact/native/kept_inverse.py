@@ -6,15 +6,12 @@ import numpy as np
 from numba import boolean, int64, types, void
 
 from mic.contact.native.kernel import BLOCKS, COUNTS, MATRIX, kernel
-from mic.contact.native.lapack import inverse_by_lapack
 from mic.contact.native.matrices import assign, assign_block, system
 
 __all__ = ["DAMPING", "border", "change", "inverse_of", "inverted", "let_go"]
 
 #: Of the compliance's diagonal, so that a singular one does no harm.
 DAMPING = 1e-12
-#: Rows of a matrix that LAPACK inverts.
-LARGE = 450
 
 
 @kernel(void(MATRIX, MATRIX))
@@ -71,12 +68,10 @@ def inverted(matrix):
     """Inverse X by Gauss and Jordan's method with pivots, four columns at a time; zeros if it is singular.
 
     Four pivots pass over the other rows at once, two rows at a time: for the 60 to 300 rows of contacts that touch it
-    takes two thirds of the time of LAPACK's, which has more than :data:`LARGE`.  On the transpose, because it leaves a
-    small residual ``X M - I``, and ``M X - I`` is what a solution needs.
+    takes two thirds of the time of LAPACK's.  On the transpose, because it leaves a small residual ``X M - I``, and ``M
+    X - I`` is what a solution needs.
     """
     n = len(matrix)
-    if n > LARGE:
-        return inverse_by_lapack(matrix)
     rows, width = (n + 3) // 4 * 4, (n + 7) // 8 * 8
     M, place = np.zeros((rows, width)), np.empty(rows, np.int64)
     four, trial, pivot = np.empty((rows, 4)), np.empty((rows, 4)), np.empty((4, width))

@@ -12,7 +12,7 @@ from numba import boolean, float64, int32, types, void
 
 from mic.contact.native.kernel import COUNTS, MATRIX, NUMBER, kernel
 
-__all__ = ["factors", "inverse_by_lapack", "least_squares", "solution", "substitute"]
+__all__ = ["factors", "least_squares", "solution", "substitute"]
 
 #: Kind of numbers, the first argument of a routine: double precision.
 DOUBLE = ord("d")
@@ -26,7 +26,6 @@ def _routine(name: str, *arguments) -> types.ExternalFunction:
 
 _solve = _routine("xgesv", _SIZE, _SIZE, _NUMBERS, _SIZE, _INTEGERS, _NUMBERS, _SIZE)
 _factorise = _routine("xxgetrf", _SIZE, _SIZE, _NUMBERS, _SIZE, _INTEGERS)
-_invert = _routine("ez_xxgetri", _SIZE, _NUMBERS, _SIZE, _INTEGERS)
 _solve_least_squares = _routine(
     "ez_gelsd", _SIZE, _SIZE, _SIZE, _NUMBERS, _SIZE, _NUMBERS, _SIZE, _NUMBERS, float64, _INTEGERS
 )
@@ -51,19 +50,6 @@ def solution(columns, right):
     if _solve(DOUBLE, n, count, J.ctypes, n, pivots.ctypes, x.ctypes, n) != 0:
         return np.zeros((n, count))
     return np.ascontiguousarray(x.T)
-
-
-@kernel(MATRIX(MATRIX))
-def inverse_by_lapack(matrix):
-    """Inverse of a matrix; zeros if it is singular to the last bit, or not finite."""
-    n, found, pivots = len(matrix), matrix.copy(), np.empty(len(matrix), np.int32)
-    if n == 0 or not _finite(found):
-        return np.zeros((n, n))
-    if _factorise(DOUBLE, n, n, found.ctypes, n, pivots.ctypes) != 0:
-        return np.zeros((n, n))
-    if _invert(DOUBLE, n, found.ctypes, n, pivots.ctypes) != 0:
-        return np.zeros((n, n))
-    return found
 
 
 @kernel(types.Tuple((MATRIX, COUNTS))(MATRIX))

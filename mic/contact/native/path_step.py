@@ -215,7 +215,7 @@ def guess_end(y0, yp, predicted, y):
 
 
 @kernel(boolean(PREDICTION, WORKSPACE))
-def rests_short(predicted, work):
+def rests_inside_cone(predicted, work):
     """Whether a contact that was predicted to break loose on the way sticks where its slip is measured from.
 
     It would end inside its cone and break loose on the way of the next step, too, and so on in steps that never grow.
@@ -277,7 +277,7 @@ def solve_with_shifts(problem, control, leg, trial, predicted, work, last, count
         unsure = 0.0 if shortest else opening_doubt(predicted, work, unit)
         error = error if shortest else np.hypot(error, unsure)
         bearing = max(bearing, control.bearable * mean_force(y, unit))  # nothing pressed before
-        again = turn == 0 and rests_short(predicted, work)
+        again = turn == 0 and rests_inside_cone(predicted, work)
         if solved == 1 and not again and (turn == 1 if given else over_allowed(error, allowed, force, bearing) <= 1.0):
             return solved, last, error, force, bearing
         left = np.hypot(position_error(predicted, work, other, unit), unsure)

@@ -16,7 +16,7 @@ from mic.contact.native.path_constants import NEAR
 from mic.contact.native.step_data import LAST_PROBLEM, PATH_PROBLEM, WORKSPACE, LastProblem
 from mic.contact.states import OPEN, SLIP, STICK
 
-__all__ = ["anew", "factorised_anew", "forgotten", "linearise", "linearised", "pivots", "updated"]
+__all__ = ["anew", "factorised_anew", "without_problem", "linearise", "linearised", "pivots", "updated"]
 
 #: Changes of statuses within a step, of all contacts and of one: more, and they go round in a circle.
 PIVOTS, TURNS = 100, 10
@@ -101,14 +101,14 @@ def linearise(problem, work, last, serves, linear):
 
 
 @kernel(LAST_PROBLEM(LAST_PROBLEM))
-def forgotten(last):
+def without_problem(last):
     """No last problem."""
     none = np.empty(0, np.int64), np.empty((0, 0))
     return LastProblem(last.state, last.stretch, last.A, last.B, none[0], none[1], no_factors())
 
 
 @kernel(void(LINEARISED, LAST_PROBLEM))
-def take(linear, last):
+def copy_equations(linear, last):
     """The last problem's equations become those of the linearised one."""
     assign(last.stretch, linear.scaling)
     for k in range(len(linear.state)):
@@ -123,7 +123,7 @@ def anew(W, last, linear):
     own = np.flatnonzero(linear.place >= 0)
     for a in range(len(own)):
         linear.place[own[a]] = a
-    take(linear, last)
+    copy_equations(linear, last)
     inverse = inverse_of(W, last.A, last.B, own)
     return LastProblem(last.state, last.stretch, last.A, last.B, own, inverse, no_factors())
 
@@ -131,7 +131,7 @@ def anew(W, last, linear):
 @kernel(LAST_PROBLEM(MATRIX, LAST_PROBLEM, LINEARISED))
 def factorised_anew(W, last, linear):
     """The linearised problem of many contacts with factors of its own."""
-    take(linear, last)
+    copy_equations(linear, last)
     factors, own = factors_of(W, last.A, last.B, last.state, False), np.flatnonzero(last.state != OPEN)
     own = own if len(factors.lu) > 0 else own[:0]
     return LastProblem(last.state, last.stretch, last.A, last.B, own, np.empty((0, 0)), factors)

@@ -11,11 +11,11 @@ from mic.contact.native.kept_factors import (
     FACTORS,
     MANY,
     Factors,
+    add_responses,
     changed_rates,
     factors_of,
     is_full,
     no_factors,
-    respond,
 )
 from mic.contact.native.kept_inverse import change, inverse_of, let_go
 from mic.contact.native.kernel import BLOCKS, COUNTS, MASK, MATRIX, NUMBER, VECTOR, kernel
@@ -202,7 +202,7 @@ def change_equations(W, course, a, new_A, new_B):
     if len(course.factors.lu) == 0:
         change(W, course.A, course.B, course.closed, course.inverse, a, new_A, new_B)
         return
-    respond(W, course.factors, k)
+    add_responses(W, course.factors, k)
     assign_block(course.A[k], new_A)
     assign_block(course.B[k], new_B)
 

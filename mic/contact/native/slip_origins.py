@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numba import boolean, void
 
-from mic.contact.native.kept_factors import answers
+from mic.contact.native.kept_factors import unit_solutions
 from mic.contact.native.kept_inverse import inverted
 from mic.contact.native.kernel import MATRIX, NUMBER, kernel
 from mic.contact.native.matrices import assign, assign_sum
@@ -78,7 +78,7 @@ def closings(W, last, predicted, work):
             at[a, c] = w0[3 * new[a] + c]
     late = np.ones(count, np.bool_)  # those that have not closed yet
     many = len(last.factors.lu) > 0
-    found = answers(W, last.factors, new if many and count <= TOGETHER else new[:0])
+    found = unit_solutions(W, last.factors, new if many and count <= TOGETHER else new[:0])
     known = len(found) > 0
     for a in range(count):
         known = known and place[new[a]] >= 0

@@ -6,13 +6,13 @@ import numpy as np
 from numba import boolean, int64, types, void
 
 from mic.contact.native.gauss_seidel import gauss_seidel
-from mic.contact.native.kept_factors import answer, are_many
+from mic.contact.native.kept_factors import are_many, solve_with_factors
 from mic.contact.native.kernel import COUNTS, NUMBER, VECTOR, kernel
 from mic.contact.native.law_equation import derivative, force_scale
 from mic.contact.native.matrices import assign, assign_sum, displace
 from mic.contact.native.newton import Coupling, NewtonSettings, newton
 from mic.contact.native.path_constants import FACTORISATIONS
-from mic.contact.native.pivots import anew, factorised_anew, forgotten, linearise, linearised, pivots, updated
+from mic.contact.native.pivots import anew, factorised_anew, linearise, linearised, pivots, updated, without_problem
 from mic.contact.native.step_data import AIM, LAST_PROBLEM, PATH_PROBLEM, WORKSPACE
 from mic.contact.states import OPEN
 
@@ -99,13 +99,13 @@ def newton_by_pivots(problem, work, aim, last, counts):
         before = error
         settled, last = pivots(problem, work, 0.1 * aim.tol * size, last, linear)
         if not settled:
-            return 0, forgotten(last)
+            return 0, without_problem(last)
     return 0, last
 
 
-@kernel(boolean(PATH_PROBLEM, LAST_PROBLEM, COUNTS))
-def are_those(problem, last, state):
-    """Whether the last problem has factors, and these statuses."""
+@kernel(boolean(LAST_PROBLEM, COUNTS))
+def has_factors(last, state):
+    """Whether the last problem has factors for these statuses."""
     if len(last.factors.lu) == 0:
         return False
     for k in range(len(state)):
@@ -131,7 +131,7 @@ def newton_by_factors(problem, work, aim, last, counts):
             break
         if error < least or iteration == 1:  # a guess may be near, and the way from it lead through larger errors
             least, gained = error, iteration
-        solved, same = error <= aim.tol, are_those(problem, last, linear.state)
+        solved, same = error <= aim.tol, has_factors(last, linear.state)
         if solved and (same or not aim.current):
             return 1, last
         serves = same and error <= CHORD * before
@@ -145,10 +145,10 @@ def newton_by_factors(problem, work, aim, last, counts):
         if solved:
             return 1, last
         assign_sum(linear.phi, np.zeros(len(y)), -1.0, linear.right)
-        answer(problem.W, last.factors, linear.phi, y, step)
+        solve_with_factors(problem.W, last.factors, linear.phi, y, step)
         assign_sum(y, y, 1.0, step)
         displace(problem.W, y, q, w)
-    return 0, forgotten(last)
+    return 0, without_problem(last)
 
 
 @kernel(SOLVED(PATH_PROBLEM, WORKSPACE, AIM, LAST_PROBLEM, COUNTS))
@@ -168,7 +168,7 @@ def solve(problem, work, aim, last, counts):
             assign(best, y)
     many = are_many(y)
     if many != (len(last.factors.lu) > 0):
-        last = forgotten(last)
+        last = without_problem(last)
     if many:
         z = y.copy()
         solved, last = newton_by_factors(problem, work, aim, last, counts)
