@@ -104,6 +104,7 @@ def test_a_script_that_ignores_the_size_is_refused(tmp_path, cache):
         estimate_accuracy(assemble(scene, cache), cache)
 
 
+@pytest.mark.slow
 def test_a_part_with_a_stated_accuracy_gets_a_mesh_that_reaches_it_and_its_size_is_cached(
     tmp_path, cache, limit, monkeypatch
 ):

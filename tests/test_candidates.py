@@ -135,6 +135,7 @@ def on_a_rest(folder, radius, sheets=2):
 
 @pytest.mark.fem
 @pytest.mark.parametrize("radius, sheets", [(7.0, 2), (2.5, 3)])
+@pytest.mark.slow
 def test_sheets_alike_between_pads_of_two_sizes_stay_together(radius, sheets, tmp_path, cache):
     """Half of each pad's pressure passes from sheet to sheet right there, so that both bend alike.
 
@@ -240,6 +241,7 @@ def test_the_scene_nearest_to_the_paper_is_the_wheelhouse_but_for_its_choices():
 
 
 @pytest.mark.fem
+@pytest.mark.slow
 def test_check_reports_the_change_of_characteristics_with_denser_pairs(cache, tmp_path, monkeypatch):
     monkeypatch.setenv("COLUMNS", "80")  # a narrow terminal cuts nothing
     monkeypatch.setenv("MIC_CACHE", str(cache))

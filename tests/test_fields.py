@@ -32,6 +32,7 @@ def evaluation(lap_model):
 
 
 @pytest.mark.fem
+@pytest.mark.slow
 def test_fields_agree_with_one_solve_per_sample(folder, lap_model, lap_scene, cache, evaluation):
     from fem_reference.shell.part import ShellPart
 

@@ -111,6 +111,7 @@ def test_the_error_is_of_second_order(built, on_own_mesh):
     )
 
 
+@pytest.mark.slow
 def test_gaps_go_with_each_sample(cache):
     """On the hat, whose bends turn; between flat sheets normals turn with the gap and leave it as it was."""
     model, assembly = reduced_and_assembly(read(hat("first-order"), "hat_on_plate"), cache)

@@ -79,6 +79,7 @@ def test_shapes_are_drawn_on_their_parts(found):
 
 
 @pytest.mark.usefixtures("lap_model")  # with the same coefficients
+@pytest.mark.slow
 def test_check_shows_shapes_once_coefficients_are_cached(cache, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     text = (LAP / "scene.toml").read_text().replace("friction = 0.27", "friction = 0.27\npairs = 24")

@@ -87,6 +87,7 @@ def test_welds_that_freeze_a_gap_wider_than_chords_explain_are_reported(gap, wel
 
 
 @pytest.mark.fem
+@pytest.mark.slow
 def test_a_nominal_assembly_with_closed_overlap_does_not_move(cache):
     closed = mic.reduce(lap(1.06, pairs=62), cache)
     nothing = np.zeros(len(closed.parameters))

@@ -190,6 +190,7 @@ def test_a_log_continues_after_a_killed_program(model, tmp_path):
         PredictionLog(path, "abc")
 
 
+@pytest.mark.slow
 def test_the_command_predicts_each_row_once(model, tmp_path):
     model.save(tmp_path / "model.npz")
     (tmp_path / "parts.csv").write_text("P,D\n0.9,2\n1.39,2\n2.9,2\n")

@@ -219,6 +219,7 @@ def accurate(lap_model, tmp_path_factory):
     return folder, progress.sentences
 
 
+@pytest.mark.slow
 def test_samples_are_drawn_until_the_accuracy_is_reached_and_no_longer(accurate):
     folder, sentences = accurate
     count, found = RunFolder(folder).record()["samples"], read_outcome(folder)
@@ -228,6 +229,7 @@ def test_samples_are_drawn_until_the_accuracy_is_reached_and_no_longer(accurate)
     assert found.missing == {"frictionless": 0}
 
 
+@pytest.mark.slow
 def test_the_requested_accuracy_decides_the_number_of_samples(lap_model, tmp_path):
     sample_into(tmp_path / "rough", asking(lap_model, 0.9), FRICTIONLESS, 500, 4)
     assert drawn(tmp_path / "rough") == list(range(50))

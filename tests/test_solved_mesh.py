@@ -93,6 +93,7 @@ def test_elements_are_as_dense_as_the_candidates(assembly):
 
 
 @pytest.mark.fem
+@pytest.mark.slow
 def test_key_characteristics_on_elements_of_two_radii_are_those_of_fine_ones(cache, tmp_path):
     """Within 5 %; with whole elements tied they are 10 % off and more."""
 

@@ -271,6 +271,7 @@ def test_pairs_and_meshes_are_refined_on_the_path_that_production_follows(cache,
 
 
 @pytest.mark.fem
+@pytest.mark.slow
 def test_a_mesh_is_refined_with_the_stiffness_that_the_scene_asks_for(cache):
     """On finer meshes means differ by the error of elements, and not by the effect of the stiffness."""
     production = {}

@@ -32,6 +32,7 @@ def solid(case):
 
 
 @needs_ccx
+@pytest.mark.slow
 def test_forces_and_slips_are_those_of_solids(case, solid, cache):
     found = study.LAP.errors(case[0], study.ours(*case, cache), solid)
     assert found["force"] < LIMITS["force"] and found["slip"] < LIMITS["slip"], found

@@ -274,6 +274,7 @@ def test_stretching_of_a_cylinder_by_hand():
     assert bound(0.1 * x) < 1e-12 * exact
 
 
+@pytest.mark.slow
 def test_the_stiffness_of_the_mean_shape_and_its_derivatives(cache, monkeypatch):
     """With shapes that scatter by a quarter of their mean, it halves the nominal error, and derivatives remove most."""
     built = reduced_and_assembly(with_path(shipped("lap_joint", "coarse"), "increments", 1), cache)
