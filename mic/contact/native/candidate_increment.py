@@ -13,13 +13,13 @@ from mic.contact.native.law_equation import EQUATION_POINTER
 from mic.contact.native.matrices import assign, block
 from mic.contact.native.step_data import CONTROL, Control, Outcome, PathProblem, Record
 
-__all__ = ["Contacts", "Found", "Samples", "follow_among"]
+__all__ = ["Found", "Samples", "SolverContacts", "follow_among"]
 
 #: Sweeps where a forecast of the forces is what they begin with: they do what thirty do from the forces before.
 FORECAST = 10
 
 
-class Contacts(NamedTuple):
+class SolverContacts(NamedTuple):
     """The k contacts of a solver, among all m.
 
     Attributes
@@ -75,13 +75,13 @@ class Found(NamedTuple):
     share: np.ndarray
 
 
-CONTACTS = types.NamedTuple([MATRIX, MATRIX, MATRIX, VECTOR, COUNTS], Contacts)
+SOLVER_CONTACTS = types.NamedTuple([MATRIX, MATRIX, MATRIX, VECTOR, COUNTS], SolverContacts)
 SAMPLES = types.NamedTuple([BLOCKS, MATRIX, BLOCKS, types.Array(boolean, 2, "C"), MATRIX], Samples)
 FOUND = types.NamedTuple([MATRIX, MATRIX, BLOCKS, BLOCKS, MATRIX, MATRIX, BLOCKS], Found)
 
 
 @kernel(
-    void(EQUATION_POINTER, CONTACTS, COUNTS, CONTROL, SAMPLES, boolean, FOUND, types.Array(int64, 2, "C")),
+    void(EQUATION_POINTER, SOLVER_CONTACTS, COUNTS, CONTROL, SAMPLES, boolean, FOUND, types.Array(int64, 2, "C")),
     from_python=True,
 )
 def follow_among(equation, contacts, some, control, samples, near, found, counts):

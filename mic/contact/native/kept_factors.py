@@ -22,14 +22,15 @@ __all__ = [
     "FACTORS",
     "MANY",
     "Factors",
-    "solve_with_factors",
-    "unit_solutions",
+    "add_responses",
     "are_many",
     "changed_rates",
     "factors_of",
+    "force_rates",
     "is_full",
     "no_factors",
-    "add_responses",
+    "solve_with_factors",
+    "unit_solutions",
 ]
 
 #: Closed contacts that are many.
@@ -46,7 +47,7 @@ class Factors(NamedTuple):
     state : (m,) array
     A, B : (m, 3, 3) array
     lu, rows : (n, n), (n,) array
-        None if there are no factors.
+        Empty if there are no factors.
     changed, size : (48,), (1,) int array
         Contacts whose equations have changed since, and how many there are.
     responses, moved : (3 * 48, 3m), (3 * 48, 3 * 48) array
@@ -81,7 +82,7 @@ def are_many(y):
 
 @kernel(FACTORS())
 def no_factors():
-    """No linear problem."""
+    """Empty arrays: there are no factors."""
     counts, blocks, matrix = np.empty(0, np.int64), np.empty((0, 3, 3)), np.empty((0, 0))
     return Factors(counts, blocks, blocks, matrix, counts, counts, counts, matrix, matrix, np.empty(0))
 
@@ -102,6 +103,17 @@ def solve_with_factors(W, kept, phi, z, x):
     are open."""
     size = (1, len(x))
     steps_by_factors(W, kept.A, kept.B, (kept.lu, kept.rows), phi.reshape(size), kept.state, OPEN, z, x.reshape(size))
+
+
+@kernel(void(MATRIX, FACTORS, VECTOR, VECTOR))
+def force_rates(W, kept, rate, dy):
+    """Fill ``dy`` with ``A dy + B (W dy + rate) = 0``, as the equations were when they were factorised."""
+    phi, nothing = np.zeros(len(rate)), np.zeros(len(rate))
+    for k in range(len(kept.state)):
+        for row in range(3):
+            for c in range(3):
+                phi[3 * k + row] += kept.B[k, row, c] * rate[3 * k + c]
+    solve_with_factors(W, kept, phi, nothing, dy)
 
 
 @kernel(MATRIX(MATRIX, FACTORS, COUNTS))
@@ -152,12 +164,7 @@ def changed_rates(W, kept, A, B, rate, dy, dw):
     """
     count, n, x = 3 * kept.size[0], len(W), kept.steady
     if count == 0:
-        phi, nothing = np.zeros(n), np.zeros(n)
-        for k in range(len(kept.state)):
-            for row in range(3):
-                for c in range(3):
-                    phi[3 * k + row] += kept.B[k, row, c] * rate[3 * k + c]
-        solve_with_factors(W, kept, phi, nothing, x)
+        force_rates(W, kept, rate, x)
     assign(dy, x)
     if count > 0:
         matrix, right, here = np.empty((count, count)), np.empty((count, 1)), np.empty(3)

@@ -13,7 +13,7 @@ from mic.contact.native.linear_step import linear_step
 from mic.contact.native.matrices import assign, assign_sum, displace, times
 from mic.contact.states import OPEN, STICK
 
-__all__ = ["COUPLING", "NO_INVERSE", "Coupling", "NewtonSettings", "newton"]
+__all__ = ["COUPLING", "NO_INVERSE", "PATIENT", "Coupling", "NewtonSettings", "newton"]
 
 #: Steps without a gain before Newton's method is given up.
 PATIENT = 6

@@ -16,7 +16,7 @@ from mic.contact.native.path_constants import NEAR
 from mic.contact.native.step_data import LAST_PROBLEM, PATH_PROBLEM, WORKSPACE, LastProblem
 from mic.contact.states import OPEN, SLIP, STICK
 
-__all__ = ["anew", "factorised_anew", "without_problem", "linearise", "linearised", "pivots", "updated"]
+__all__ = ["anew", "factorised_anew", "linearise", "linearised", "pivots", "updated", "without_problem"]
 
 #: Changes of statuses within a step, of all contacts and of one: more, and they go round in a circle.
 PIVOTS, TURNS = 100, 10
@@ -102,7 +102,7 @@ def linearise(problem, work, last, serves, linear):
 
 @kernel(LAST_PROBLEM(LAST_PROBLEM))
 def without_problem(last):
-    """No last problem."""
+    """Its arrays, but no last problem: neither an inverse nor factors."""
     none = np.empty(0, np.int64), np.empty((0, 0))
     return LastProblem(last.state, last.stretch, last.A, last.B, none[0], none[1], no_factors())
 

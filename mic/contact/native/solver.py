@@ -16,7 +16,7 @@ from mic.contact.laws import Law
 from mic.contact.lazy_memory import lazy_zeros
 from mic.contact.native import follower, path_constants
 from mic.contact.native.batch import Batch
-from mic.contact.native.candidate_increment import Contacts, Found, Samples, follow_among
+from mic.contact.native.candidate_increment import Found, Samples, SolverContacts, follow_among
 from mic.contact.native.frictionless import active_set
 from mic.contact.native.infeasibility import infeasible
 from mic.contact.native.landing import Landing
@@ -249,7 +249,7 @@ class NativeSolver:
         counts = np.zeros((len(b), 3), dtype=np.int64)
         own, control = self.problem, self._control(1, np.ones(1), (0.0, 0.0, 0.0), SWEEPS)
         assert own.factors is not None  # of a law with friction
-        contacts = Contacts(own.W, own.factors, own.parameters, self.scaling, among)
+        contacts = SolverContacts(own.W, own.factors, own.parameters, self.scaling, among)
 
         def chunk(part):
             follow_among(own.equation, contacts, some[part], control, samples, near, found, counts)

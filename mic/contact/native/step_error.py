@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numba import void
 
-from mic.contact.native.kept_factors import solve_with_factors
+from mic.contact.native.kept_factors import force_rates
 from mic.contact.native.kernel import BLOCKS, COUNTS, MATRIX, NUMBER, VECTOR, kernel
 from mic.contact.native.matrices import displace
 from mic.contact.native.path_constants import ROUNDING
@@ -131,12 +131,7 @@ def force_error(W, last, doubt, unit):
     """
     dy, dw = doubt.copy(), np.empty_like(doubt)
     if len(last.factors.lu) > 0:
-        for k in range(len(last.state)):
-            for row in range(3):
-                dw[3 * k + row] = 0.0
-                for c in range(3):
-                    dw[3 * k + row] += last.factors.B[k, row, c] * doubt[3 * k + c]
-        solve_with_factors(W, last.factors, dw, np.zeros(len(doubt)), dy)
+        force_rates(W, last.factors, doubt, dy)
     elif len(last.own) > 0:
         rates(W, last.B, last.own, last.inverse, doubt, dy, dw)
     return mean_force(dy, unit)

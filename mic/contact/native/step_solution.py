@@ -10,7 +10,7 @@ from mic.contact.native.kept_factors import are_many, solve_with_factors
 from mic.contact.native.kernel import COUNTS, NUMBER, VECTOR, kernel
 from mic.contact.native.law_equation import derivative, force_scale
 from mic.contact.native.matrices import assign, assign_sum, displace
-from mic.contact.native.newton import Coupling, NewtonSettings, newton
+from mic.contact.native.newton import PATIENT, Coupling, NewtonSettings, newton
 from mic.contact.native.path_constants import FACTORISATIONS
 from mic.contact.native.pivots import anew, factorised_anew, linearise, linearised, pivots, updated, without_problem
 from mic.contact.native.step_data import AIM, LAST_PROBLEM, PATH_PROBLEM, WORKSPACE
@@ -25,8 +25,6 @@ STEPS_OF_NEWTON, NEWTON = 40, 10
 CHORD, CHANGES = 0.3, 0.3
 #: Newton's steps in a call for help.
 PATIENCE = 40
-#: Steps without a gain before it is given up for many contacts.
-PATIENT = 6
 
 SOLVED = types.Tuple((int64, LAST_PROBLEM))
 
@@ -157,7 +155,8 @@ def solve(problem, work, aim, last, counts):
     where the step starts, and Newton.
 
     Newton's method with pivots comes first where the solution is near; where it is not, its pivots are wasted on
-    four problems in five, and it is the first help.  The rest as :func:`newton_by_pivots`.
+    four problems in five, and it is the first help.  For many contacts :func:`newton_by_factors` takes its place.  The
+    rest as :func:`newton_by_pivots`.
     """
     y, w, q, sweeps = work.y, work.w, work.q, aim.sweeps
     best, slip = work.y0.copy(), np.zeros(len(problem.parameters))
